@@ -1,0 +1,45 @@
+// Front-to-back alpha blending of each tile's splats, and the adjoint (Kerbl et al. 2023).
+//
+//   alpha = min(0.99, opacity exp(power)),  power = -1/2 d^T K d,  skipped below 1/255
+//   C = sum_i alpha_i T_i c_i + T background,  T_i = prod_{j<i} (1 - alpha_j),  ends before T < 1e-4
+//
+// splats: real[V, SPLAT_REALS]; ranges: uint[tiles, 2] into sorted_splats and slots: uint[P];
+// image: real[3, H, W]; transmittance, depth: real[H, W]; last: int[H, W], the last pair blended.
+// The adjoint writes every pair's sums (splat.h) at the pair's slot, one writer each: no atomics.
+// WITH_DEPTH adds the channel sum_i alpha_i T_i z_i; otherwise `depth` is not touched.
+//
+// Item form (CPUs): a work-item owns a tile; a row of 16 pixels is one vector; the tile's state
+// lives in private memory; rows a splat's ellipse does not reach, or that are opaque, are skipped.
+// Group form (GPUs): forward, a group owns a tile and stages splats in local memory; it notes T and
+// C of every pixel once a bucket of BUCKET pairs. Adjoint, a group of BUCKET lanes owns a bucket:
+// lane l holds splat l while the tile's pixels stream through the lanes, (T, C . grad) passing
+// from lane to lane, so that each lane sums its own splat without any reduction.
+#include "real.h"
+#include "splat.h"
+#include "footprint.h"
+
+#ifndef WITH_DEPTH
+#error "WITH_DEPTH must be 0 or 1"
+#endif
+#define SUMS (9 + WITH_DEPTH)
+
+#if FORM_ITEM
+#include "blend_item.h"
+#else
+#include "blend_group.h"
+#endif
+
+// Sums of each splat over its pairs, in slot order: totals[v, :] from sums[offsets[v] + ..., :].
+__kernel void sum_pairs(uint count, uint width, __global const uint *restrict counts,
+                        __global const uint *restrict offsets, __global const real *restrict sums,
+                        __global real *restrict totals)
+{
+    const uint i = get_global_id(0), v = i / width, column = i % width;
+    if (v >= count)
+        return;
+    const ulong begin = offsets[v], end = begin + counts[v];
+    real total = 0;
+    for (ulong slot = begin; slot < end; slot++)
+        total += sums[slot * width + column];
+    totals[i] = total;
+}

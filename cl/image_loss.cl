@@ -1,0 +1,50 @@
+// Photometric loss and its gradient by the render:
+//
+//   loss = (1 - w) mean |x - y| + w (1 - mean SSIM(x, y))        (Kerbl et al. 2023, section 5.1)
+//
+// SSIM (Wang et al. 2004): 11-tap Gaussian window, sigma 1.5, zero padding, per channel.
+// image: real[3, H, W], the render x; photo: uchar[3, H, W], y = photo / 255; maps: real[3, 3, H, W],
+// per channel the gradients of SSIM by the window means of x, x^2 and x y; partials: real[items, 2],
+// sums of |x - y| and of SSIM, one row a work-item or group, added up in order by reduce.cl.
+//
+// `image_loss` writes maps and partials; `image_loss_adjoint` convolves the maps (the window is its
+// own adjoint) to grad_image: real[3, H, W]. Item form: a work-item slides down a strip of 16
+// columns with a ring of the last 11 rows. Group form: a group owns a tile and its halo.
+#include "real.h"
+
+#define RADIUS 5
+#define TAPS 11
+#define C1 (0.01 * 0.01)
+#define C2 (0.03 * 0.03)
+// exp(-(k - 5)^2 / 4.5) normalised to sum 1
+__constant real WINDOW[TAPS] = {
+    0.001028380084479109, 0.007598758135239185, 0.03600077212843083, 0.10936068950970002,
+    0.21300553771125370, 0.26601172486179436, 0.21300553771125370, 0.10936068950970002,
+    0.03600077212843083, 0.007598758135239185, 0.001028380084479109};
+
+#if FORM_ITEM
+typedef real16 vreal;
+#else
+typedef real vreal;
+#endif
+
+// SSIM from the window means of x, y, x^2, y^2, x y, and its gradients by the first, third, fifth.
+inline vreal ssim(vreal x, vreal y, vreal xx, vreal yy, vreal xy, vreal *by_x, vreal *by_xx,
+                  vreal *by_xy)
+{
+    const vreal a1 = 2 * x * y + (real)C1, a2 = 2 * (xy - x * y) + (real)C2;
+    const vreal b1 = x * x + y * y + (real)C1;
+    const vreal b2 = (xx - x * x) + (yy - y * y) + (real)C2;
+    const vreal inverse = 1 / (b1 * b2);
+    const vreal value = a1 * a2 * inverse;
+    *by_x = 2 * (y * (a2 - a1) * inverse - x * value * (1 / b1 - 1 / b2));
+    *by_xx = -value / b2;
+    *by_xy = 2 * a1 * inverse;
+    return value;
+}
+
+#if FORM_ITEM
+#include "image_loss_item.h"
+#else
+#include "image_loss_group.h"
+#endif

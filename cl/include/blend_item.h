@@ -1,0 +1,213 @@
+// Item form of blend.cl (see there): a work-item owns a tile.
+#define IOTA (real16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
+
+// A row of the tile, cut at the right border of the image.
+inline void store_row(real16 value, __global real *row, int columns)
+{
+    if (columns >= TILE) {
+        vstore16(value, 0, row);
+        return;
+    }
+    real values[16];
+    vstore16(value, 0, values);
+    for (int i = 0; i < columns; i++)
+        row[i] = values[i];
+}
+
+inline real16 load_row(__global const real *row, int columns)
+{
+    if (columns >= TILE)
+        return vload16(0, row);
+    real values[16];
+    for (int i = 0; i < 16; i++)
+        values[i] = i < columns ? row[i] : 0;
+    return vload16(0, values);
+}
+
+// Rows [*begin, *end) of the tile that the ellipse reaches.
+inline void rows_reached(__global const real *splat, real first_y, int rows, int *begin, int *end)
+{
+    const real up = splat[SPLAT_MEAN + 1] - first_y, extent = splat[SPLAT_EXTENT_Y];
+    *begin = (int)clamp(ceil(up - extent), (real)0, (real)rows);
+    *end = (int)clamp(floor(up + extent) + 1, (real)0, (real)rows);
+}
+
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void blend(int width, int height, int tiles_x, __global const real *restrict background,
+           __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
+           __global const real *restrict splats, __global real *restrict image,
+           __global real *restrict transmittance, __global int *restrict last,
+           __global real *restrict depth)
+{
+    const int tile = get_global_id(0), x0 = tile % tiles_x * TILE, y0 = tile / tiles_x * TILE;
+    const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
+    const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
+    const real16 x = IOTA + (real)(x0 + 0.5);
+    const real first_y = y0 + 0.5;
+    real16 t[TILE], red[TILE], green[TILE], blue[TILE]; // t < 0: the pixel has ended, |t| remains
+    mask16 latest[TILE];
+#if WITH_DEPTH
+    real16 z[TILE];
+#endif
+    for (int r = 0; r < rows; r++) {
+        t[r] = select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns));
+        red[r] = green[r] = blue[r] = 0;
+        latest[r] = -1;
+#if WITH_DEPTH
+        z[r] = 0;
+#endif
+    }
+    int open_rows = (1 << rows) - 1;
+    for (uint i = begin; i < end && open_rows; i++) {
+        __global const real *splat = splats + (ulong)sorted_splats[i] * SPLAT_REALS;
+        const real cut = -0.5 * splat[SPLAT_CUTOFF], opacity = splat[SPLAT_OPACITY];
+        const real a = -0.5 * splat[SPLAT_CONIC], b = splat[SPLAT_CONIC + 1];
+        const real c = -0.5 * splat[SPLAT_CONIC + 2], mean_y = splat[SPLAT_MEAN + 1];
+        const real16 dx = x - splat[SPLAT_MEAN];
+        const real16 power_x = a * dx * dx, shear = b * dx;
+        int r, r_end;
+        rows_reached(splat, first_y, rows, &r, &r_end);
+        for (; r < r_end; r++) {
+            if (!(open_rows >> r & 1))
+                continue;
+            const real dy = first_y + r - mean_y;
+            const real16 power = power_x + dy * (c * dy - shear);
+            mask16 live = TO_MASK(power >= cut) & TO_MASK(t[r] > 0);
+            if (!any(live))
+                continue;
+            const real16 alpha = cut_alpha(opacity * exp_power(power));
+            const real16 next = t[r] - alpha * t[r];
+            const mask16 ends = live & TO_MASK(next < (real)TRANSMITTANCE_MIN);
+            live &= ~ends;
+            const real16 w = select((real16)0, alpha * t[r], live);
+            red[r] += w * splat[SPLAT_COLOUR];
+            green[r] += w * splat[SPLAT_COLOUR + 1];
+            blue[r] += w * splat[SPLAT_COLOUR + 2];
+#if WITH_DEPTH
+            z[r] += w * splat[SPLAT_DEPTH];
+#endif
+            latest[r] = select(latest[r], (mask16)i, live);
+            t[r] = select(select(t[r], next, live), -t[r], ends);
+            if (any(ends) && !any(TO_MASK(t[r] > 0)))
+                open_rows &= ~(1 << r);
+        }
+    }
+    const long plane = (long)width * height;
+    for (int r = 0; r < rows; r++) {
+        const long pixel = (long)(y0 + r) * width + x0;
+        const real16 rest = fabs(t[r]);
+        store_row(red[r] + rest * background[0], image + pixel, columns);
+        store_row(green[r] + rest * background[1], image + plane + pixel, columns);
+        store_row(blue[r] + rest * background[2], image + 2 * plane + pixel, columns);
+        store_row(rest, transmittance + pixel, columns);
+#if WITH_DEPTH
+        store_row(z[r], depth + pixel, columns);
+#endif
+        int indices[16];
+        vstore16(convert_int16(latest[r]), 0, indices);
+        for (int i = 0; i < columns; i++)
+            last[pixel + i] = indices[i];
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
+void blend_adjoint(int width, int height, int tiles_x, __global const real *restrict background,
+                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
+                   __global const uint *restrict slots, __global const real *restrict splats,
+                   __global const real *restrict transmittance, __global const int *restrict last,
+                   __global const real *restrict grad_image, __global const real *restrict grad_depth,
+                   __global real *restrict sums)
+{
+    const int tile = get_global_id(0), x0 = tile % tiles_x * TILE, y0 = tile / tiles_x * TILE;
+    const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
+    const int begin = ranges[2 * tile], end = ranges[2 * tile + 1];
+    const long plane = (long)width * height;
+    const real16 x = IOTA + (real)(x0 + 0.5);
+    const real first_y = y0 + 0.5;
+    // t: transmittance behind the current splat; behind: grad . light from behind it
+    real16 t[TILE], behind[TILE], grad_red[TILE], grad_green[TILE], grad_blue[TILE];
+    mask16 latest[TILE];
+#if WITH_DEPTH
+    real16 grad_z[TILE];
+#endif
+    int newest = -1;
+    for (int r = 0; r < rows; r++) {
+        const long pixel = (long)(y0 + r) * width + x0;
+        t[r] = load_row(transmittance + pixel, columns);
+        grad_red[r] = load_row(grad_image + pixel, columns);
+        grad_green[r] = load_row(grad_image + plane + pixel, columns);
+        grad_blue[r] = load_row(grad_image + 2 * plane + pixel, columns);
+        behind[r] = t[r] * (grad_red[r] * background[0] + grad_green[r] * background[1] +
+                            grad_blue[r] * background[2]);
+#if WITH_DEPTH
+        grad_z[r] = load_row(grad_depth + pixel, columns);
+#endif
+        int indices[16];
+        for (int i = 0; i < 16; i++) {
+            indices[i] = i < columns ? last[pixel + i] : -1;
+            newest = max(newest, indices[i]);
+        }
+        latest[r] = convert_mask16(vload16(0, indices));
+    }
+    for (int i = end - 1; i >= begin; i--) {
+        __global real *sum = sums + (ulong)slots[i] * SUMS;
+        if (i > newest) {
+            for (int j = 0; j < SUMS; j++)
+                sum[j] = 0;
+            continue;
+        }
+        __global const real *splat = splats + (ulong)sorted_splats[i] * SPLAT_REALS;
+        const real cut = -0.5 * splat[SPLAT_CUTOFF], opacity = splat[SPLAT_OPACITY];
+        const real a = -0.5 * splat[SPLAT_CONIC], b = splat[SPLAT_CONIC + 1];
+        const real c = -0.5 * splat[SPLAT_CONIC + 2], mean_y = splat[SPLAT_MEAN + 1];
+        const real16 dx = x - splat[SPLAT_MEAN];
+        const real16 power_x = a * dx * dx, shear = b * dx;
+        real16 s_red = 0, s_green = 0, s_blue = 0, s_opacity = 0, s_z = 0;
+        real16 s_p = 0, s_y = 0, s_yy = 0; // dx is the same in every row: its products come last
+        int r, r_end;
+        rows_reached(splat, first_y, rows, &r, &r_end);
+        for (; r < r_end; r++) {
+            const real dy = first_y + r - mean_y;
+            const real16 power = power_x + dy * (c * dy - shear);
+            const mask16 live = TO_MASK(power >= cut) & TO_MASK(latest[r] >= (mask16)i);
+            if (!any(live))
+                continue;
+            const real16 e = exp_power(power), raw = opacity * e;
+            const real16 alpha = select((real16)0, cut_alpha(raw), live);
+            const real16 inverse = 1 / (1 - alpha);
+            const real16 before = t[r] * inverse, w = alpha * before;
+            real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
+                           grad_green[r] * splat[SPLAT_COLOUR + 1] +
+                           grad_blue[r] * splat[SPLAT_COLOUR + 2];
+#if WITH_DEPTH
+            light += grad_z[r] * splat[SPLAT_DEPTH];
+            s_z += w * grad_z[r];
+#endif
+            s_red += w * grad_red[r];
+            s_green += w * grad_green[r];
+            s_blue += w * grad_blue[r];
+            const real16 grad_alpha = before * light - behind[r] * inverse;
+            const real16 grad_raw =
+                select((real16)0, grad_alpha * cut_alpha_slope(raw), live);
+            behind[r] += w * light;
+            t[r] = before;
+            s_opacity += grad_raw * e;
+            const real16 grad_power = grad_raw * raw;
+            s_p += grad_power;
+            s_y += grad_power * dy;
+            s_yy += grad_power * (dy * dy);
+        }
+        sum[SUM_COLOUR] = sum16(s_red);
+        sum[SUM_COLOUR + 1] = sum16(s_green);
+        sum[SUM_COLOUR + 2] = sum16(s_blue);
+        sum[SUM_OPACITY] = sum16(s_opacity);
+        sum[SUM_X] = sum16(s_p * dx);
+        sum[SUM_Y] = sum16(s_y);
+        sum[SUM_XX] = sum16(s_p * dx * dx);
+        sum[SUM_XY] = sum16(s_y * dx);
+        sum[SUM_YY] = sum16(s_yy);
+#if WITH_DEPTH
+        sum[SUM_DEPTH] = sum16(s_z);
+#endif
+    }
+}

@@ -1,0 +1,37 @@
+// The camera as a row of reals; packed by clsplat/render/project.py in this order.
+// Axes right, down, forward; the centre of pixel (0, 0) is at (0.5, 0.5).
+enum {
+    CAMERA_ROTATION = 0, // 9, world to camera, row-major
+    CAMERA_TRANSLATION = 9,
+    CAMERA_FOCAL = 12,
+    CAMERA_CENTRE = 14,
+    CAMERA_POSITION = 16, // world
+    CAMERA_NEAR = 19,
+    CAMERA_LOW_PASS = 20, // pixels squared, added to the footprint's variances
+    CAMERA_SIZE = 21, // width, height
+    CAMERA_REALS = 23
+};
+
+inline real3 to_camera(__global const real *camera, real3 world)
+{
+    __global const real *r = camera + CAMERA_ROTATION;
+    return (real3)(dot(vload3(0, r), world), dot(vload3(1, r), world), dot(vload3(2, r), world)) +
+           vload3(0, camera + CAMERA_TRANSLATION);
+}
+
+// Rotate a camera-frame gradient back to the world frame.
+inline real3 to_world(__global const real *camera, real3 v)
+{
+    __global const real *r = camera + CAMERA_ROTATION;
+    return v.x * vload3(0, r) + v.y * vload3(1, r) + v.z * vload3(2, r);
+}
+
+// x/z and y/z for the Jacobian, held within 15 % of the image beyond its borders: the linearised
+// perspective is meaningless far outside (Zwicker et al. 2002; Kerbl et al. 2023).
+inline real2 clamped_ratio(__global const real *camera, real3 p)
+{
+    const real2 focal = vload2(0, camera + CAMERA_FOCAL), centre = vload2(0, camera + CAMERA_CENTRE);
+    const real2 size = vload2(0, camera + CAMERA_SIZE);
+    const real2 margin = 0.15 * size;
+    return clamp(p.xy / p.z, -(centre + margin) / focal, (size - centre + margin) / focal);
+}

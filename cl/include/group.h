@@ -1,0 +1,24 @@
+// Work-group scan in a fixed order. Every item of the group must call it (it has barriers).
+#ifndef GROUP
+#error "GROUP, the work-group size, must be defined"
+#endif
+
+// Exclusive prefix sum of `value` over the group; *total gets the sum. scratch: GROUP elements.
+#define DEFINE_GROUP_SCAN(NAME, TYPE)                                                             \
+    inline TYPE NAME(TYPE value, __local TYPE *scratch, TYPE *total)                               \
+    {                                                                                              \
+        const uint lane = get_local_id(0);                                                         \
+        TYPE sum = value;                                                                          \
+        scratch[lane] = sum;                                                                       \
+        barrier(CLK_LOCAL_MEM_FENCE);                                                              \
+        for (uint step = 1; step < GROUP; step <<= 1) {                                            \
+            TYPE before = lane >= step ? scratch[lane - step] : 0;                                 \
+            barrier(CLK_LOCAL_MEM_FENCE);                                                          \
+            sum += before;                                                                         \
+            scratch[lane] = sum;                                                                   \
+            barrier(CLK_LOCAL_MEM_FENCE);                                                          \
+        }                                                                                          \
+        *total = scratch[GROUP - 1];                                                               \
+        barrier(CLK_LOCAL_MEM_FENCE);                                                              \
+        return sum - value;                                                                        \
+    }

@@ -1,0 +1,116 @@
+// Group form of image_loss.cl (see there): a group owns a TILE x TILE tile of one channel.
+#include "group.h"
+#define WIDE (TILE + 2 * RADIUS)
+#if GROUP != TILE * TILE
+#error "image_loss needs GROUP = TILE * TILE"
+#endif
+
+// Sum over the group in a fixed tree; the result is valid in lane 0.
+inline real group_sum(real value, __local real *scratch)
+{
+    const uint lane = get_local_id(0);
+    scratch[lane] = value;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint half = GROUP / 2; half > 0; half >>= 1) {
+        if (lane < half)
+            scratch[lane] += scratch[lane + half];
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    const real total = scratch[0];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return total;
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void image_loss(int width, int height, int strip, __global const real *restrict image,
+                __global const uchar *restrict photo, __global real *restrict maps,
+                __global real *restrict partials)
+{
+    __local real xs[WIDE * WIDE], ys[WIDE * WIDE], rows[5][WIDE * TILE], scratch[GROUP];
+    const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
+    const int group = get_group_id(0), lane = get_local_id(0), channel = group / (across * down);
+    const int x0 = group % across * TILE, y0 = group / across % down * TILE;
+    const long plane = (long)width * height;
+    for (int i = lane; i < WIDE * WIDE; i += GROUP) {
+        const int x = x0 - RADIUS + i % WIDE, y = y0 - RADIUS + i / WIDE;
+        const bool inside = x >= 0 && y >= 0 && x < width && y < height;
+        const long pixel = channel * plane + (long)y * width + x;
+        xs[i] = inside ? image[pixel] : 0;
+        ys[i] = inside ? photo[pixel] * (real)(1.0 / 255) : 0;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int i = lane; i < WIDE * TILE; i += GROUP) {
+        const int from = i / TILE * WIDE + i % TILE;
+        real sums[5] = {0, 0, 0, 0, 0};
+        for (int k = 0; k < TAPS; k++) {
+            const real x = xs[from + k], y = ys[from + k], wx = WINDOW[k] * x, wy = WINDOW[k] * y;
+            sums[0] += wx;
+            sums[1] += wy;
+            sums[2] += wx * x;
+            sums[3] += wy * y;
+            sums[4] += wx * y;
+        }
+        for (int m = 0; m < 5; m++)
+            rows[m][i] = sums[m];
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const int x = x0 + lane % TILE, y = y0 + lane / TILE;
+    real value = 0, l1 = 0;
+    if (x < width && y < height) {
+        real mean[5] = {0, 0, 0, 0, 0}, by[3];
+        for (int k = 0; k < TAPS; k++)
+            for (int m = 0; m < 5; m++)
+                mean[m] += WINDOW[k] * rows[m][(lane / TILE + k) * TILE + lane % TILE];
+        value = ssim(mean[0], mean[1], mean[2], mean[3], mean[4], &by[0], &by[1], &by[2]);
+        const int centre = (lane / TILE + RADIUS) * WIDE + lane % TILE + RADIUS;
+        l1 = fabs(xs[centre] - ys[centre]);
+        for (int m = 0; m < 3; m++)
+            maps[(channel * 3 + m) * plane + (long)y * width + x] = by[m];
+    }
+    l1 = group_sum(l1, scratch);
+    value = group_sum(value, scratch);
+    if (lane == 0) {
+        partials[2 * group] = l1;
+        partials[2 * group + 1] = value;
+    }
+}
+
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void image_loss_adjoint(int width, int height, int strip, real l1_scale, real ssim_scale,
+                        __global const real *restrict image, __global const uchar *restrict photo,
+                        __global const real *restrict maps, __global real *restrict grad_image)
+{
+    __local real wide[3][WIDE * WIDE], rows[3][WIDE * TILE];
+    const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
+    const int group = get_group_id(0), lane = get_local_id(0), channel = group / (across * down);
+    const int x0 = group % across * TILE, y0 = group / across % down * TILE;
+    const long plane = (long)width * height;
+    for (int i = lane; i < WIDE * WIDE; i += GROUP) {
+        const int x = x0 - RADIUS + i % WIDE, y = y0 - RADIUS + i / WIDE;
+        const bool inside = x >= 0 && y >= 0 && x < width && y < height;
+        for (int m = 0; m < 3; m++)
+            wide[m][i] = inside ? maps[(channel * 3 + m) * plane + (long)y * width + x] : 0;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int i = lane; i < WIDE * TILE; i += GROUP) {
+        const int from = i / TILE * WIDE + i % TILE;
+        for (int m = 0; m < 3; m++) {
+            real sum = 0;
+            for (int k = 0; k < TAPS; k++)
+                sum += WINDOW[k] * wide[m][from + k];
+            rows[m][i] = sum;
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const int x = x0 + lane % TILE, y = y0 + lane / TILE;
+    if (x < width && y < height) {
+        real by[3] = {0, 0, 0};
+        for (int k = 0; k < TAPS; k++)
+            for (int m = 0; m < 3; m++)
+                by[m] += WINDOW[k] * rows[m][(lane / TILE + k) * TILE + lane % TILE];
+        const long pixel = channel * plane + (long)y * width + x;
+        const real value = image[pixel], photo_value = photo[pixel] * (real)(1.0 / 255);
+        grad_image[pixel] = l1_scale * sign(value - photo_value) +
+                            ssim_scale * (by[0] + 2 * value * by[1] + photo_value * by[2]);
+    }
+}

@@ -1,0 +1,52 @@
+// Which tiles a splat touches: the exact ellipse at its opacity-aware cutoff, by rows of tiles.
+// Count and emit both walk this, so that they cannot disagree on the rule.
+#ifndef TILE
+#error "TILE, the width of a tile in pixels, must be defined"
+#endif
+
+typedef struct {
+    real mean_x, mean_y, shear, half_width, extent_y;
+} Ellipse;
+
+inline Ellipse ellipse_of(__global const real *splat)
+{
+    // a hair larger, so that rounding here never drops a pixel that blending would draw
+    const real cutoff = splat[SPLAT_CUTOFF] * 1.001 + 0.001;
+    const real a = splat[SPLAT_CONIC], b = splat[SPLAT_CONIC + 1];
+    Ellipse e;
+    e.mean_x = splat[SPLAT_MEAN];
+    e.mean_y = splat[SPLAT_MEAN + 1];
+    e.shear = b / a;
+    e.half_width = sqrt(cutoff / a); // of the chord through the mean
+    e.extent_y = splat[SPLAT_EXTENT_Y] * 1.001 + 0.01;
+    return e;
+}
+
+// Clamp in real before converting: a huge ellipse does not fit an int.
+inline int to_tile(real value, int last)
+{
+    return (int)clamp(value, (real)-1, (real)(last + 1));
+}
+
+// Tile rows [*begin, *end) whose pixel centres the ellipse can reach.
+inline void tile_rows(Ellipse e, int tiles_y, int *begin, int *end)
+{
+    *begin = max(0, to_tile(ceil((e.mean_y - e.extent_y + 0.5) / TILE) - 1, tiles_y));
+    *end = min(tiles_y, to_tile(floor((e.mean_y + e.extent_y - 0.5) / TILE) + 1, tiles_y));
+}
+
+// Tile columns [*begin, *end) of one tile row. The ellipse's right end within the row's strip of
+// pixel centres is at its rightmost point where that lies inside, else on the nearer edge.
+inline void tile_columns(Ellipse e, int row, int tiles_x, int *begin, int *end)
+{
+    const real low = (row * TILE + 0.5 - e.mean_y) / e.extent_y;
+    const real high = (row * TILE + TILE - 0.5 - e.mean_y) / e.extent_y;
+    const real slope = e.shear * e.extent_y;
+    const real rightmost = -slope / sqrt(slope * slope + e.half_width * e.half_width);
+    const real u_right = clamp(rightmost, max(low, (real)-1), min(high, (real)1));
+    const real u_left = clamp(-rightmost, max(low, (real)-1), min(high, (real)1));
+    const real right = -slope * u_right + e.half_width * sqrt(max((real)0, 1 - u_right * u_right));
+    const real left = -slope * u_left - e.half_width * sqrt(max((real)0, 1 - u_left * u_left));
+    *begin = max(0, to_tile(ceil((e.mean_x + left - 0.01 + 0.5) / TILE) - 1, tiles_x));
+    *end = min(tiles_x, to_tile(floor((e.mean_x + right + 0.01 - 0.5) / TILE) + 1, tiles_x));
+}

@@ -1,0 +1,260 @@
+// Gaussians to splats, and the adjoint. One work-item a gaussian; elementwise, hence deterministic.
+//
+// EWA splatting (Zwicker et al. 2002) with M = J W R S (2 x 3), covariance M M^T + low_pass I. Its
+// determinant comes from Lagrange's identity, |m1 x m2|^2 + e(|m1|^2 + |m2|^2) + e^2, which keeps
+// its digits for needles, where A C - B^2 cancels.
+//
+// Parameters are real[N, ...] rows; splats real[V, SPLAT_REALS] and all gradients real[V, ...] are
+// rows of visible gaussians in depth order; rows[v] is the gaussian of splat v.
+#include "real.h"
+#include "camera.h"
+#include "quaternion.h"
+#include "harmonics.h"
+#include "splat.h"
+
+#ifndef ANTIALIASED
+#error "ANTIALIASED must be 0 or 1"
+#endif
+#define AREA_RATIO_MIN 2.5e-5 // of sharp to filtered footprint, so that its root has a gradient
+#define NO_ROW UINT_MAX
+
+typedef struct {
+    real3 p; // camera frame
+    real2 ratio; // clamped x/z, y/z
+    real3 r0, r1, r2; // rotation rows of the gaussian
+    real4 q;
+    real q_length;
+    real3 scale;
+    real3 b1, b2; // rows of J W R
+    real3 m1, m2; // rows of J W R S
+    real3 cross_m;
+    real xx, xy, yy, det, blur; // covariance, determinant, and what the low-pass added to it
+    real opacity, area_ratio;
+} Footprint;
+
+inline Footprint footprint_of(uint row, __global const real *camera, __global const real *positions,
+                              __global const real *log_scales, __global const real *quaternions,
+                              __global const real *opacity_logits)
+{
+    Footprint f;
+    f.p = to_camera(camera, vload3(row, positions));
+    f.ratio = clamped_ratio(camera, f.p);
+    f.q = unit_quaternion(vload4(row, quaternions), &f.q_length);
+    rotation_rows(f.q, &f.r0, &f.r1, &f.r2);
+    f.scale = exp(vload3(row, log_scales));
+
+    const real2 focal = vload2(0, camera + CAMERA_FOCAL) / f.p.z;
+    __global const real *w = camera + CAMERA_ROTATION;
+    const real3 w3 = vload3(2, w);
+    const real3 a1 = focal.x * (vload3(0, w) - f.ratio.x * w3);
+    const real3 a2 = focal.y * (vload3(1, w) - f.ratio.y * w3);
+    f.b1 = a1.x * f.r0 + a1.y * f.r1 + a1.z * f.r2;
+    f.b2 = a2.x * f.r0 + a2.y * f.r1 + a2.z * f.r2;
+    f.m1 = f.b1 * f.scale;
+    f.m2 = f.b2 * f.scale;
+
+    const real e = camera[CAMERA_LOW_PASS];
+    const real m11 = dot(f.m1, f.m1), m22 = dot(f.m2, f.m2);
+    f.cross_m = cross(f.m1, f.m2);
+    f.xx = m11 + e;
+    f.xy = dot(f.m1, f.m2);
+    f.yy = m22 + e;
+    f.blur = e * (m11 + m22) + e * e;
+    f.det = dot(f.cross_m, f.cross_m) + f.blur;
+    f.opacity = 1 / (1 + exp(-opacity_logits[row]));
+    f.area_ratio = 1;
+#if ANTIALIASED
+    f.area_ratio = max(dot(f.cross_m, f.cross_m) / f.det, (real)AREA_RATIO_MIN);
+#endif
+    return f;
+}
+
+inline real2 mean_pixel(__global const real *camera, real3 p)
+{
+    return vload2(0, camera + CAMERA_FOCAL) * p.xy / p.z + vload2(0, camera + CAMERA_CENTRE);
+}
+
+// Depth keys uint[N] (positive floats order as their bits) and flags uint[N]: 1 where the
+// footprint at its cutoff meets the image. Comparisons are written to fail for NaN.
+__kernel void cull(uint count, __global const real *restrict camera,
+                   __global const real *restrict positions, __global const real *restrict log_scales,
+                   __global const real *restrict quaternions,
+                   __global const real *restrict opacity_logits, __global uint *restrict depth_keys,
+                   __global uint *restrict flags)
+{
+    const uint row = get_global_id(0);
+    if (row >= count)
+        return;
+    flags[row] = 0;
+    const real z = to_camera(camera, vload3(row, positions)).z;
+    if (!(z > camera[CAMERA_NEAR]))
+        return;
+    const Footprint f =
+        footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
+    const real opacity = f.opacity * sqrt(f.area_ratio);
+    const real cutoff = 2 * log(255 * opacity);
+    const real2 extent = sqrt(cutoff * (real2)(f.xx, f.yy));
+    const real2 mean = mean_pixel(camera, f.p), size = vload2(0, camera + CAMERA_SIZE);
+    const bool meets = mean.x + extent.x > 0 && mean.y + extent.y > 0 && mean.x - extent.x < size.x &&
+                       mean.y - extent.y < size.y;
+    // a footprint past the float range has no usable conic
+    const bool finite = isfinite(f.det) && f.det > 0 && isfinite(extent.x) && isfinite(extent.y) &&
+                        isfinite(z) && f.q_length > 0;
+    if (cutoff > 0 && meets && finite) {
+        flags[row] = 1;
+        depth_keys[row] = as_uint((float)z);
+    }
+}
+
+__kernel void project(uint count, uint degree, __global const uint *restrict rows,
+                      __global const real *restrict camera, __global const real *restrict positions,
+                      __global const real *restrict sh_constant, __global const real *restrict sh_rest,
+                      __global const real *restrict opacity_logits,
+                      __global const real *restrict log_scales,
+                      __global const real *restrict quaternions, __global real *restrict splats)
+{
+    const uint v = get_global_id(0);
+    if (v >= count)
+        return;
+    const uint row = rows[v];
+    const Footprint f =
+        footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
+    const real opacity = f.opacity * sqrt(f.area_ratio);
+    const real cutoff = 2 * log(255 * opacity);
+
+    real3 colour = 0.5 + SH_C0 * vload3(row, sh_constant);
+#if SH_REST > 0
+    if (degree > 0) {
+        real basis[SH_SIZE];
+        const real3 d = normalize(vload3(row, positions) - vload3(0, camera + CAMERA_POSITION));
+        harmonics(d, degree, basis);
+        for (uint k = 0; k < SH_ACTIVE(degree); k++)
+            colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
+    }
+#endif
+    const real2 mean = mean_pixel(camera, f.p);
+    __global real *splat = splats + (ulong)v * SPLAT_REALS;
+    vstore4((real4)(mean, opacity, cutoff), 0, splat);
+    vstore4((real4)((real3)(f.yy, -f.xy, f.xx) / f.det, sqrt(cutoff * f.yy)), 1, splat);
+    colour = select((real3)(0), colour, colour > (real3)(0)); // also drops NaN
+    vstore4((real4)(colour, f.p.z), 2, splat);
+}
+
+// From the pair sums of each splat (sums: real[V, S], see splat.h) to gradients of the parameters.
+// grad_means gets the pixel gradient of the mean, for densification. Where any gradient is not
+// finite the row is left alone: active[v] is NO_ROW and `skipped` counts it.
+__kernel void project_adjoint(
+    uint count, uint degree, uint sum_count, __global const uint *restrict rows,
+    __global const real *restrict camera, __global const real *restrict positions,
+    __global const real *restrict sh_constant, __global const real *restrict sh_rest,
+    __global const real *restrict opacity_logits, __global const real *restrict log_scales,
+    __global const real *restrict quaternions, __global const real *restrict sums,
+    __global real *restrict grad_positions, __global real *restrict grad_sh_constant,
+    __global real *restrict grad_sh_rest, __global real *restrict grad_opacity_logits,
+    __global real *restrict grad_log_scales, __global real *restrict grad_quaternions,
+    __global real *restrict grad_means, __global uint *restrict active,
+    __global uint *restrict skipped)
+{
+    const uint v = get_global_id(0);
+    if (v >= count)
+        return;
+    const uint row = rows[v];
+    __global const real *sum = sums + (ulong)v * sum_count;
+    const Footprint f =
+        footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
+
+    // power = -1/2 d^T K d with d = pixel - mean: grad_mean = K sum(grad_power d)
+    const real3 conic = (real3)(f.yy, -f.xy, f.xx) / f.det;
+    const real2 grad_mean = (real2)(conic.x * sum[SUM_X] + conic.y * sum[SUM_Y],
+                                    conic.y * sum[SUM_X] + conic.z * sum[SUM_Y]);
+    // dK = -K dC K, so grad C = -K G K with G = -1/2 sum(grad_power d d^T)
+    const real gxx = 0.5 * sum[SUM_XX], gxy = 0.5 * sum[SUM_XY], gyy = 0.5 * sum[SUM_YY];
+    const real t11 = conic.x * gxx + conic.y * gxy, t12 = conic.x * gxy + conic.y * gyy;
+    const real t21 = conic.y * gxx + conic.z * gxy, t22 = conic.y * gxy + conic.z * gyy;
+    const real c11 = t11 * conic.x + t12 * conic.y, c12 = t11 * conic.y + t12 * conic.z;
+    const real c22 = t21 * conic.y + t22 * conic.z;
+    real3 grad_m1 = 2 * (c11 * f.m1 + c12 * f.m2);
+    real3 grad_m2 = 2 * (c12 * f.m1 + c22 * f.m2);
+
+    real grad_opacity = sum[SUM_OPACITY];
+#if ANTIALIASED
+    const real root = sqrt(f.area_ratio), sharp = dot(f.cross_m, f.cross_m);
+    if (f.area_ratio > AREA_RATIO_MIN) {
+        const real e = camera[CAMERA_LOW_PASS];
+        const real g = grad_opacity * f.opacity * 0.5 / (root * f.det);
+        const real by_sharp = 2 * g * f.blur / f.det, by_blur = -2 * g * e * (sharp / f.det);
+        grad_m1 += by_sharp * cross(f.m2, f.cross_m) + by_blur * f.m1;
+        grad_m2 += by_sharp * cross(f.cross_m, f.m1) + by_blur * f.m2;
+    }
+    grad_opacity *= root;
+#endif
+    const real grad_logit = grad_opacity * f.opacity * (1 - f.opacity);
+
+    const real3 grad_log_scale = (grad_m1 * f.b1 + grad_m2 * f.b2) * f.scale;
+    const real3 grad_b1 = grad_m1 * f.scale, grad_b2 = grad_m2 * f.scale;
+    __global const real *w = camera + CAMERA_ROTATION;
+    const real3 w3 = vload3(2, w);
+    const real2 focal = vload2(0, camera + CAMERA_FOCAL) / f.p.z;
+    const real3 a1 = focal.x * (vload3(0, w) - f.ratio.x * w3);
+    const real3 a2 = focal.y * (vload3(1, w) - f.ratio.y * w3);
+    const real4 grad_quaternion = rotation_rows_adjoint(
+        f.q, f.q_length, a1.x * grad_b1 + a2.x * grad_b2, a1.y * grad_b1 + a2.y * grad_b2,
+        a1.z * grad_b1 + a2.z * grad_b2);
+
+    // through A = J W to the camera-frame position
+    const real3 grad_a1 = (real3)(dot(f.r0, grad_b1), dot(f.r1, grad_b1), dot(f.r2, grad_b1));
+    const real3 grad_a2 = (real3)(dot(f.r0, grad_b2), dot(f.r1, grad_b2), dot(f.r2, grad_b2));
+    const real inverse_z = 1 / f.p.z;
+    const real2 ratio = f.p.xy / f.p.z; // as clamped_ratio computes it
+    const real2 inside = (real2)(f.ratio.x == ratio.x, f.ratio.y == ratio.y);
+    const real2 along = focal * (real2)(dot(grad_a1, w3), dot(grad_a2, w3)); // by -ratio
+    const real2 across = focal * (real2)(dot(grad_a1, vload3(0, w)), dot(grad_a2, vload3(1, w)));
+    const real2 by_ratio = -along * inside;
+    real3 grad_p;
+    grad_p.xy = (by_ratio + focal * f.p.z * grad_mean) * inverse_z;
+    const real2 by_z =
+        across - f.ratio * along + ratio * (by_ratio + focal * f.p.z * grad_mean);
+    grad_p.z = -(by_z.x + by_z.y) * inverse_z;
+    if (sum_count > SUM_DEPTH)
+        grad_p.z += sum[SUM_DEPTH];
+    real3 grad_position = to_world(camera, grad_p);
+
+    // colour; where it was clamped at zero nothing flows
+    real3 grad_colour = vload3(0, sum + SUM_COLOUR);
+    real3 colour = 0.5 + SH_C0 * vload3(row, sh_constant);
+#if SH_REST > 0
+    real basis[SH_SIZE], weight[SH_SIZE];
+    const real3 offset = vload3(row, positions) - vload3(0, camera + CAMERA_POSITION);
+    const real3 d = normalize(offset);
+    if (degree > 0) {
+        harmonics(d, degree, basis);
+        for (uint k = 0; k < SH_ACTIVE(degree); k++)
+            colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
+    }
+#endif
+    grad_colour = select((real3)(0), grad_colour, colour > (real3)(0));
+    const real3 grad_constant = SH_C0 * grad_colour;
+#if SH_REST > 0
+    if (degree > 0) {
+        for (uint k = 0; k < SH_ACTIVE(degree); k++)
+            weight[k] = dot(grad_colour, vload3(row * SH_REST + k, sh_rest));
+        const real3 g = harmonics_gradient(d, degree, weight);
+        grad_position += (g - d * dot(d, g)) / length(offset);
+        for (uint k = 0; k < SH_ACTIVE(degree); k++)
+            vstore3(basis[k] * grad_colour, v * SH_REST + k, grad_sh_rest);
+    }
+#endif
+    vstore3(grad_position, v, grad_positions);
+    vstore3(grad_constant, v, grad_sh_constant);
+    vstore3(grad_log_scale, v, grad_log_scales);
+    vstore4(grad_quaternion, v, grad_quaternions);
+    vstore2(grad_mean, v, grad_means);
+    grad_opacity_logits[v] = grad_logit;
+
+    const real3 all = grad_position + grad_constant + grad_log_scale;
+    const bool finite =
+        isfinite(all.x + all.y + all.z + grad_logit + dot(grad_quaternion, (real4)(1)));
+    active[v] = finite ? row : NO_ROW;
+    if (!finite)
+        atomic_inc(skipped);
+}

@@ -1,0 +1,45 @@
+"""`clsplat bench`: the timings of one kernel family."""
+
+import importlib
+import importlib.util
+import pkgutil
+import sys
+from pathlib import Path
+
+import click
+
+import clsplat
+from clsplat.errors import InputError
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.argument("family", required=False)
+@click.option("--json", "as_json", is_flag=True, help="One JSON record a line.")
+@click.option("--device", help="As for `clsplat train`.")
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def bench(family, as_json, device, arguments):
+    """Time a kernel FAMILY on this machine; without one, list them.
+
+    Further ARGUMENTS go to the benchmark.
+    """
+    package = bench_package()
+    families = sorted(module.name for module in pkgutil.iter_modules(package.__path__)
+                      if not module.name.startswith("_"))
+    if family is None:
+        click.echo("\n".join(families))
+        return
+    if family not in families:
+        raise InputError(f"no benchmark is called '{family}'; there are {', '.join(families)}")
+    flags = (["--json"] if as_json else []) + (["--device", device] if device else [])
+    importlib.import_module(f"{package.__name__}.{family}").main([*flags, *arguments])
+
+
+def bench_package():
+    """The package of benchmarks: inside the wheel, or tools/bench of the checkout."""
+    if importlib.util.find_spec("clsplat.bench") is None:
+        folder = Path(clsplat.__file__).resolve().parents[1] / "tools" / "bench"
+        spec = importlib.util.spec_from_file_location(
+            "clsplat.bench", folder / "__init__.py", submodule_search_locations=[str(folder)])
+        sys.modules["clsplat.bench"] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules["clsplat.bench"])
+    return importlib.import_module("clsplat.bench")

@@ -1,0 +1,36 @@
+"""`clsplat eval`: a run's held-out views against their photos."""
+
+from pathlib import Path
+
+import click
+
+
+@click.command("eval")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--device", default="auto", show_default=True,
+              help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
+@click.option("--images/--no-images", default=True, show_default=True,
+              help="Write each render beside its photo as PNG.")
+def evaluate(run, device, images):
+    """Compare the held-out views of RUN with their photos.
+
+    PSNR (dB) and SSIM are means over views, plain and after a quadratic fit of each render's
+    colours to its photo.
+    """
+    from clsplat.device import choose_device
+    from clsplat.evaluate.views import evaluate_run
+    from clsplat.io.run import RENDERS, RunFolder
+    folder = RunFolder.open(run)
+    result = evaluate_run(folder, choose_device(device), save_images=images)
+    click.echo(summary(result))
+    if images:
+        click.echo(f"pictures: {folder.path / RENDERS}")
+
+
+def summary(result):
+    """The table of an evaluation, as text."""
+    views = f"{result['views']} held-out view{'s' if result['views'] != 1 else ''}"
+    lines = [f"{views:<20}{'PSNR':>8}{'SSIM':>8}"]
+    for label, suffix in (("plain", ""), ("colour-corrected", "_cc")):
+        lines.append(f"{label:<20}{result['psnr' + suffix]:>8.2f}{result['ssim' + suffix]:>8.4f}")
+    return "\n".join(lines)

@@ -1,0 +1,44 @@
+"""The flags of `clsplat train`, derived from the table of options."""
+
+import dataclasses
+
+import click
+from click.core import ParameterSource
+
+from clsplat.cli.sections import SectionedOption
+from clsplat.options import TrainOptions
+
+
+def training_flags(command):
+    """Decorator: one flag for each field of TrainOptions, in order, under its group's heading."""
+    for option in reversed(dataclasses.fields(TrainOptions)):
+        command = _flag(option)(command)
+    return command
+
+
+def given_options(ctx):
+    """{option: value} of the training flags that the user wrote; defaults are left out."""
+    return {option.name: ctx.params[option.name] for option in dataclasses.fields(TrainOptions)
+            if ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
+
+
+def flag_name(name):
+    """`--kebab-case` of an option's name."""
+    return "--" + name.replace("_", "-")
+
+
+def _flag(option):
+    meta, default, name = option.metadata, option.default, flag_name(option.name)
+    settings = {"help": meta["help"], "default": default, "show_default": True}
+    if isinstance(default, bool):
+        name = f"{name}/--no-{name[2:]}"
+    elif meta["choices"]:
+        settings["type"] = click.Choice(meta["choices"])
+    elif default == ():
+        settings.update(type=int, multiple=True, show_default=False)
+    elif isinstance(default, tuple):
+        settings.update(type=type(default[0]), nargs=len(default))
+    else:
+        settings["type"] = type(default)
+    names = [name, option.name] if meta["short"] is None else [meta["short"], name, option.name]
+    return click.option(*names, cls=SectionedOption, section=meta["group"], **settings)

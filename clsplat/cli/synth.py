@@ -1,0 +1,40 @@
+"""`clsplat synth`: make a procedural city scene with known geometry."""
+
+from pathlib import Path
+
+import click
+
+from clsplat.errors import InputError
+
+
+def _pair(context, option, text):
+    """Two whole numbers from a text such as 320x240."""
+    try:
+        first, second = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise InputError(f"--{option.name} {text}: wants two whole numbers, such as "
+                         f"{option.default}") from None
+    return first, second
+
+
+@click.command()
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
+              help="Folder of the new scene.")
+@click.option("--blocks", default="2x2", show_default=True, callback=_pair,
+              help="City blocks along x and y.")
+@click.option("--views", default=32, show_default=True, help="Photos in all.")
+@click.option("--size", default="320x240", show_default=True, callback=_pair,
+              help="Width and height of a photo, pixels.")
+@click.option("--seed", default=0, show_default=True, help="Same seed, same bytes.")
+@click.option("--overwrite", is_flag=True, help="Replace an earlier synthetic scene.")
+def synth(output, blocks, views, size, seed, overwrite):
+    """Make a procedural city scene: photos, COLMAP model, and the true geometry."""
+    from tqdm import tqdm
+
+    from clsplat.synth.write import synthesise
+    with tqdm(total=views, unit="view", disable=None, leave=False) as bar:
+        photos, points, observations = synthesise(
+            output, blocks, views, *size, seed=seed, overwrite=overwrite,
+            progress=lambda done, total: bar.update())
+    click.echo(f"{output}: {photos} views of {size[0]} x {size[1]}, {points:,} points, "
+               f"{observations:,} observations")

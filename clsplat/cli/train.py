@@ -1,0 +1,80 @@
+"""`clsplat train`: a scene in, a run folder out."""
+
+import dataclasses
+import logging
+from contextlib import nullcontext
+from pathlib import Path
+
+import click
+
+from clsplat.cli.flags import flag_name, given_options, training_flags
+from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.errors import InputError
+from clsplat.options import TrainOptions, from_toml, resolve
+
+# what a resumed run may change without its result depending on when it was stopped
+RESUME_MAY_CHANGE = ("stop_at", "checkpoint_every", "device")
+LEVELS = ("debug", "info", "warning", "error")
+FOLDER = {"cls": SectionedOption, "section": "Run folder"}
+
+
+@click.command(cls=SectionedCommand)
+@click.argument("scene", type=click.Path(path_type=Path))
+@training_flags
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), **FOLDER,
+              help="Folder of the run: options, metrics, checkpoints, point_cloud.ply.")
+@click.option("--config", type=click.Path(path_type=Path), **FOLDER,
+              help="TOML file of options; flags win over it.")
+@click.option("--resume", is_flag=True, **FOLDER,
+              help="Go on from the run's last checkpoint, with its options.")
+@click.option("--overwrite", is_flag=True, **FOLDER, help="Replace a run that is there.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress line.")
+@click.option("--log-level", type=click.Choice(LEVELS), default="warning", show_default=True,
+              help="Which log messages to show.")
+@click.pass_context
+def train(ctx, scene, output, config, resume, overwrite, quiet, log_level, **_):
+    """Train gaussians on SCENE, a COLMAP folder with sparse/ and images/."""
+    logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
+    if resume and (overwrite or config):
+        raise InputError(f"{'--overwrite' if overwrite else '--config'}: cannot go with --resume, "
+                         "which continues the run as it was; leave one of them out")
+    flags = given_options(ctx)
+    options = None if resume else resolve(from_toml(config) if config else {}, flags)
+
+    from clsplat.device import choose_device
+    from clsplat.io.run import RunFolder
+    from clsplat.io.scenes import read_scene
+    from clsplat.train import loop
+    if resume:
+        run = RunFolder.open(output)
+        options = resumed_options(run.read_options(), flags)
+    data = read_scene(scene)
+    device = choose_device(options.device, form=options.form)
+    if not resume:
+        run = RunFolder.create(output, overwrite=overwrite)
+    start = loop.resume if resume else loop.train
+    with nullcontext() if quiet else _progress(options) as progress:
+        start(data, options, device, run, progress=progress)
+    if not quiet:
+        click.echo(f"{output}: next, `clsplat eval {output}`")
+
+
+def resumed_options(record, flags):
+    """TrainOptions of a run's record (dict) with the flags that a resumed one may change.
+
+    A stop of the first part does not stop the second. Raises InputError for other flags.
+    """
+    known = {option.name for option in dataclasses.fields(TrainOptions)}
+    options = resolve({name: value for name, value in record.items() if name in known}, {})
+    for name in flags:
+        if name not in RESUME_MAY_CHANGE and flags[name] != getattr(options, name):
+            raise InputError(
+                f"{flag_name(name)}: cannot change at --resume, the run has "
+                f"{getattr(options, name)!r}; leave it out, or start a new run")
+    return resolve({**dataclasses.asdict(options), "stop_at": 0}, flags)
+
+
+def _progress(options):
+    from clsplat.cli.progress import Progress
+    total = round(options.iterations * options.steps_scale)
+    return Progress(min(options.stop_at or total, total))

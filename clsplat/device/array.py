@@ -1,0 +1,71 @@
+"""Typed arrays in device memory."""
+
+import numpy as np
+import pyopencl as cl
+
+from clsplat.errors import ShapeError
+
+
+class Array:
+    """Device memory with a shape and a type; rows are contiguous and the first axis counts them."""
+
+    __slots__ = ("device", "buffer", "shape", "dtype")
+
+    def __init__(self, device, buffer, shape, dtype):
+        self.device, self.buffer = device, buffer
+        self.shape, self.dtype = shape, np.dtype(dtype)
+
+    def __len__(self):
+        return self.shape[0]
+
+    @property
+    def nbytes(self):
+        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+
+    def narrow(self, rows):
+        """The first `rows` rows: the same memory, no copy."""
+        if rows > self.shape[0]:
+            raise ShapeError(f"cannot narrow {self.shape} to {rows} rows")
+        return Array(self.device, self.buffer, (rows, *self.shape[1:]), self.dtype)
+
+    def reshaped(self, *shape):
+        """The same memory under another shape of equal size."""
+        if int(np.prod(shape)) != int(np.prod(self.shape)):
+            raise ShapeError(f"cannot reshape {self.shape} to {shape}")
+        return Array(self.device, self.buffer, tuple(shape), self.dtype)
+
+    def download(self):
+        """A numpy copy; waits for everything queued before."""
+        host = np.empty(self.shape, self.dtype)
+        if host.size:
+            cl.enqueue_copy(self.device.queue, host, self.buffer)
+        return host
+
+    def last(self):
+        """The last element, as a numpy scalar; waits like `download`."""
+        host = np.empty(1, self.dtype)
+        end = self.nbytes - self.dtype.itemsize
+        cl.enqueue_copy(self.device.queue, host, self.buffer, src_offset=end)
+        return host[0]
+
+    def write(self, values, first_row=0):
+        """Overwrite rows from `first_row` with host values of the same row shape."""
+        values = np.ascontiguousarray(values, self.dtype)
+        if values.shape[1:] != self.shape[1:] or first_row + len(values) > self.shape[0]:
+            raise ShapeError(f"cannot write {values.shape} at row {first_row} of {self.shape}")
+        if values.size:
+            stride = int(np.prod(self.shape[1:], dtype=np.int64)) * self.dtype.itemsize
+            cl.enqueue_copy(self.device.queue, self.buffer, values, dst_offset=first_row * stride,
+                            is_blocking=True)
+
+    def fill(self, value=0):
+        """Set every element; zero is the common case."""
+        if self.nbytes:
+            cl.enqueue_fill_buffer(
+                self.device.queue, self.buffer, self.dtype.type(value), 0, self.nbytes)
+
+    def copy_to(self, other, rows):
+        """Copy the first `rows` rows into `other`, on the device."""
+        size = rows * (self.nbytes // max(len(self), 1))
+        if size:
+            cl.enqueue_copy(self.device.queue, other.buffer, self.buffer, byte_count=size)

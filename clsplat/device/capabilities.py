@@ -1,0 +1,69 @@
+"""What a device can do beyond the floor, found by building and running two-line kernels.
+
+Floor: OpenCL C 1.2, 32-bit integer atomics, 32 KiB local memory, groups of at least 64. A listed
+feature is not a working one, so nothing is believed that has not run.
+"""
+
+import warnings
+
+import numpy as np
+import pyopencl as cl
+
+_SHUFFLE = """
+__kernel void probe(__global float *x) {
+    float v = (float)get_local_id(0), w;
+    asm volatile("shfl.sync.up.b32 %0, %1, 1, 0x0, 0xffffffff;" : "=f"(w) : "f"(v));
+    x[get_local_id(0)] = w;
+}"""
+_DOUBLE = """
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+__kernel void probe(__global float *x) {
+    x[get_local_id(0)] = (float)((double)get_local_id(0) + 1e-12 > (double)get_local_id(0));
+}"""
+_PLAIN = "__kernel void probe(__global float *x) { x[get_local_id(0)] = exp(1.0f) + get_local_id(0); }"
+
+
+def _run(context, handle, source, expected):
+    """Whether `source` builds and its kernel writes `expected` with one group of 32."""
+    queue = cl.CommandQueue(context, handle)
+    result = np.full(32, -1, np.float32)
+    buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, result.nbytes)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        program = cl.Program(context, source).build()
+    cl.Kernel(program, "probe")(queue, (32,), (32,), buffer)
+    cl.enqueue_copy(queue, result, buffer)
+    return bool(np.allclose(result, expected, rtol=1e-5))
+
+
+def probe_working(handle):
+    """Why the device does not work, or "" where a tiny kernel built, ran and was right."""
+    lane = np.arange(32, dtype=np.float32)
+    try:
+        right = _run(cl.Context([handle]), handle, _PLAIN, np.e + lane)
+    except cl.Error as error:
+        text = " ".join(str(error).split())
+        return f"a two-line kernel fails: {text[:160]}"
+    if not right:
+        return "a two-line kernel gives wrong results"
+    if handle.local_mem_size < 32 << 10 or handle.max_work_group_size < 64:
+        return "below the floor: needs 32 KiB of local memory and groups of 64"
+    return ""
+
+
+def probe_capabilities(context, handle):
+    """{define: bool} of optional features, each seen running."""
+    lane = np.arange(32, dtype=np.float32)
+    tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
+             "HAVE_PTX_SHUFFLE": (_SHUFFLE, np.maximum(lane - 1, 0))}
+    found = {}
+    for name, (source, expected) in tests.items():
+        # inline PTX makes some non-NVIDIA compilers abort, so only its own vendor is asked
+        if name == "HAVE_PTX_SHUFFLE" and "nvidia" not in handle.vendor.lower():
+            found[name] = False
+            continue
+        try:
+            found[name] = _run(context, handle, source, expected)
+        except cl.Error:
+            found[name] = False
+    return found

@@ -1,0 +1,145 @@
+"""An open device: context, queue, memory, built programs, checked launches, profiling."""
+
+import warnings
+from contextlib import contextmanager
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.tools
+
+from clsplat.device.array import Array
+from clsplat.device.capabilities import probe_capabilities
+from clsplat.device.kernel import SCALARS
+from clsplat.device.source import kernel_folder, kernel_source
+from clsplat.errors import DeviceError
+
+
+class Device:
+    """One OpenCL device, opened in one precision and one preferred kernel form.
+
+    precision: "float", or "double" for tests. form: "item" (a work-item owns a tile or a chunk;
+    CPUs) or "group" (a work-group does; GPUs); "auto" goes by the device's type.
+    """
+
+    def __init__(self, handle, precision="float", form="auto", profiling=False):
+        self.handle = handle
+        self.name = handle.name.strip()
+        self.is_cpu = bool(handle.type & cl.device_type.CPU)
+        self.form = ("item" if self.is_cpu else "group") if form == "auto" else form
+        self.real = np.dtype(np.float64 if precision == "double" else np.float32)
+        self.context = cl.Context([handle])
+        properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
+        self.queue = cl.CommandQueue(self.context, handle, properties=properties)
+        self.capabilities = probe_capabilities(self.context, handle)
+        self.compute_units = handle.max_compute_units
+        self.group_size = min(128, handle.max_work_group_size)
+        # a group owns a 16 x 16 tile, or 8 x 8 where groups are small; the item form's rows are 16
+        self.tile = 16 if self.form == "item" or handle.max_work_group_size >= 256 else 8
+        self.scan_group = min(256, 1 << handle.max_work_group_size.bit_length() - 1)
+        self._pool = cl.tools.MemoryPool(cl.tools.ImmediateAllocator(self.queue))
+        self._kernels = {}
+        self._programs = {}
+        self._profile = None
+        self._dtypes = {**SCALARS, "real": self.real.type}
+        self._base_options = [
+            "-I", str(kernel_folder() / "include"), "-cl-std=CL1.2", "-cl-kernel-arg-info",
+            f"-DREAL_IS_DOUBLE={int(precision == 'double')}",
+            *([] if precision == "double" else ["-cl-single-precision-constant"]),
+            *(f"-D{name}=1" for name, has in self.capabilities.items() if has)]
+
+    # --- memory
+
+    @property
+    def memory_bytes(self):
+        """Device memory now held by arrays and the pool."""
+        return self._pool.managed_bytes
+
+    def empty(self, shape, dtype=None):
+        """Uninitialised Array; dtype None is the device's real."""
+        shape = tuple(int(s) for s in (shape if np.iterable(shape) else (shape,)))
+        dtype = self.real if dtype is None else np.dtype(dtype)
+        size = max(int(np.prod(shape, dtype=np.int64)) * dtype.itemsize, 64)
+        limit = self.handle.max_mem_alloc_size
+        if size > limit:
+            raise DeviceError(
+                f"{self.name}: one buffer of {size >> 20} MiB is asked for, the limit is "
+                f"{limit >> 20} MiB; use fewer gaussians (--max-gaussians) or smaller images (-r)")
+        try:
+            return Array(self, self._pool.allocate(size), shape, dtype)
+        except (cl.MemoryError, cl.RuntimeError) as error:
+            raise DeviceError(
+                f"{self.name}: no memory for {size >> 20} MiB more ({self.memory_bytes >> 20} MiB "
+                f"held): use --max-gaussians or -r ({error})") from None
+
+    def zeros(self, shape, dtype=None):
+        array = self.empty(shape, dtype)
+        array.fill(0)
+        return array
+
+    def upload(self, values, dtype=None):
+        """An Array with a copy of host values; floating values become the device's real."""
+        values = np.asarray(values)
+        if dtype is None:
+            dtype = self.real if values.dtype.kind == "f" else values.dtype
+        array = self.empty(values.shape, dtype)
+        if values.size:
+            cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values, dtype))
+        return array
+
+    # --- launching
+
+    def launch(self, kernel, items, group=None, defines=(), **values):
+        """Run `kernel` over at least `items` work-items (rounded up to whole groups).
+
+        group: work-items a group, for kernels that require one; defines: ((name, value), ...)
+        build-time constants; values: the kernel's arguments by name.
+        """
+        if items <= 0:
+            return
+        kernel.check_call(self.real, values)
+        built = self._kernels.get((kernel, defines)) or self._build(kernel, defines)
+        group = group or self.group_size
+        arrays = kernel.is_array
+        event = built(
+            self.queue, (-(-items // group) * group,), (group,),
+            *[values[n].buffer if arrays[n] else values[n] for n in kernel.names])
+        if self._profile is not None:
+            self._profile.append((kernel.function, event))
+
+    def _build(self, kernel, defines):
+        program = self._programs.get((kernel.file, defines))
+        if program is None:
+            options = self._base_options + [f"-D{name}={value}" for name, value in defines]
+            try:
+                with warnings.catch_warnings():  # runtimes chatter about every successful build
+                    warnings.simplefilter("ignore", cl.CompilerWarning)
+                    program = cl.Program(self.context, kernel_source(kernel.file)).build(options)
+            except cl.Error as error:
+                raise DeviceError(f"{self.name}: {kernel.file} does not build:\n{error}") from None
+            self._programs[kernel.file, defines] = program
+        built = cl.Kernel(program, kernel.function)
+        kernel.check_built(built)
+        built.set_scalar_arg_dtypes(
+            [None if kernel.is_array[n] else self._dtypes[kernel.arguments[n]]
+             for n in kernel.names])
+        self._kernels[kernel, defines] = built
+        return built
+
+    def finish(self):
+        """Wait for everything queued."""
+        self.queue.finish()
+
+    @contextmanager
+    def profile(self):
+        """Collect event times: yields a dict, filled on exit, kernel function -> [seconds, ...]."""
+        if not self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE:
+            raise DeviceError(f"{self.name} was opened without profiling")
+        self._profile, times = [], {}
+        try:
+            yield times
+            self.finish()
+            for function, event in self._profile:
+                seconds = (event.profile.end - event.profile.start) * 1e-9
+                times.setdefault(function, []).append(seconds)
+        finally:
+            self._profile = None

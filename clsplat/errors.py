@@ -1,0 +1,21 @@
+"""The errors a user can meet. Each message is one line that names the cause and the cure."""
+
+
+class ClsplatError(Exception):
+    """Base of every error that the command line reports in one line, with exit code 2."""
+
+
+class InputError(ClsplatError):
+    """A file, scene or option that cannot be used; the message names it and says what to do."""
+
+
+class DeviceError(ClsplatError):
+    """No working OpenCL device, a kernel that does not build, or memory that is not there."""
+
+
+class ShapeError(ClsplatError):
+    """An array handed to a kernel has the wrong shape or type; the message names the argument."""
+
+
+class Interrupted(ClsplatError):
+    """Training was stopped by the user after its state was saved."""

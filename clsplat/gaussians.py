@@ -1,0 +1,108 @@
+"""The gaussians: one table of fields drives rows, Adam moments, PLY columns and checkpoints."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from clsplat.errors import InputError
+
+SH_C0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
+INITIAL_OPACITY = 0.1
+MINIMUM_DISTANCE = 1e-7  # of the cloud's extent; coincident points get this scale, not zero
+
+
+@dataclass(frozen=True)
+class Field:
+    """One stored parameter of every gaussian.
+
+    shape: the shape of a row for a given SH degree; ply: the names of its PLY columns, in row
+    order; rate: its initial learning rate (Kerbl et al. 2023; positions: times scene extent).
+    """
+
+    name: str
+    rate: float
+    ply: tuple[str, ...]
+    shape: tuple[int, ...] | None = None  # None: the SH bands above the constant
+
+    def row_shape(self, sh_degree):
+        return self.shape if self.shape is not None else ((sh_degree + 1) ** 2 - 1, 3)
+
+    def width(self, sh_degree):
+        """Floats a row."""
+        return int(np.prod(self.row_shape(sh_degree)))
+
+
+def _numbered(prefix, count):
+    return tuple(f"{prefix}_{i}" for i in range(count))
+
+
+FIELDS = (
+    Field("positions", 1.6e-4, ("x", "y", "z"), (3,)),
+    Field("sh_constant", 2.5e-3, _numbered("f_dc", 3), (3,)),
+    # PLY stores these channel by channel: row [band, channel] is column channel * bands + band
+    Field("sh_rest", 2.5e-3 / 20, _numbered("f_rest", 45)),
+    Field("opacity_logits", 5e-2, ("opacity",), ()),
+    Field("log_scales", 5e-3, _numbered("scale", 3), (3,)),
+    Field("quaternions", 1e-3, _numbered("rot", 4), (4,)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """Rows of gaussians in host memory.
+
+    rows: field name -> float32[N, *row shape]; sh_degree: 0 to 3. Quaternions are wxyz and need
+    not have unit length; scales and opacities are stored as their logarithm and logit.
+    """
+
+    rows: dict[str, np.ndarray]
+    sh_degree: int
+
+    @property
+    def count(self):
+        return len(self.rows["positions"])
+
+    def __getattr__(self, name):
+        try:
+            return self.__dict__["rows"][name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+    @classmethod
+    def from_points(cls, points, colours, sh_degree=3):
+        """Initial gaussians on a sparse cloud: points float64[N, 3], colours uint8[N, 3].
+
+        Isotropic, sized by the root mean square distance to the three nearest neighbours, opacity
+        0.1 (Kerbl et al. 2023, section 5.1). Raises InputError where the cloud has no size.
+        """
+        count = len(points)
+        rows = {
+            "positions": points.astype(np.float32),
+            "sh_constant": ((colours / 255.0 - 0.5) / SH_C0).astype(np.float32),
+            "sh_rest": np.zeros((count, (sh_degree + 1) ** 2 - 1, 3), np.float32),
+            "opacity_logits": np.full(
+                count, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),
+            "log_scales": np.repeat(
+                np.log(neighbour_distance(points))[:, None], 3, axis=1).astype(np.float32),
+            "quaternions": np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        }
+        return cls(rows, sh_degree)
+
+
+def neighbour_distance(points, neighbours=3):
+    """Root mean square distance float64[N] of each point to its nearest neighbours, world units.
+
+    Coincident points are counted once, so that duplicates neither shrink each other to nothing nor
+    hide the distance to the rest.
+    """
+    distinct, inverse = np.unique(points, axis=0, return_inverse=True)
+    if len(distinct) < 2:
+        raise InputError(
+            f"the sparse model's {len(points)} points all lie at one place; "
+            "reconstruct the scene again, or check the units of its points")
+    size = float(np.linalg.norm(np.ptp(distinct, axis=0)))
+    k = min(neighbours, len(distinct) - 1)
+    distance = cKDTree(distinct).query(distinct, k=k + 1)[0][:, 1:]
+    rms = np.sqrt((distance**2).mean(axis=1))
+    return np.maximum(rms, MINIMUM_DISTANCE * size)[inverse.reshape(-1)]

@@ -1,0 +1,47 @@
+"""Files that are never half written."""
+
+import os
+from contextlib import contextmanager
+from pathlib import Path
+
+from clsplat.errors import InputError
+
+PARTIAL = ".part"
+
+
+@contextmanager
+def replacing(path):
+    """A binary file beside `path` that takes its place, on disk, when the block ends.
+
+    Whatever goes wrong, the old file stays as it was and the new one is removed; a disk that is
+    full or may not be written raises InputError.
+    """
+    path = Path(path)
+    partial = path.with_name(path.name + PARTIAL)
+    try:
+        with open(partial, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except BaseException as error:
+        _remove(partial)
+        cause = _system_error(error) if isinstance(error, Exception) else None
+        if cause is None:
+            raise
+        raise InputError(f"{path}: cannot be written ({cause.strerror}); check that the folder "
+                         "exists, may be written and has space") from error
+
+
+def _remove(path):
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:
+        pass  # the folder is missing or read-only: so is the file
+
+
+def _system_error(error):
+    """The OSError behind an exception, or None: zipfile hides it behind its own when it closes."""
+    while error is not None and not (isinstance(error, OSError) and error.strerror):
+        error = error.__context__
+    return error

@@ -1,0 +1,110 @@
+"""What every scene must satisfy, whatever file it came from."""
+
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.io.images import image_size
+from clsplat.scene import Scene, View
+
+ROTATION_TOLERANCE = 1e-3
+
+
+def checked_scene(path, name, model, sources, offset=None):
+    """Scene from plain arrays, or InputError naming `path`; the frame is left as it is.
+
+    model: names [V]; rotations float64[V, 3, 3] and translations float64[V, 3], world to camera;
+    focals and centres float64[V, 2] and sizes int[V, 2], pixels; points float64[N, 3]; colours
+    uint8[N, 3]. sources: V paths or encoded images; offset: of the scene, if its origin was moved
+    before. Views come out sorted by name.
+    """
+    names = [str(n) for n in model["names"]]
+    if not names:
+        raise InputError(f"{path}: the model has no registered image; reconstruct the scene again")
+    _check_names(path, names)
+    _check_poses(path, names, model)
+    _check_points(path, model["points"])
+    views = (View(n, Camera(*(int(v) for v in model["sizes"][i]),
+                            tuple(float(v) for v in model["focals"][i]),
+                            tuple(float(v) for v in model["centres"][i]),
+                            np.array(model["rotations"][i], np.float64),
+                            np.array(model["translations"][i], np.float64)), sources[i])
+             for i, n in enumerate(names))
+    return Scene(name, tuple(sorted(views, key=lambda view: view.name)),
+                 np.array(model["points"], np.float64), np.array(model["colours"], np.uint8),
+                 np.zeros(3) if offset is None else np.array(offset, np.float64))
+
+
+def _check_names(path, names):
+    if len(set(names)) != len(names):
+        twice = next(n for n in names if names.count(n) > 1)
+        raise InputError(f"{path}: image {twice} occurs twice in the model; "
+                         "reconstruct the scene again")
+    for name in names:
+        parts = PurePosixPath(name.replace("\\", "/"))
+        if not name or "\0" in name or parts.is_absolute() or ".." in parts.parts:
+            raise InputError(f"{path}: image name {name!r} leaves the scene's image folder; "
+                             "names must be relative to it")
+
+
+def _check_poses(path, names, model):
+    for key, what in (("rotations", "pose"), ("translations", "pose"), ("focals", "camera"),
+                      ("centres", "camera")):
+        finite = np.isfinite(model[key]).reshape(len(names), -1).all(axis=1)
+        if not finite.all():
+            raise InputError(f"{path}: the {what} of image {names[np.argmin(finite)]} is not "
+                             f"finite ({np.sum(~finite)} of {len(names)} images); "
+                             "reconstruct the scene again")
+    rotations = model["rotations"]
+    error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    wrong = (error > ROTATION_TOLERANCE) | (np.linalg.det(rotations) < 0)
+    if wrong.any():
+        raise InputError(f"{path}: the pose of image {names[np.argmax(wrong)]} is no rotation "
+                         f"({wrong.sum()} of {len(names)} images); reconstruct the scene again")
+    wrong = (model["focals"] <= 0).any(axis=1) | (model["sizes"] <= 0).any(axis=1)
+    if wrong.any():
+        raise InputError(f"{path}: the camera of image {names[np.argmax(wrong)]} has no size or "
+                         "no focal length; reconstruct the scene again")
+
+
+def _check_points(path, points):
+    if not len(points):
+        raise InputError(f"{path}: the sparse model has no points; reconstruct the scene again "
+                         "with more overlap between the photos")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        raise InputError(f"{path}: {np.sum(~finite)} of {len(points)} points are not finite; "
+                         "remove them, or reconstruct the scene again")
+    if (points == points[0]).all():
+        raise InputError(f"{path}: the sparse model's {len(points)} points all lie at one place; "
+                         "reconstruct the scene again, or check the units of its points")
+
+
+def check_photos(views):
+    """InputError unless every photo is there and has its camera's size; reads headers only."""
+    missing = [v for v in views if isinstance(v.source, Path) and not v.source.is_file()]
+    if missing:
+        raise InputError(f"{missing[0].source}: no such image ({len(missing)} of {len(views)} "
+                         "images of the model are missing); put the photos there")
+    for view in views:
+        _check_size(view)
+
+
+def _check_size(view):
+    width, height = image_size(view.source)
+    camera = view.camera
+    if (width, height) == (camera.width, camera.height):
+        return
+    name = view.source if isinstance(view.source, Path) else view.name
+    scale_x, scale_y = width / camera.width, height / camera.height
+    # rounding of the shorter side may move the ratio by up to a pixel
+    if abs(scale_x - scale_y) <= 1.0 / min(camera.width, camera.height):
+        why = "it was rescaled: put the original back and use --downscale to train on smaller ones"
+    elif (width, height) == (camera.height, camera.width):
+        why = "it was rotated: put the original back, as it was when the scene was reconstructed"
+    else:
+        why = "it is another photo or was cropped: put back the one that was reconstructed"
+    raise InputError(f"{name}: the photo has {width}x{height} pixels but its camera "
+                     f"{camera.width}x{camera.height}; {why}")

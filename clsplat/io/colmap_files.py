@@ -1,0 +1,102 @@
+"""Finds a COLMAP model and checks that its files are whole, before pycolmap sees them.
+
+pycolmap reads past the end of a binary file that was cut short: it then aborts the process, or
+returns wrong cameras without a word. Walking the records by their sizes costs little and tells
+which file is to blame. Formats: https://colmap.github.io/format.html.
+"""
+
+import mmap
+import struct
+from pathlib import Path
+
+from clsplat.errors import InputError
+
+PARTS = ("cameras", "images", "points3D")
+CAMERA_BYTES = 24  # id, model, width, height
+IMAGE_BYTES = 64  # id, quaternion, translation, camera id
+POINT_BYTES = 51  # id, position, colour, error, track length
+# parameters of COLMAP's camera models by number; later ones are left to pycolmap
+PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
+
+
+def find_model(folder):
+    """The folder of the sparse model of a scene folder: sparse/0, sparse, or the folder itself."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give a scene folder with images and sparse/0")
+    for model in (folder / "sparse" / "0", folder / "sparse", folder):
+        if any((model / f"{part}.{kind}").exists() for part in PARTS for kind in ("bin", "txt")):
+            return model
+    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; "
+                     "make one with `clsplat sfm` or COLMAP")
+
+
+def check_files(model):
+    """InputError unless the three files of the model are there, not empty and not cut short."""
+    kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
+    for part, walk in zip(PARTS, (_walk_cameras, _walk_images, _walk_points), strict=True):
+        path = model / f"{part}.{kind}"
+        if not path.is_file():
+            raise InputError(f"{path}: missing from the COLMAP model; copy the whole model")
+        try:
+            if kind == "bin":
+                _check_binary(path, part, walk)
+            else:
+                _check_text(path, part)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
+                             ) from None
+
+
+def _check_binary(path, part, walk):
+    size = path.stat().st_size
+    if size < 8:
+        raise InputError(f"{path}: empty or cut short ({size} bytes); copy the model again")
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        count = struct.unpack_from("<Q", data)[0]
+        if count == 0:
+            raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
+        try:
+            end = walk(data, count)
+        except (struct.error, IndexError):
+            end = size + 1
+    if end > size:
+        raise InputError(f"{path}: cut short ({size} bytes are too few for its {count} {part}); "
+                         "copy the model again")
+
+
+def _walk_cameras(data, count):
+    position = 8
+    for _ in range(count):
+        number = struct.unpack_from("<i", data, position + 4)[0]
+        if not 0 <= number < len(PARAMETERS):
+            return position
+        position += CAMERA_BYTES + 8 * PARAMETERS[number]
+    return position
+
+
+def _walk_images(data, count):
+    position = 8
+    for _ in range(count):
+        end = data.find(b"\0", position + IMAGE_BYTES)
+        if end < 0:
+            raise IndexError
+        position = end + 9 + 24 * struct.unpack_from("<Q", data, end + 1)[0]
+    return position
+
+
+def _walk_points(data, count):
+    position, track = 8, struct.Struct("<Q")
+    for _ in range(count):
+        position += POINT_BYTES + 8 * track.unpack_from(data, position + POINT_BYTES - 8)[0]
+    return position
+
+
+def _check_text(path, part):
+    with open(path, "rb") as file:
+        for line in file:
+            if b"\0" in line:
+                raise InputError(f"{path}: not a text file; copy the model again")
+            if line.strip() and not line.lstrip().startswith(b"#"):
+                return
+    raise InputError(f"{path}: holds no {part}; copy the model again, or reconstruct the scene")

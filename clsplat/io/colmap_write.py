@@ -1,0 +1,92 @@
+"""Sparse models out, in COLMAP's classic binary format (cameras, images, points3D)."""
+
+import os
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+PINHOLE = 1  # COLMAP's number of the camera model with parameters fx, fy, cx, cy
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Observations of points in views, one a row.
+
+    points, views: int[M], indices into the model's points and views; pixels: float64[M, 2], where
+    the point was seen.
+    """
+
+    points: np.ndarray
+    views: np.ndarray
+    pixels: np.ndarray
+
+
+def write_colmap(folder, views, points, colours, tracks):
+    """Write cameras.bin, images.bin and points3D.bin into `folder`, which is made if missing.
+
+    views: `scene.View`s; those with equal intrinsics share a camera. points: float64[N, 3], world;
+    colours: uint8[N, 3]; tracks: Tracks. Ids count from 1 in the order given; each point's error
+    is the mean distance in pixels between its projections and its observations.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    camera_ids = {}
+    for view in views:
+        camera_ids.setdefault(_intrinsics(view.camera), len(camera_ids) + 1)
+    by_view = [np.flatnonzero(tracks.views == i) for i in range(len(views))]
+    _replace(folder / "cameras.bin", _cameras(camera_ids))
+    _replace(folder / "images.bin", _images(views, camera_ids, tracks, by_view))
+    _replace(folder / "points3D.bin", _points(views, points, colours, tracks, by_view))
+
+
+def _intrinsics(camera):
+    return camera.width, camera.height, *camera.focal, *camera.centre
+
+
+def _cameras(camera_ids):
+    yield struct.pack("<Q", len(camera_ids))
+    for (width, height, *parameters), number in camera_ids.items():
+        yield struct.pack("<IiQQ4d", number, PINHOLE, width, height, *parameters)
+
+
+def _images(views, camera_ids, tracks, by_view):
+    yield struct.pack("<Q", len(views))
+    for number, (view, rows) in enumerate(zip(views, by_view), 1):
+        x, y, z, w = Rotation.from_matrix(view.camera.rotation).as_quat()
+        yield struct.pack("<I7dI", number, w, x, y, z, *view.camera.translation,
+                          camera_ids[_intrinsics(view.camera)])
+        yield view.name.encode() + b"\0"
+        seen = np.empty(len(rows), [("pixel", "<f8", 2), ("point", "<u8")])
+        seen["pixel"], seen["point"] = tracks.pixels[rows], tracks.points[rows] + 1
+        yield struct.pack("<Q", len(rows)) + seen.tobytes()
+
+
+def _points(views, points, colours, tracks, by_view):
+    keypoint = np.empty(len(tracks.points), int)  # an observation's place in its image
+    error = np.empty(len(tracks.points))
+    for view, rows in zip(views, by_view):
+        keypoint[rows] = np.arange(len(rows))
+        pixels, _ = view.camera.project(points[tracks.points[rows]])
+        error[rows] = np.linalg.norm(pixels - tracks.pixels[rows], axis=1)
+    order = np.argsort(tracks.points, kind="stable")
+    ends = np.searchsorted(tracks.points[order], np.arange(1, len(points) + 1))
+    seen = np.stack([tracks.views[order] + 1, keypoint[order]], axis=1).astype("<u4")
+    yield struct.pack("<Q", len(points))
+    begin = 0
+    for number, end in enumerate(ends, 1):
+        mean = error[order[begin:end]].mean() if end > begin else -1.0  # COLMAP: not computed
+        yield struct.pack("<Q3d3BdQ", number, *points[number - 1],
+                          *map(int, colours[number - 1]), mean, end - begin)
+        yield seen[begin:end].tobytes()
+        begin = end
+
+
+def _replace(path, chunks):
+    """Write beside and rename, so that a killed process leaves the old file or the new one."""
+    beside = path.with_name(path.name + ".part")
+    with open(beside, "wb") as file:
+        file.writelines(chunks)
+    os.replace(beside, path)

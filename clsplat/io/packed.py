@@ -1,0 +1,120 @@
+"""A whole scene in one .npz, for machines that have neither pycolmap nor the photo folder.
+
+Keys: names[V]; V float64[V, 4, 4] world to camera; K float64[V, 3, 3] and wh int[V, 2], pixels;
+xyz float64[N, 3] and rgb uint8[N, 3]; offset float64[3], what was subtracted from the original
+world coordinates; sizes int[V], the bytes of each encoded photo, and jpeg uint8[...], all photos
+one after the other.
+"""
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.io.atomic import replacing
+from clsplat.io.checks import check_photos, checked_scene
+from clsplat.io.images import encode_jpeg, read_image
+
+PACKED_QUALITY = 96
+# key -> (kinds of dtype, shape after the first axis)
+LAYOUT = {"names": ("U", ()), "V": ("f", (4, 4)), "K": ("f", (3, 3)), "wh": ("iu", (2,)),
+          "xyz": ("f", (3,)), "rgb": ("u", (3,)), "sizes": ("iu", ()), "jpeg": ("u", ())}
+
+
+def write_packed(scene, path, downscale=1):
+    """Write a scene to one .npz; its photos, read and checked here, are divided by `downscale`.
+
+    At 1 the photos keep their bytes; else width and height are divided and rounded down, the
+    pixels are means over the area they cover, and JPEG at quality 96 holds them.
+    """
+    cameras, photos = [], []
+    for view in scene.views:
+        camera, photo = view.camera, view.source
+        if downscale == 1:
+            read_image(photo)
+            photo = photo if isinstance(photo, bytes) else Path(photo).read_bytes()
+        else:
+            size = tuple(max(1, int(n / downscale)) for n in (camera.width, camera.height))
+            camera = camera.resized(*size)
+            photo = encode_jpeg(read_image(photo, size), PACKED_QUALITY)
+        cameras.append(camera)
+        photos.append(photo)
+    with replacing(path) as file:
+        np.savez(
+            file, names=np.array([view.name for view in scene.views]),
+            V=np.array([_view_matrix(c) for c in cameras]),
+            K=np.array([_calibration(c) for c in cameras]),
+            wh=np.array([(c.width, c.height) for c in cameras]),
+            xyz=scene.points, rgb=scene.colours, offset=scene.offset,
+            sizes=np.array([len(photo) for photo in photos]),
+            jpeg=np.frombuffer(b"".join(photos), np.uint8))
+
+
+def read_packed(path):
+    """The scene of a packed .npz; every view's source is its encoded photo.
+
+    A file without `offset` is recentred, as a COLMAP folder is. Raises InputError for a file that
+    is damaged, incomplete or holds what cannot be trained on.
+    """
+    path = Path(path)
+    arrays = _read_arrays(path)
+    ends = np.cumsum(arrays["sizes"])
+    photos = [arrays["jpeg"][end - size:end].tobytes()
+              for end, size in zip(ends, arrays["sizes"], strict=True)]
+    poses, calibrations = arrays["V"], arrays["K"]
+    scene = checked_scene(path, path.stem, {
+        "names": arrays["names"],
+        "rotations": poses[:, :3, :3], "translations": poses[:, :3, 3],
+        "focals": calibrations[:, (0, 1), (0, 1)], "centres": calibrations[:, :2, 2],
+        "sizes": arrays["wh"], "points": arrays["xyz"], "colours": arrays["rgb"],
+    }, photos, arrays.get("offset"))
+    check_photos(scene.views)
+    return scene if "offset" in arrays else scene.recentred()
+
+
+def _view_matrix(camera):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = camera.rotation, camera.translation
+    return matrix
+
+
+def _calibration(camera):
+    (fx, fy), (cx, cy) = camera.focal, camera.centre
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+
+
+def _read_arrays(path):
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in (*LAYOUT, "offset") if key in file.files}
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; check the path") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError,
+            NotImplementedError) as error:
+        raise InputError(f"{path}: not a packed scene, or damaged ({_one_line(error)}); "
+                         "pack or copy it again") from None
+    for key, (kinds, shape) in LAYOUT.items():
+        array = arrays.get(key)
+        if array is None or array.dtype.kind not in kinds or array.shape[1:] != shape:
+            found = "is missing" if array is None else f"is {array.dtype}{list(array.shape)}"
+            raise InputError(f"{path}: not a packed scene: array '{key}' {found}; pack it again")
+    _check_lengths(path, arrays)
+    return arrays
+
+
+def _check_lengths(path, arrays):
+    views = {key: len(arrays[key]) for key in ("names", "V", "K", "wh", "sizes")}
+    sizes, offset = arrays["sizes"], arrays.get("offset", np.zeros(3))
+    whole = (len(set(views.values())) == 1 and len(arrays["xyz"]) == len(arrays["rgb"])
+             and (sizes >= 0).all() and int(sizes.sum()) == len(arrays["jpeg"])
+             and arrays["rgb"].dtype == arrays["jpeg"].dtype == np.uint8
+             and offset.shape == (3,) and offset.dtype.kind == "f" and np.isfinite(offset).all())
+    if not whole:
+        raise InputError(f"{path}: the arrays of the packed scene do not fit each other; "
+                         "pack it again")
+
+
+def _one_line(error):
+    return next(iter(str(error).splitlines()), type(error).__name__)

@@ -1,0 +1,240 @@
+"""The folder of a run: the only code that knows its file names."""
+
+import io
+import json
+import subprocess
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+import clsplat
+from clsplat.errors import InputError
+from clsplat.io.atomic import PARTIAL, replacing
+from clsplat.io.ply import read_ply, write_ply
+
+OPTIONS = "options.json"
+METRICS = "metrics.jsonl"
+CHECKPOINT = "checkpoint.npz"
+MODEL = "point_cloud.ply"
+RENDERS = "renders"
+FILES = (OPTIONS, METRICS, CHECKPOINT, MODEL)
+STATE = "state.json"  # the member of a checkpoint that holds what is no array
+
+
+class RunFolder:
+    """One training on disk: its options, metrics, checkpoint, model and renders.
+
+    Every write but a metrics line replaces a whole file; a metrics line cut short by a kill is
+    dropped by the next `log` or `rewind`. Errors are InputError.
+    """
+
+    def __init__(self, path):
+        """Use `create` or `open`."""
+        self.path = Path(path)
+        self._metrics_whole = False
+
+    @classmethod
+    def create(cls, path, overwrite=False):
+        """A new run in a folder, made if needed, that holds none; overwrite: removes the files of
+        the run it holds, and nothing else."""
+        run = cls(path)
+        try:
+            run.path.mkdir(parents=True, exist_ok=True)
+            held = [name for name in FILES if (run.path / name).exists()]
+            if held and not overwrite:
+                raise InputError(f"{run.path}: already holds a run ({held[0]}); continue it with "
+                                 "--resume, replace it with --overwrite, or choose another --output")
+            run._remove_files()
+            probe = run.path / (OPTIONS + PARTIAL)
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise InputError(f"{run.path}: cannot be used as run folder ({error.strerror}); "
+                             "choose another --output") from None
+        return run
+
+    @classmethod
+    def open(cls, path):
+        """The run that a folder holds."""
+        run = cls(path)
+        if not (run.path / OPTIONS).is_file():
+            raise InputError(f"{run.path}: holds no run ({OPTIONS} is missing); "
+                             "give a folder that `clsplat train` wrote")
+        return run
+
+    def _remove_files(self):
+        for name in FILES:
+            (self.path / name).unlink(missing_ok=True)
+            (self.path / (name + PARTIAL)).unlink(missing_ok=True)
+        renders = self.path / RENDERS
+        for image in renders.rglob("*.png"):
+            image.unlink()
+        for folder in sorted((p for p in renders.rglob("*") if p.is_dir()), reverse=True):
+            if not any(folder.iterdir()):
+                folder.rmdir()
+
+    def write_options(self, record):
+        """Write what the run was started with: a dict for JSON, with `scene` a path, made
+        absolute here; `version` and, in a checkout, `commit` of clsplat are added."""
+        record = {**record, "version": clsplat.__version__, "commit": _commit()}
+        if "scene" in record:
+            record["scene"] = str(Path(record["scene"]).resolve())
+        with replacing(self.path / OPTIONS) as file:
+            file.write((json.dumps(_plain(record), indent=2) + "\n").encode())
+
+    def read_options(self):
+        """The dict that `write_options` wrote."""
+        path = self.path / OPTIONS
+        try:
+            record = json.loads(_read(path))
+        except ValueError:
+            record = None
+        if not isinstance(record, dict):
+            raise InputError(f"{path}: damaged; start the run again with --overwrite")
+        return record
+
+    def log(self, record):
+        """Append one line to the metrics; a number that is not finite becomes null."""
+        path = self.path / METRICS
+        line = json.dumps(_plain(record), allow_nan=False) + "\n"
+        try:
+            with open(path, "ab") as file:
+                if not self._metrics_whole:
+                    file.truncate(len(_whole_lines(path.read_bytes())))
+                    self._metrics_whole = True
+                file.write(line.encode())
+        except OSError as error:
+            self._metrics_whole = False
+            raise InputError(f"{path}: cannot be written ({error.strerror}); "
+                             "free some space and continue with --resume") from error
+
+    def records(self):
+        """The metrics as a list of dicts, in order; a last line cut short is left out."""
+        return [record for record, _ in self._lines()]
+
+    def _lines(self):
+        path = self.path / METRICS
+        lines = []
+        for number, line in enumerate(_whole_lines(_read(path)).splitlines(keepends=True), 1):
+            try:
+                record = json.loads(line)
+            except ValueError:
+                record = None
+            if not isinstance(record, dict):
+                raise InputError(f"{path}: line {number} is damaged; remove that line")
+            lines.append((record, line))
+        return lines
+
+    def rewind(self, iteration):
+        """Drop the metrics after an iteration: the steps a resumed run will take again."""
+        if not (self.path / METRICS).exists():
+            return
+        kept = [line for record, line in self._lines()
+                if (record.get("iteration") or 0) <= iteration]
+        with replacing(self.path / METRICS) as file:
+            file.writelines(kept)
+
+    @property
+    def has_checkpoint(self):
+        return (self.path / CHECKPOINT).is_file()
+
+    def save_checkpoint(self, arrays, state):
+        """Replace the checkpoint: arrays by name, and `state`, a dict for JSON.
+
+        When it fails, a full disk included, the checkpoint before stays.
+        """
+        text = json.dumps(state, default=lambda value: value.tolist()).encode()
+        with replacing(self.path / CHECKPOINT) as file, \
+                zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+            for name, array in {**arrays, STATE: np.frombuffer(text, np.uint8)}.items():
+                # ZipInfo's fixed date keeps the bytes equal from run to run
+                with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+
+    def load_checkpoint(self):
+        """(arrays, state) as they were saved; every byte is checked against its CRC."""
+        path = self.path / CHECKPOINT
+        if not self.has_checkpoint:
+            raise InputError(f"{path}: no checkpoint to resume from; train without --resume")
+        arrays = {}
+        try:
+            with zipfile.ZipFile(path) as archive:
+                for member in archive.namelist():
+                    data = io.BytesIO(archive.read(member))
+                    arrays[member.removesuffix(".npy")] = np.lib.format.read_array(
+                        data, allow_pickle=False)
+            return arrays, json.loads(arrays.pop(STATE).tobytes())
+        except (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError,
+                zipfile.BadZipFile, zlib.error) as error:
+            reason = next(iter(str(error).splitlines()), type(error).__name__)
+            raise InputError(f"{path}: the checkpoint is damaged or cut short ({reason}); copy it "
+                             "again, or start the run again with --overwrite") from None
+
+    def save_model(self, gaussians, offset, comments=()):
+        """Replace the finished model; see `ply.write_ply`."""
+        write_ply(self.path / MODEL, gaussians, offset, comments)
+
+    def load_model(self):
+        """The finished model's Gaussians, in the scene's local coordinates."""
+        path = self.path / MODEL
+        if not path.is_file():
+            raise InputError(f"{path}: the run has no model yet; finish it with --resume")
+        return read_ply(path)
+
+    def render_path(self, kind, name):
+        """Where the render of a view goes, its folder made: `renders/KIND/NAME.png`.
+
+        The view's name stays whole, or a.jpg and a.png would meet in one file.
+        """
+        path = self.path / RENDERS / kind / f"{name}.png"
+        if not path.resolve().is_relative_to((self.path / RENDERS).resolve()):
+            raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{path.parent}: cannot be made ({error.strerror}); "
+                             "check the run folder") from None
+        return path
+
+
+def _read(path):
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); is this a run folder?"
+                         ) from None
+
+
+def _whole_lines(data):
+    return data[:data.rfind(b"\n") + 1]
+
+
+def _plain(value):
+    """What JSON can hold: numpy values as Python's, numbers that are not finite as None."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def _commit():
+    """The commit of the checkout clsplat runs from, with -dirty if changed; None elsewhere."""
+    root = Path(clsplat.__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40",
+             "--exclude=*"], check=False, capture_output=True, text=True, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None

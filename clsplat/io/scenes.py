@@ -1,0 +1,45 @@
+"""Reads a scene, whatever its format, and names its content."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.io.colmap import read_colmap
+from clsplat.io.packed import read_packed
+
+
+def read_scene(path):
+    """The Scene of a folder with a COLMAP model, or of a packed .npz; else InputError."""
+    path = Path(path)
+    if path.is_dir():
+        return read_colmap(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such scene; give a folder with images and sparse/0, or a "
+                         "packed .npz")
+    if path.suffix == ".npz":
+        return read_packed(path)
+    raise InputError(f"{path}: not a scene; give a folder with images and sparse/0, or a packed "
+                     ".npz")
+
+
+def fingerprint(scene):
+    """SHA-256, hex, of a scene's names, cameras, points and offset: what a resumed run must meet.
+
+    Photos are left out: reading them all would cost more than it tells.
+    """
+    digest = hashlib.sha256()
+    for view in scene.views:
+        camera = view.camera
+        name = view.name.encode()
+        digest.update(len(name).to_bytes(8, "little") + name)
+        digest.update(_bytes((camera.width, camera.height, *camera.focal, *camera.centre)))
+        digest.update(_bytes(camera.rotation) + _bytes(camera.translation))
+    digest.update(_bytes(scene.points) + _bytes(scene.offset))
+    digest.update(np.ascontiguousarray(scene.colours, np.uint8).tobytes())
+    return digest.hexdigest()
+
+
+def _bytes(values):
+    return np.asarray(values, "<f8").tobytes()

@@ -1,0 +1,41 @@
+"""Rows by index, and the rows a flag keeps (cl/gather.cl)."""
+
+import numpy as np
+
+from clsplat.device import Kernel
+from clsplat.primitives.scan import exclusive_scan
+
+GATHER = Kernel("gather.cl", "gather", count="uint", width="uint", indices=("uint", "N"),
+                rows=("real", "M", "W"), result=("real", "N", "W"))
+COMPACT = Kernel("gather.cl", "compact", count="uint", flags=("uint", "N"), offsets=("uint", "N"),
+                 keys=("uint", "N"), kept_keys=("uint", "N"), kept=("uint", "N"))
+
+
+def gather(device, rows, indices, result=None):
+    """result[i] = rows[indices[i]] for real[M, ...] rows and uint[N] indices.
+
+    result: an array of at least N rows to write into; without it a new one is made.
+    """
+    count = len(indices)
+    if result is None:
+        result = device.empty((count, *rows.shape[1:]))
+    width = int(np.prod(rows.shape[1:], dtype=np.int64))
+    if width:
+        device.launch(GATHER, count * width, count=count, width=width, indices=indices,
+                      rows=rows.reshaped(len(rows), width),
+                      result=result.narrow(count).reshaped(count, width))
+    return result
+
+
+def compact(device, flags, keys):
+    """(keys, row numbers) of the rows whose flag is 1, in order: uint[K] each.
+
+    Waits for the device: the number of rows kept decides every later size.
+    """
+    count = len(flags)
+    offsets, totals = exclusive_scan(device, flags)
+    kept_keys, kept = (device.empty(count, np.uint32) for _ in range(2))
+    device.launch(COMPACT, count, count=count, flags=flags, offsets=offsets, keys=keys,
+                  kept_keys=kept_keys, kept=kept)
+    total = int(totals.last())
+    return kept_keys.narrow(total), kept.narrow(total)

@@ -1,0 +1,43 @@
+"""Stable radix sort of 32-bit keys (cl/sort.cl)."""
+
+import numpy as np
+
+from clsplat.device import Kernel
+from clsplat.primitives.scan import chunk_size, exclusive_scan, form_defines
+
+COUNT = Kernel("sort.cl", "sort_count", count="uint", chunk="uint", chunks="uint", shift="uint",
+               keys=("uint", "N"), table=("uint", "T"))
+SCATTER = Kernel("sort.cl", "sort_scatter", count="uint", chunk="uint", chunks="uint", shift="uint",
+                 first="uint", keys=("uint", "N"), values=("uint", "N"), table=("uint", "T"),
+                 sorted_keys=("uint", "N"), sorted_values=("uint", "N"))
+
+# Bits a pass: a CPU's chunk keeps its counters in the first cache, a group in local memory
+LARGEST_DIGIT = {"item": 11, "group": 8}
+
+
+def stable_sort(device, keys, bits=32, values=None):
+    """(sorted keys, values in that order), both uint[N]; equal keys keep their order.
+
+    bits: only the lowest `bits` of the keys are looked at. values: uint[N] to carry along; without
+    them the permutation itself: result[i] = keys[permutation[i]].
+    """
+    count = len(keys)
+    passes = max(1, -(-bits // LARGEST_DIGIT[device.form]))
+    digit_bits = -(-bits // passes)
+    chunk = chunk_size(device, count)
+    chunks = max(1, -(-count // chunk))
+    group = 1 if device.form == "item" else device.scan_group
+    defines = (*form_defines(device), ("DIGIT_BITS", digit_bits))
+    first = values is None
+    values = keys if first else values  # any array of the right size: not read in the first pass
+    table = device.empty(chunks << digit_bits, np.uint32)
+    for index in range(passes):
+        sorted_keys, sorted_values = (device.empty(count, np.uint32) for _ in range(2))
+        sizes = dict(count=count, chunk=chunk, chunks=chunks, shift=index * digit_bits)
+        device.launch(COUNT, chunks * group, group, defines, **sizes, keys=keys, table=table)
+        places, _ = exclusive_scan(device, table)
+        device.launch(SCATTER, chunks * group, group, defines, **sizes,
+                      first=int(first and index == 0), keys=keys, values=values, table=places,
+                      sorted_keys=sorted_keys, sorted_values=sorted_values)
+        keys, values = sorted_keys, sorted_values
+    return keys, values

@@ -1,0 +1,101 @@
+"""Blending splats to an image, and the adjoint (cl/blend.cl)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clsplat.device import Array, Kernel
+from clsplat.render.bin import BUCKET
+from clsplat.render.project import SPLAT_REALS
+
+_SIZE = dict(width="int", height="int", tiles_x="int")
+_LISTS = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
+_SPLATS = dict(splats=("real", "V", SPLAT_REALS))
+_IMAGE = dict(image=("real", 3, "H", "W"), transmittance=("real", "H", "W"), last=("int", "H", "W"),
+              depth=("real", "D", "E"))
+_GRADS = dict(grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"))
+_BACKGROUND = dict(background=("real", 3))
+_CHECKPOINTS = dict(checkpoints=("real", "B", "X", 4), depth_checkpoints=("real", "C", "Y"))
+
+BLEND = {
+    "item": Kernel("blend.cl", "blend", **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE),
+    "group": Kernel("blend.cl", "blend", **_SIZE, **_BACKGROUND, **_LISTS,
+                    bucket_offsets=("uint", "T"), **_SPLATS, **_IMAGE, **_CHECKPOINTS)}
+ADJOINT = {
+    "item": Kernel("blend.cl", "blend_adjoint", **_SIZE, **_BACKGROUND, **_LISTS,
+                   slots=("uint", "P"), **_SPLATS, transmittance=("real", "H", "W"),
+                   last=("int", "H", "W"), **_GRADS, sums=("real", "P", "S")),
+    "group": Kernel("blend.cl", "blend_adjoint", **_SIZE, tiles="uint", **_LISTS,
+                    slots=("uint", "P"), bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"),
+                    **_SPLATS, image=("real", 3, "H", "W"), depth=("real", "D", "E"),
+                    last=("int", "H", "W"), **_GRADS, **_CHECKPOINTS, sums=("real", "P", "S"))}
+SUM_PAIRS = Kernel("blend.cl", "sum_pairs", count="uint", width="uint", counts=("uint", "V"),
+                   offsets=("uint", "V"), sums=("real", "P", "S"), totals=("real", "V", "S"))
+
+
+@dataclass(eq=False)
+class Blended:
+    """image real[3, H, W], transmittance real[H, W], last int[H, W] (index of the last pair
+    blended, -1 for none), depth real[H, W] or a token of 1 x 1 where it was not asked for; and the
+    group form's checkpoints."""
+
+    image: Array
+    transmittance: Array
+    last: Array
+    depth: Array
+    checkpoints: Array | None = None
+    depth_checkpoints: Array | None = None
+
+
+def blend_defines(device, with_depth, smooth_cutoff):
+    return (("FORM_ITEM", int(device.form == "item")), ("TILE", device.tile), ("BUCKET", BUCKET),
+            ("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff)))
+
+
+def blend(device, splats, pairs, width, height, background, defines):
+    """Blend splats real[V, 12] by their `pairs` over a background real[3]; returns `Blended`."""
+    with_depth = dict(defines)["WITH_DEPTH"]
+    depth_shape = (height, width) if with_depth else (1, 1)
+    result = Blended(device.empty((3, height, width)), device.empty((height, width)),
+                     device.empty((height, width), np.int32), device.empty(depth_shape))
+    values = dict(width=width, height=height, tiles_x=pairs.tiles_x, background=background,
+                  ranges=pairs.ranges, sorted_splats=pairs.sorted_splats, splats=splats,
+                  image=result.image, transmittance=result.transmittance, last=result.last,
+                  depth=result.depth)
+    tiles, pixels = len(pairs.ranges), device.tile**2
+    if device.form == "item":
+        device.launch(BLEND["item"], tiles, 1, defines, **values)
+        return result
+    buckets = len(pairs.bucket_tiles)
+    result.checkpoints = device.empty((buckets, pixels, 4))
+    result.depth_checkpoints = device.empty((buckets, pixels) if with_depth else (1, 1))
+    device.launch(BLEND["group"], tiles * pixels, pixels, defines, **values,
+                  bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
+                  depth_checkpoints=result.depth_checkpoints)
+    return result
+
+
+def blend_adjoint(device, splats, pairs, blended, background, grad_image, grad_depth, defines):
+    """Each splat's sums real[V, 9 or 10] (cl/include/splat.h) from grad_image real[3, H, W] and
+    grad_depth real[H, W] (a 1 x 1 token where the depth channel is off)."""
+    _, height, width = blended.image.shape
+    columns = 9 + dict(defines)["WITH_DEPTH"]
+    sums = device.empty((pairs.count, columns))
+    values = dict(width=width, height=height, tiles_x=pairs.tiles_x, ranges=pairs.ranges,
+                  sorted_splats=pairs.sorted_splats, slots=pairs.slots, splats=splats,
+                  last=blended.last, grad_image=grad_image, grad_depth=grad_depth, sums=sums)
+    tiles = len(pairs.ranges)
+    if device.form == "item":
+        device.launch(ADJOINT["item"], tiles, 1, defines, **values, background=background,
+                      transmittance=blended.transmittance)
+    else:
+        device.launch(ADJOINT["group"], len(pairs.bucket_tiles) * BUCKET, BUCKET, defines, **values,
+                      tiles=tiles, bucket_offsets=pairs.bucket_offsets,
+                      bucket_tiles=pairs.bucket_tiles, image=blended.image, depth=blended.depth,
+                      checkpoints=blended.checkpoints,
+                      depth_checkpoints=blended.depth_checkpoints)
+    totals = device.empty((len(splats), columns))
+    device.launch(SUM_PAIRS, len(splats) * columns, None, defines, count=len(splats),
+                  width=columns, counts=pairs.counts, offsets=pairs.offsets, sums=sums,
+                  totals=totals)
+    return totals

@@ -1,0 +1,92 @@
+"""The whole of rendering: gaussians to an image, and the image's gradient back to gaussians."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clsplat.device import Array
+from clsplat.primitives.gather import compact
+from clsplat.primitives.sort import stable_sort
+from clsplat.render.bin import Pairs, bin_splats
+from clsplat.render.blend import Blended, blend, blend_adjoint, blend_defines
+from clsplat.render.project import cull, pack_camera, project, project_adjoint
+
+
+@dataclass(eq=False)
+class Frame:
+    """What a render leaves for its adjoint. visible: uint[V], rows of the gaussians in depth
+    order; splats: real[V, 12]."""
+
+    camera: Array
+    degree: int
+    visible: Array
+    splats: Array
+    pairs: Pairs
+    blended: Blended
+    with_depth: bool
+
+    @property
+    def image(self):
+        return self.blended.image
+
+    @property
+    def size(self):
+        """(width, height), pixels."""
+        return self.image.shape[2], self.image.shape[1]
+
+
+@dataclass(eq=False)
+class Gradients:
+    """Gradients of a loss by the rows that a view saw.
+
+    fields: name -> real[V, *row shape]; means: real[V, 2], by the splat's mean, pixels; rows:
+    uint[V], the gaussian of each, or 2^32 - 1 where a gradient was not finite.
+    """
+
+    fields: dict[str, Array]
+    means: Array
+    rows: Array
+
+
+class Renderer:
+    """Renders gaussians of one SH degree with one set of build-time choices.
+
+    antialiased: scale opacity by the area that the low-pass adds (Yu et al. 2024, Mip-Splatting).
+    near: world units. background: three numbers. smooth_cutoff: tests only (cl/include/footprint.h).
+    """
+
+    def __init__(self, device, sh_degree, near, antialiased=False, background=(0.0, 0.0, 0.0),
+                 smooth_cutoff=False):
+        self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
+        self.background = device.upload(np.asarray(background, np.float64))
+        self.skipped = device.zeros(1, np.uint32)
+        self._no_depth = device.zeros((1, 1))
+        self._project_defines = (("SH_REST", (sh_degree + 1) ** 2 - 1),
+                                 ("ANTIALIASED", int(antialiased)))
+
+    def pack(self, camera):
+        """The camera on the device, for `render`; pack once a view, not once a step."""
+        return pack_camera(self.device, camera, self.near)
+
+    def render(self, rows, camera, width, height, degree, with_depth=False):
+        """Render rows (field name -> real[N, ...]) with a packed camera; returns a Frame."""
+        device = self.device
+        flags, depth_keys = cull(device, rows, camera, self._project_defines)
+        kept_keys, kept = compact(device, flags, depth_keys)
+        _, visible = stable_sort(device, kept_keys, values=kept)
+        splats = project(device, rows, visible, camera, degree, self._project_defines)
+        pairs = bin_splats(device, splats, width, height)
+        blended = blend(device, splats, pairs, width, height, self.background,
+                        blend_defines(device, with_depth, self.smooth_cutoff))
+        return Frame(camera, degree, visible, splats, pairs, blended, with_depth)
+
+    def adjoint(self, rows, frame, grad_image, grad_depth=None):
+        """Gradients from grad_image real[3, H, W] and, for a frame with depth, real[H, W]."""
+        device = self.device
+        sums = blend_adjoint(
+            device, frame.splats, frame.pairs, frame.blended, self.background, grad_image,
+            self._no_depth if grad_depth is None else grad_depth,
+            blend_defines(device, frame.with_depth, self.smooth_cutoff))
+        return Gradients(*project_adjoint(
+            device, rows, frame.visible, frame.camera, frame.degree, self._project_defines, sums,
+            self.skipped))

@@ -1,0 +1,58 @@
+"""A scene: posed photos and a sparse point cloud, in a frame near the origin."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.camera import Camera, scene_extent
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One photo: its name within the scene, its camera, and where its pixels come from.
+
+    source: a file path, or the encoded bytes of the image (packed scenes).
+    """
+
+    name: str
+    camera: Camera
+    source: Path | bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Views sorted by name, and sparse points.
+
+    points: float64[N, 3]; colours: uint8[N, 3]; offset: float64[3], what was subtracted from the
+    original world coordinates (`original = local + offset`); kept so that exports restore it.
+    """
+
+    name: str
+    views: tuple[View, ...]
+    points: np.ndarray
+    colours: np.ndarray
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def extent(self):
+        """World units; see `camera.scene_extent`. Falls back to the cloud where cameras agree."""
+        extent = scene_extent([view.camera for view in self.views])
+        if extent > 0:
+            return extent
+        return 1.1 * float(np.linalg.norm(self.points - self.points.mean(0), axis=1).max())
+
+    def split(self, test_every):
+        """(train, test) tuples of views: every `test_every`-th view by name, from the first, is
+        held out; 0 holds out none."""
+        if test_every <= 0:
+            return self.views, ()
+        test = self.views[::test_every]
+        return tuple(v for i, v in enumerate(self.views) if i % test_every), test
+
+    def recentred(self):
+        """The scene with its origin at the median point, so that float32 keeps its digits."""
+        offset = np.median(self.points, axis=0)
+        return replace(
+            self, points=self.points - offset, offset=self.offset + offset,
+            views=tuple(replace(v, camera=v.camera.shifted(offset)) for v in self.views))

@@ -1,0 +1,124 @@
+"""Where the buildings, trees and cars of a city stand."""
+
+import numpy as np
+
+from clsplat.synth.geometry import BLOCK, KINDS, PAVEMENT, STREET, City
+
+TALLEST = 12.0  # no building is higher, world units
+INNER = BLOCK / 2 - STREET - PAVEMENT  # half the width of the land inside a block's pavement
+
+
+def city(blocks=(2, 2), seed=0):
+    """A City of `blocks` (along x, along y) blocks; the same seed gives the same city."""
+    builder = _Builder(np.random.default_rng([seed, 1]))
+    parks = np.zeros(blocks, bool)
+    if parks.size > 1:
+        parks.flat[builder.rng.permutation(parks.size)[:max(1, parks.size // 6)]] = True
+    for place in np.ndindex(*blocks):
+        centre = (np.array(place) - (np.array(blocks) - 1) / 2) * BLOCK
+        (builder.park if parks[place] else builder.houses)(centre)
+        builder.pavement_trees(centre)
+    builder.outskirts(blocks)
+    for axis in (0, 1):
+        for line in range(blocks[axis] + 1):
+            builder.cars(axis, (line - blocks[axis] / 2) * BLOCK, blocks[1 - axis] * BLOCK / 2)
+    # rounded, so that geometry.json holds the very numbers that were rendered
+    return City(seed, tuple(blocks), parks, np.round(np.array(builder.boxes), 3),
+                np.array([KINDS.index(kind) for kind in builder.kinds]),
+                np.round(np.array(builder.spheres).reshape(-1, 4), 3))
+
+
+class _Builder:
+    """Collects solids; every method draws from the one generator in a fixed order."""
+
+    def __init__(self, rng):
+        self.rng = rng
+        self.boxes, self.kinds, self.spheres = [], [], []
+
+    def box(self, kind, centre, half, top):
+        self.kinds.append(kind)
+        self.boxes.append([[*(centre - half), 0.0], [*(centre + half), top]])
+
+    def houses(self, centre):
+        """A block of lots, each with a building or, now and then, a small garden."""
+        cut = self.rng.uniform(-0.25, 0.25, 3) * INNER
+        first = self.rng.integers(0, 2)  # the axis of the cut that crosses the whole block
+        gardens = self.rng.permutation(4)[:self.rng.integers(0, 2)]
+        for lot in range(4):
+            low, high = np.full(2, -INNER), np.full(2, INNER)
+            for axis, at, upper in ((first, cut[0], lot & 1), (1 - first, cut[1 + (lot & 1)],
+                                                               lot >> 1)):
+                (low if upper else high)[axis] = at
+            low, high = low + 0.4, high - 0.4
+            middle, half = centre + (low + high) / 2, (high - low) / 2
+            if lot in gardens:
+                for _ in range(4):
+                    self.tree(middle + self.rng.uniform(-0.7, 0.7, 2) * half)
+            else:
+                self.building(middle, half * self.rng.uniform(0.8, 1.0, 2))
+
+    def building(self, centre, half):
+        top = self.rng.uniform(3.0, 0.75 * TALLEST)
+        self.box("building", centre, half, top)
+        if top > 5 and self.rng.random() < 0.5:  # a narrower upper part
+            half = half * self.rng.uniform(0.5, 0.75, 2)
+            top += self.rng.uniform(1.5, 0.25 * TALLEST)
+            self.box("building", centre, half, top)
+        for _ in range(self.rng.integers(1, 4)):
+            size = np.minimum(self.rng.uniform(0.35, 0.8, 2), half / 3)
+            place = centre + self.rng.uniform(-1, 1, 2) * (half - size - 0.5)
+            self.box("plant", place, size, top + self.rng.uniform(0.4, 0.9))
+
+    def park(self, centre):
+        placed = []
+        while len(placed) < 16:
+            place = self.rng.uniform(-INNER + 0.8, INNER - 0.8, 2)
+            ring = abs(np.linalg.norm(place) - 0.55 * INNER)  # keep off the path
+            if ring > 1.1 and all(np.linalg.norm(place - other) > 1.5 for other in placed):
+                placed.append(place)
+                self.tree(centre + place)
+
+    def pavement_trees(self, centre):
+        for turn in range(4):
+            along = np.array([np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2)])
+            across = np.array([-along[1], along[0]])
+            for step in (-0.75, -0.25, 0.25, 0.75):
+                if self.rng.random() < 0.6:
+                    place = along * step * INNER + across * (INNER + 0.7 * PAVEMENT)
+                    self.tree(centre + place, size=0.7)
+
+    def outskirts(self, blocks):
+        """Scattered trees in the fields around, two for each block along the border."""
+        reach = np.array(blocks) * BLOCK / 2
+        for axis in (0, 1):
+            for side in (-1, 1):
+                for _ in range(2 * blocks[1 - axis]):
+                    place = self.rng.uniform(-1, 1, 2) * reach
+                    place[axis] = side * (reach[axis] + self.rng.uniform(5.5, 14.0))
+                    self.tree(place, size=1.2)
+
+    def tree(self, place, size=1.0):
+        """A trunk and a crown of a few overlapping spheres."""
+        radius = size * self.rng.uniform(0.75, 1.25)
+        height = radius * self.rng.uniform(1.6, 2.1)
+        self.box("trunk", place, np.full(2, 0.16 * radius), height)
+        self.spheres.append([*place, height + 0.3 * radius, radius * 0.85])
+        angle = self.rng.uniform(0, 2 * np.pi)
+        for turn in range(4):
+            out = angle + turn * np.pi / 2 + self.rng.uniform(-0.4, 0.4)
+            offset = radius * 0.55 * np.array([np.cos(out), np.sin(out)])
+            self.spheres.append([*(place + offset), height + self.rng.uniform(-0.2, 0.2) * radius,
+                                 radius * self.rng.uniform(0.5, 0.65)])
+
+    def cars(self, axis, line, reach):
+        """Parked cars on both sides of the street along the other axis at coordinate `line`."""
+        for side in (-1, 1):
+            for place in np.arange(-reach + 6.5, reach - 5.0, 2.6):
+                if abs((place + reach + BLOCK / 2) % BLOCK - BLOCK / 2) < 5.5:
+                    continue  # keep the crossings free
+                if self.rng.random() < 0.35:
+                    centre, half = np.empty(2), np.empty(2)
+                    centre[axis], centre[1 - axis] = line + side * (STREET - 0.6), place
+                    half[axis], half[1 - axis] = 0.4, 0.95
+                    self.box("car", centre, half, 0.38)
+                    self.box("cabin", centre, half * (0.9, 0.9) - 0.28 * (half > 0.5), 0.66)

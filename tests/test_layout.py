@@ -1,0 +1,284 @@
+"""The house rules that a program can check: layers, import walls, the name rhyme, names and sizes.
+
+Each check takes the root of a checkout and yields one line a violation; the second half breaks a
+small made-up checkout in every way and sees the checks notice.
+"""
+
+import ast
+import configparser
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+TOP_LEVEL = {"setup.cfg", "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md",
+             "CONTRIBUTING.md", "clsplat", "cl", "tools", "tests", "data_samples", "docs"}
+BUILD_OUTPUTS = {"out", "build", "dist", "clsplat.egg-info", "__pycache__"}
+
+# a module imports from its own package and from the lines above its own
+LAYERS = (
+    {"errors"},
+    {"device"},
+    {"primitives"},
+    {"camera", "options"},
+    {"gaussians", "scene"},
+    {"io"},
+    {"render", "loss", "optimise", "densify", "schedule", "synth"},
+    {"evaluate"},
+    {"train"},
+    {"selftest"},
+    {"bench"},
+    {"cli"},
+    {"__main__"},
+)
+LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
+
+# tested without OpenCL, though they stand above the device layer
+NO_DEVICE = {"camera", "options", "gaussians", "scene", "schedule", "synth"}
+
+# package -> the only folders that may import it
+WALLS = {
+    "pyopencl": ("clsplat/device/",),
+    "pycolmap": ("clsplat/io/",),
+    "OpenImageIO": ("clsplat/io/",),
+    "click": ("clsplat/cli/",),
+    "skimage": ("clsplat/io/", "clsplat/evaluate/"),
+    "tests": (),  # the wheel carries clsplat/ and tools/bench/, not the tests
+}
+
+# imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
+FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/io/": {"pycolmap", "OpenImageIO"}}
+
+FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}
+LONGEST_FILE = 400
+# stem -> why its family has no benchmark
+NO_BENCHMARK = {}
+
+
+def sources(root, *folders, suffixes=(".py",)):
+    """(path relative to root with slashes, Path) of the source files under folders."""
+    for folder in folders:
+        for path in sorted((root / folder).rglob("*")):
+            if path.suffix in suffixes:
+                yield path.relative_to(root).as_posix(), path
+
+
+def imports(path):
+    """(line, dotted name, whether inside a function) of each import; relative ones as ".name"."""
+    def visit(node, inside):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name, inside
+        elif isinstance(node, ast.ImportFrom):
+            dots, module = "." * node.level, node.module or ""
+            if module == "clsplat":  # `from clsplat import camera` is about clsplat.camera
+                for alias in node.names:
+                    yield node.lineno, f"clsplat.{alias.name}", inside
+            else:
+                yield node.lineno, dots + module, inside
+        inside = inside or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
+        for child in ast.iter_child_nodes(node):
+            yield from visit(child, inside)
+    return visit(ast.parse(path.read_text()), False)
+
+
+def unit_of(root, name):
+    """The file or folder of clsplat/ that a path or a dotted import belongs to, or None."""
+    if name.startswith("tools/bench/"):
+        return "bench"
+    parts = re.split(r"[./]", name)
+    if parts[0] != "clsplat" or len(parts) < 2 or parts[1] == "__init__":
+        return None
+    known = parts[1] in LAYER_OF
+    exists = (root / "clsplat" / parts[1]).is_dir() or (root / f"clsplat/{parts[1]}.py").exists()
+    return parts[1] if known or exists else None  # else an attribute such as clsplat.__version__
+
+
+def layers(root):
+    for name, path in sources(root, "clsplat", "tools/bench"):
+        unit = unit_of(root, name)
+        if unit is not None and unit not in LAYER_OF:
+            yield f"{name}: '{unit}' has no layer; give it one in tests/test_layout.py"
+            continue
+        for line, target, _ in imports(path):
+            other = unit_of(root, target)
+            if target.startswith(".."):
+                yield f"{name}:{line}: '{target}' leaves its package; import by full name"
+            elif other is not None and other not in LAYER_OF:
+                yield f"{name}:{line}: imports '{other}', which has no layer"
+            elif other is None or other == unit:
+                continue
+            elif unit is None:
+                yield f"{name}:{line}: the package itself imports '{other}'"
+            elif LAYER_OF[other] >= LAYER_OF[unit]:
+                yield f"{name}:{line}: '{unit}' is not above '{other}'"
+            elif unit in NO_DEVICE and other in ("device", "primitives"):
+                yield f"{name}:{line}: '{unit}' must work without OpenCL"
+
+
+def walls(root):
+    for name, path in sources(root, "clsplat", "tools"):
+        for line, target, _ in imports(path):
+            allowed = WALLS.get(target.split(".")[0])
+            if allowed is not None and not name.startswith(allowed):
+                where = " and ".join(allowed) or "tests/"
+                yield f"{name}:{line}: {target} belongs in {where}"
+    for name, path in sources(root, "tests/reference"):
+        for line, target, _ in imports(path):
+            if target.split(".")[0] == "clsplat":
+                yield f"{name}:{line}: the reference must share no code with what it checks"
+
+
+def function_imports(root):
+    for name, path in sources(root, "clsplat"):
+        for line, target, inside in imports(path):
+            if not inside:
+                continue
+            allowed = [packages for folder, packages in FUNCTION_IMPORTS.items()
+                       if name.startswith(folder)]
+            if not any(packages is None or target.split(".")[0] in packages
+                       for packages in allowed):
+                yield f"{name}:{line}: {target} is imported inside a function"
+
+
+def rhyme(root):
+    for _, path in sources(root, "cl", suffixes=(".cl",)):
+        stem = path.stem
+        homes = [name for name, home in sources(root, "clsplat")
+                 if home.stem == stem and not name.startswith("clsplat/cli/")]
+        if len(homes) != 1:
+            yield f"cl/{stem}.cl: wants one clsplat/**/{stem}.py, there are {len(homes)}"
+        for verse in (f"tests/reference/{stem}.py", f"tests/kernels/test_{stem}.py",
+                      f"tools/bench/{stem}.py"):
+            if not (root / verse).exists() and not (
+                    verse.startswith("tools/bench") and stem in NO_BENCHMARK):
+                yield f"cl/{stem}.cl: {verse} is missing"
+
+
+def sizes(root):
+    for name, path in sources(root, "clsplat", "cl", "tools", "tests",
+                              suffixes=(".py", ".cl", ".h")):
+        count = len(path.read_text().splitlines())
+        if count > LONGEST_FILE:
+            yield f"{name}: {count} lines, more than {LONGEST_FILE}"
+
+
+def names(root):
+    for name, _ in sources(root, "clsplat", "cl", "tools", "tests", suffixes=(".py", ".cl", ".h")):
+        for word in re.split(r"[/_.]", name):
+            if word in FORBIDDEN_WORDS:
+                yield f"{name}: '{word}' says nothing; name the content"
+
+
+def packaging(root):
+    """setup.cfg lists every package, or the wheel lacks it though the checkout works."""
+    setup = configparser.ConfigParser()
+    setup.read(root / "setup.cfg")
+    listed = set(setup.get("options", "packages", fallback="").split())
+    for folder in sorted({path.parent for _, path in sources(root, "clsplat")}):
+        package = folder.relative_to(root).as_posix().replace("/", ".")
+        if package not in listed:
+            yield f"setup.cfg: package {package} is not listed"
+
+
+def top_level(root):
+    for path in sorted(root.iterdir()):
+        if path.name not in TOP_LEVEL | BUILD_OUTPUTS and not path.name.startswith("."):
+            yield f"{path.name}: does not belong at the top level"
+    pyproject = (root / "pyproject.toml").read_text()
+    for section in re.findall(r"^\[(.+)\]", pyproject, re.MULTILINE):
+        if section != "build-system":
+            yield f"pyproject.toml: [{section}] belongs in setup.cfg"
+
+
+CHECKS = (layers, walls, function_imports, rhyme, sizes, names, packaging, top_level)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_the_house_is_in_order(check):
+    found = list(check(ROOT))
+    assert not found, "\n" + "\n".join(found)
+
+
+SMALL = {
+    "pyproject.toml": "[build-system]\nrequires = []\n",
+    "setup.cfg": "[options]\npackages =\n  clsplat\n  clsplat.cli\n  clsplat.device\n"
+                 "  clsplat.io\n  clsplat.render\n  clsplat.schedule\n",
+    "clsplat/__init__.py": "__version__ = '1'\n",
+    "clsplat/errors.py": "class E(Exception): ...\n",
+    "clsplat/camera.py": "from clsplat.errors import E\n",
+    "clsplat/device/find.py": "import pyopencl.tools\nfrom clsplat.device.other import x\n",
+    "clsplat/device/other.py": "from clsplat import __version__\n",
+    "clsplat/io/colmap.py": "from clsplat import camera\ndef read():\n    import pycolmap\n",
+    "clsplat/render/blend.py": "from clsplat.device.find import x\n",
+    "clsplat/schedule/constant.py": "import numpy\n",
+    "clsplat/cli/blend.py": "import click\ndef f():\n    from clsplat.render.blend import x\n",
+    "cl/blend.cl": "kernel\n",
+    "cl/include/real.h": "real\n",
+    "tests/reference/blend.py": "import numpy\n",
+    "tests/kernels/test_blend.py": "import tests.reference.blend\n",
+    "tools/bench/blend.py": "from clsplat.render import blend\nfrom . import case\n",
+    "tools/bench/case.py": "import numpy\n",
+}
+
+
+def build(root, files):
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    return root
+
+
+def violations(root):
+    return [line for check in CHECKS for line in check(root)]
+
+
+def test_a_small_house_in_order_passes(tmp_path):
+    assert violations(build(tmp_path, SMALL)) == []
+
+
+@pytest.mark.parametrize("name, text, complaint", [
+    ("clsplat/camera.py", "from clsplat.io.colmap import x", "'camera' is not above 'io'"),
+    ("clsplat/camera.py", "from clsplat import io", "'camera' is not above 'io'"),
+    ("clsplat/camera.py", "def f():\n    import clsplat.io.colmap", "'camera' is not above 'io'"),
+    ("clsplat/render/blend.py", "import clsplat.schedule.constant", "'render' is not above"),
+    ("clsplat/render/blend.py", "from clsplat.cli.blend import x", "'render' is not above 'cli'"),
+    ("clsplat/render/blend.py", "from ..errors import E", "leaves its package"),
+    ("clsplat/render/blend.py", "import clsplat.bench.case", "'render' is not above 'bench'"),
+    ("clsplat/camera.py", "import clsplat.device.find", "must work without OpenCL"),
+    ("clsplat/schedule/constant.py", "import clsplat.device.find", "must work without OpenCL"),
+    ("clsplat/__init__.py", "from clsplat.camera import x", "the package itself imports"),
+    ("clsplat/attic.py", "", "'attic' has no layer"),
+    ("clsplat/render/blend.py", "try:\n    import pyopencl\nexcept E:\n    pass",
+     "pyopencl belongs in clsplat/device/"),
+    ("tools/bench/blend.py", "import pyopencl as cl", "pyopencl belongs in clsplat/device/"),
+    ("clsplat/render/blend.py", "import pycolmap", "pycolmap belongs in"),
+    ("clsplat/device/find.py", "from OpenImageIO import x", "OpenImageIO belongs in"),
+    ("clsplat/io/colmap.py", "import click", "click belongs in clsplat/cli/"),
+    ("clsplat/cli/blend.py", "import skimage.io", "skimage.io belongs in clsplat/io/ and"),
+    ("tools/bench/blend.py", "from tests.cases import x", "tests.cases belongs in tests/"),
+    ("tests/reference/blend.py", "from clsplat.camera import x", "must share no code"),
+    ("clsplat/device/find.py", "def f():\n    import numpy", "inside a function"),
+    ("clsplat/io/colmap.py", "def f():\n    import numpy", "inside a function"),
+    ("clsplat/render/blend.py", "class A:\n    def f(self):\n        import numpy",
+     "inside a function"),
+    ("clsplat/device/blend.py", "", "wants one clsplat/**/blend.py, there are 2"),
+    ("cl/sort.cl", "", "wants one clsplat/**/sort.py, there are 0"),
+    ("cl/sort.cl", "", "tests/reference/sort.py is missing"),
+    ("cl/sort.cl", "", "tests/kernels/test_sort.py is missing"),
+    ("cl/sort.cl", "", "tools/bench/sort.py is missing"),
+    ("clsplat/camera.py", "x = 1\n" * 401, "401 lines"),
+    ("cl/include/real.h", "//\n" * 401, "401 lines"),
+    ("cl/blend.cl", "//\n" * 401, "401 lines"),
+    ("tests/test_all.py", "#\n" * 401, "401 lines"),
+    ("clsplat/io/image_utils.py", "", "'utils' says nothing"),
+    ("tests/helpers/blend.py", "", "'helpers' says nothing"),
+    ("clsplat/train/loop.py", "", "package clsplat.train is not listed"),
+    ("notes.txt", "", "notes.txt: does not belong"),
+    ("pyproject.toml", "[project]\nname = 'x'\n", "[project] belongs in setup.cfg"),
+])
+def test_a_broken_house_is_noticed(tmp_path, name, text, complaint):
+    root = build(tmp_path, {**SMALL, name: text})
+    assert any(complaint in line for line in violations(root)), violations(root)

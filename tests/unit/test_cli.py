@@ -1,0 +1,342 @@
+"""The command line: what it calls, what it prints, how it fails. No device is needed."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+import types
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import clsplat
+from clsplat.cli.devices import table
+from clsplat.cli.evaluate import summary
+from clsplat.cli.main import main
+from clsplat.cli.progress import Progress
+from clsplat.errors import ClsplatError, DeviceError, Interrupted
+from clsplat.gaussians import Gaussians
+from clsplat.io.run import RunFolder
+from clsplat.options import TrainOptions
+
+
+def clsplat_(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def python(*arguments):
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True,
+                          check=False)
+
+
+def module(monkeypatch, name, **contents):
+    """Put a made-up module in the place of a real one."""
+    made = types.ModuleType(name)
+    made.__dict__.update(contents)
+    monkeypatch.setitem(sys.modules, name, made)
+    parent, _, child = name.rpartition(".")
+    if parent in sys.modules:
+        monkeypatch.setattr(sys.modules[parent], child, made, raising=False)
+    return made
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """The modules behind `train`, replaced by ones that note what was asked of them."""
+    noted = []
+
+    class FakeRun:
+        stored = TrainOptions(iterations=800, stop_at=300, seed=5, device="stored", eval_at=(9,))
+
+        @classmethod
+        def create(cls, path, overwrite):
+            noted.append(("create", path, overwrite))
+            return cls()
+
+        @classmethod
+        def open(cls, path):
+            noted.append(("open", path))
+            return cls()
+
+        def read_options(self):
+            record = {"scene": "city", "version": "0", **dataclasses.asdict(self.stored)}
+            return json.loads(json.dumps(record))
+
+    def trainer(name):
+        def call(scene, options, device, run, progress=None):
+            noted.append((name, scene, options, device, progress))
+            if progress is not None:
+                progress(iteration=0, loss=1.0, gaussians=1, memory_bytes=0)
+        return call
+
+    module(monkeypatch, "clsplat.io.run", RunFolder=FakeRun)
+    module(monkeypatch, "clsplat.io.scenes", read_scene=lambda path: f"scene {path}")
+    module(monkeypatch, "clsplat.device", choose_device=lambda spec, **_: f"device {spec}")
+    train = module(monkeypatch, "clsplat.train")
+    train.loop = module(monkeypatch, "clsplat.train.loop", train=trainer("train"),
+                        resume=trainer("resume"))
+    return noted
+
+
+def raising(error):
+    """A group like `main` with one command `fail`."""
+    group = type(main)("clsplat")
+
+    @click.command()
+    @click.option("--traceback", is_flag=True, expose_value=False)
+    def fail():
+        raise error
+    group.add_section("Fail", fail)
+    return group
+
+
+def test_help_lists_every_command_under_a_heading():
+    result = clsplat_("--help")
+    assert result.exit_code == 0
+    for heading in ("Train:", "Data:", "Machine:"):
+        assert f"\n{heading}\n" in result.output
+    listed = result.output[result.output.index("\nTrain:"):].split()
+    for name in ("train", "eval", "render", "export", "synth", "devices", "bench", "completion"):
+        assert name in listed
+    assert clsplat_().output == result.output
+
+
+@pytest.mark.parametrize("name", sorted(main.commands))
+def test_every_command_has_help(name):
+    result = clsplat_(name, "--help")
+    assert result.exit_code == 0 and "--traceback" in result.output
+    assert main.commands[name].get_short_help_str().endswith((".", "..."))
+
+
+def test_help_loads_nothing_heavy():
+    """Start-up must not wait for a driver; the modules are named because times vary."""
+    code = ("import sys\nfrom clsplat.cli.main import main\n"
+            "try:\n    main(['train', '--help'])\nexcept SystemExit:\n    pass\n"
+            "heavy = {'numpy', 'scipy', 'skimage', 'pyopencl', 'pycolmap', 'OpenImageIO', 'tqdm'}\n"
+            "print('heavy:', sorted(heavy & set(sys.modules)))")
+    result = python("-c", code)
+    assert result.stdout.rstrip().endswith("heavy: []"), result.stdout + result.stderr
+
+
+def test_version_and_module_entry():
+    assert clsplat_("--version").output == f"clsplat {clsplat.__version__}\n"
+    result = python("-m", "clsplat", "--version")
+    assert (result.returncode, result.stdout) == (0, f"clsplat {clsplat.__version__}\n")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts(shell):
+    result = clsplat_("completion", shell)
+    assert result.exit_code == 0 and f"_CLSPLAT_COMPLETE={shell}_complete" in result.output
+
+
+def test_a_users_error_is_one_line_and_exit_2():
+    result = CliRunner().invoke(raising(DeviceError("none works; buy one")), ["fail"])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == "error: none works; buy one\n"
+
+
+def test_traceback_shows_where():
+    result = CliRunner().invoke(raising(ClsplatError("no")), ["fail", "--traceback"])
+    assert result.exit_code == 2
+    assert "Traceback" in result.stderr and result.stderr.endswith("error: no\n")
+
+
+def test_a_bug_shows_its_traceback_and_exit_1():
+    result = CliRunner().invoke(raising(ZeroDivisionError("oh")), ["fail"])
+    assert result.exit_code == 1
+    assert "ZeroDivisionError: oh" in result.stderr and "bug in clsplat" in result.stderr
+
+
+@pytest.mark.parametrize("error, said", [
+    (Interrupted("stopped at 5; go on with --resume"), "stopped at 5; go on with --resume"),
+    (KeyboardInterrupt(), "interrupted")])
+def test_interrupts_exit_130(error, said):
+    result = CliRunner().invoke(raising(error), ["fail"])
+    assert result.exit_code == 130 and result.stderr.strip() == said
+
+
+@pytest.mark.parametrize("arguments", [
+    ("train", "scene"), ("train", "scene", "-o", "run", "--nonsense"), ("nonsense",),
+    ("train", "scene", "-o", "run", "-n", "many"), ("train", "s", "-o", "r", "--engine", "steam")])
+def test_wrong_usage_is_one_line_and_exit_2(arguments):
+    result = clsplat_(*arguments)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ") and "--help`." in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_train_calls_with_resolved_options(calls, tmp_path):
+    config = tmp_path / "run.toml"
+    config.write_text("iterations = 50\nseed = 1\ndevice = 'cpu'\n")
+    result = clsplat_("train", "city", "-o", "run", "--config", config, "--seed", 2, "--overwrite")
+    assert result.exit_code == 0, result.output
+    (_, path, overwrite), (_, scene, options, device, progress) = calls
+    assert (str(path), overwrite, scene, device) == ("run", True, "scene city", "device cpu")
+    assert options == TrainOptions(iterations=50, seed=2, device="cpu")
+    assert progress is not None and "clsplat eval run" in result.output
+
+
+def test_quiet_prints_nothing(calls):
+    result = clsplat_("train", "city", "-o", "run", "-q")
+    assert (result.exit_code, result.output) == (0, "")
+    assert calls[-1][-1] is None
+
+
+def test_resume_takes_the_stored_options(calls):
+    result = clsplat_("train", "city", "-o", "run", "--resume", "--checkpoint-every", 10)
+    assert result.exit_code == 0, result.output
+    assert [call[0] for call in calls] == ["open", "resume"]
+    assert calls[1][2] == TrainOptions(iterations=800, seed=5, device="stored", stop_at=0,
+                                       eval_at=(9,), checkpoint_every=10)
+    assert calls[1][3] == "device stored"
+
+
+@pytest.mark.parametrize("arguments, named", [
+    (["--seed", "6"], "--seed"), (["-n", "900"], "--iterations"), (["--overwrite"], "--overwrite"),
+    (["--config", "run.toml"], "--config")])
+def test_resume_refuses_another_run(calls, arguments, named):
+    result = clsplat_("train", "city", "-o", "run", "--resume", *arguments)
+    assert result.exit_code == 2 and result.stderr.startswith(f"error: {named}: ")
+    assert "resume" not in [call[0] for call in calls]
+
+
+def test_bad_options_leave_no_folder(calls):
+    assert clsplat_("train", "city", "-o", "run", "--sh-degree", 9).exit_code == 2
+    assert calls == []
+
+
+def test_export_names_the_formats_it_knows(tmp_path):
+    result = clsplat_("export", tmp_path, "-o", "model.splat")
+    assert result.exit_code == 2
+    assert "model.splat" in result.stderr and ".ply" in result.stderr
+
+
+def test_export_copies_a_whole_model_only(tmp_path):
+    run, output = tmp_path / "run", tmp_path / "model.ply"
+    folder = RunFolder.create(run)
+    folder.write_options({})
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
+    folder.save_model(Gaussians.from_points(points, np.full((3, 3), 99, np.uint8)), [5e6, 0, 0])
+    model = (run / "point_cloud.ply").read_bytes()
+    result = clsplat_("export", run, "-o", output)
+    assert result.exit_code == 0 and "3 gaussians" in result.output
+    assert output.read_bytes() == model
+    output.unlink()
+    (run / "point_cloud.ply").write_bytes(model[:-9])
+    assert clsplat_("export", run, "-o", output).exit_code == 2
+    assert not output.exists()
+
+
+@pytest.mark.parametrize("flag, images", [("--images", True), ("--no-images", False)])
+def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
+    RunFolder.create(tmp_path).write_options({})
+    asked = []
+
+    def evaluate_run(run, device, save_images):
+        asked.append((run.path, device, save_images))
+        return {"views": 1, "psnr": 20.0, "ssim": 0.5, "psnr_cc": 25.0, "ssim_cc": 0.75}
+
+    module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
+    module(monkeypatch, "clsplat.evaluate.views", evaluate_run=evaluate_run)
+    result = clsplat_("eval", tmp_path, flag, "--device", "cpu")
+    assert result.exit_code == 0, result.output
+    assert asked == [(tmp_path, "device cpu", images)]
+    assert (str(tmp_path / "renders") in result.output) is images
+
+
+def test_render_passes_everything_on(monkeypatch):
+    asked = []
+
+    def render_views(*arguments, **named):
+        asked.append((*map(str, arguments), named))
+        return 7
+
+    module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
+    module(monkeypatch, "clsplat.evaluate.views", render_views=render_views)
+    result = clsplat_("render", "m.ply", "--scene", "city", "-o", "pictures", "--views", "test",
+                      "--beside")
+    assert result.output == "7 pictures: pictures\n"
+    assert asked == [("m.ply", "city", "pictures", "device auto",
+                      {"views": "test", "beside": True})]
+
+
+def test_eval_summary_labels_both():
+    text = summary({"views": 3, "psnr": 20.123, "ssim": 0.5, "psnr_cc": 25.0, "ssim_cc": 0.75})
+    rows = [line.split() for line in text.splitlines()]
+    assert rows == [["3", "held-out", "views", "PSNR", "SSIM"], ["plain", "20.12", "0.5000"],
+                    ["colour-corrected", "25.00", "0.7500"]]
+
+
+def entry(index, works, **more):
+    able = {"compute_units": 2, "memory_bytes": 3 << 30, "largest_buffer_bytes": 1 << 30,
+            "local_bytes": 32 << 10, "opencl_c": "OpenCL C 1.2", "HAVE_DOUBLE": True,
+            "HAVE_PTX_SHUFFLE": False}
+    return types.SimpleNamespace(
+        index=index, platform="Platform", name=f"name {index}", type="cpu", works=works,
+        reason="" if works else "does not build", cure="" if works else "reinstall it",
+        capabilities=able if works else {}, chosen=works, **more)
+
+
+def test_device_table_explains_what_is_skipped():
+    lines = table([entry(0, False), entry(1, True)]).splitlines()
+    assert "does not work" in lines[1] and lines[2].strip() == "why:  does not build"
+    assert lines[3].strip() == "cure: reinstall it"
+    assert lines[4].startswith("*") and lines[4].endswith("works")
+    assert lines[4].index("Platform") == lines[1].index("Platform")
+    assert "3.0 GiB memory" in lines[5] and lines[5].endswith("OpenCL C 1.2, double")
+
+
+@pytest.mark.parametrize("found, code", [([], 2), ([entry(0, False)], 2),
+                                         ([entry(0, False), entry(1, True)], 0)])
+def test_devices_says_whether_one_works(monkeypatch, found, code):
+    module(monkeypatch, "clsplat.device", list_devices=lambda: found)
+    result = clsplat_("devices")
+    assert result.exit_code == code
+    assert found or "clsplat[cpu]" in result.output
+
+
+@pytest.mark.parametrize("passed, code", [(True, 0), (False, 2)])
+def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
+    opened = []
+    module(monkeypatch, "clsplat.device", open_device=opened.append,
+           list_devices=lambda: [entry(0, True), entry(1, False), entry(2, True)])
+    module(monkeypatch, "clsplat.selftest", check=lambda device: [
+        ("sort", True, "fine"), ("blend", passed or len(opened) == 2, "3e-7 off")])
+    result = clsplat_("devices", "--check")
+    assert (opened, result.exit_code) == ([0, 2], code)
+    assert ("FAILED  blend: 3e-7 off" in result.output) is not passed
+
+
+def test_bench_lists_and_calls(monkeypatch, tmp_path):
+    (tmp_path / "blend.py").write_text("def main(argv):\n    print('timed', argv)\n")
+    (tmp_path / "__main__.py").touch()
+    package = module(monkeypatch, "made_benches")
+    package.__path__ = [str(tmp_path)]
+    monkeypatch.setattr("clsplat.cli.bench.bench_package", lambda: package)
+    assert clsplat_("bench").output == "blend\n"
+    result = clsplat_("bench", "blend", "--json", "--device", "cpu", "--size", 4)
+    assert result.output == "timed ['--json', '--device', 'cpu', '--size', '4']\n"
+    assert clsplat_("bench", "blond").exit_code == 2
+
+
+def test_progress_in_a_log(tmp_path):
+    with open(tmp_path / "log", "w") as log, Progress(100, log) as progress:
+        for iteration in (0, 50, 100):
+            progress(iteration=iteration, loss=0.25, gaussians=12345, memory_bytes=3 << 20)
+        progress.message("evaluated")
+    lines = (tmp_path / "log").read_text().splitlines()
+    assert "evaluated" in lines
+    assert sum("100/100" in line for line in lines) == 1
+    last = next(line for line in lines if "100/100" in line)
+    for part in ("it/s", "loss 0.2500", "12,345 gaussians", "3 MiB", "left"):
+        assert part in last
+    assert not any("\r" in line for line in lines)
+
+
+def test_progress_never_called_prints_nothing(tmp_path):
+    with open(tmp_path / "log", "w") as log, Progress(100, log):
+        pass
+    assert (tmp_path / "log").read_text() == ""

@@ -1,0 +1,187 @@
+"""COLMAP models: what is read equals what pycolmap says, and what is broken is named."""
+
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.colmap import read_colmap
+from clsplat.io.images import write_image
+from clsplat.io.scenes import fingerprint, read_scene
+from tests.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no photo data sets at {DATA}")
+
+
+def refused(path, *words):
+    """The one-line message with which a scene is refused; it holds every word."""
+    with pytest.raises(InputError) as caught:
+        read_scene(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+    return message
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("model", ["sparse/0", "sparse", "."])
+def test_reads_what_pycolmap_wrote(tmp_path, text, model):
+    made = reconstruction()
+    scene = read_colmap(write_scene(tmp_path / "town", made, text, model))
+    assert scene.name == "town"
+    assert [view.name for view in scene.views] == [f"photo_{i}.png" for i in range(4)]
+    assert np.allclose(np.median(scene.points, axis=0), 0, atol=1e-12)
+    points = np.array([p.xyz for _, p in sorted(made.points3D.items())])
+    assert np.allclose(scene.points + scene.offset, points)
+    colours = np.array([p.color for _, p in sorted(made.points3D.items())])
+    assert scene.colours.dtype == np.uint8 and np.array_equal(scene.colours, colours)
+    for view in scene.views:
+        image = next(i for i in made.images.values() if i.name == view.name)
+        assert view.source == tmp_path / "town" / "images" / view.name
+        assert (view.camera.width, view.camera.height) == (WIDTH, HEIGHT)
+        assert view.camera.focal == FOCAL and view.camera.centre == CENTRE
+        pixels, _ = view.camera.project(scene.points)
+        expected = np.array([image.project_point(p) for p in points])
+        assert np.allclose(pixels, expected, atol=1e-6)
+
+
+def test_simple_pinhole_has_one_focal_length(tmp_path):
+    made = reconstruction("SIMPLE_PINHOLE", (50.0, *CENTRE))
+    assert read_colmap(write_scene(tmp_path, made)).views[0].camera.focal == (50.0, 50.0)
+
+
+def test_fingerprint_tells_scenes_apart(tmp_path):
+    made = reconstruction()
+    write_scene(tmp_path / "a", made)
+    write_scene(tmp_path / "b", made)
+    same = fingerprint(read_scene(tmp_path / "a"))
+    assert len(same) == 64 and fingerprint(read_scene(tmp_path / "b")) == same
+    point = next(iter(made.points3D.values()))
+    point.xyz = point.xyz + 1e-9
+    assert fingerprint(read_scene(write_scene(tmp_path / "b", made))) != same
+
+
+def test_distorted_is_refused_with_a_command(tmp_path):
+    made = reconstruction("SIMPLE_RADIAL", (50.0, *CENTRE, 0.05))
+    refused(write_scene(tmp_path / "town", made), "SIMPLE_RADIAL", "colmap image_undistorter",
+            f"--image_path '{tmp_path}/town/images'", f"--output_path '{tmp_path}/town_undistorted'")
+
+
+@needs_data
+def test_the_command_of_the_refusal_works(tmp_path):
+    shutil.copytree(DATA / "boruszyn_distorted", tmp_path / "kite", copy_function=shutil.copyfile)
+    command = re.search(r'`python -c "([^"]+)"`', refused(tmp_path / "kite", "OPENCV")).group(1)
+    subprocess.run([sys.executable, "-c", command], check=True, capture_output=True, timeout=300)
+    scene = read_colmap(tmp_path / "kite_undistorted")
+    assert len(scene.views) == 28 and len(scene.points) == 15689
+
+
+@needs_data
+@pytest.mark.parametrize("name, views, points", [
+    ("boruszyn", 28, 15689), ("caliterra", 75, 25683), ("lund", 29, 5552)])
+def test_real_data(name, views, points):
+    scene = read_colmap(DATA / name)
+    assert (len(scene.views), len(scene.points)) == (views, points)
+    inside = 0
+    for view in scene.views:
+        pixels, depths = view.camera.project(scene.points)
+        limits = (view.camera.width, view.camera.height)
+        inside += np.sum((depths > 0) & (pixels > 0).all(axis=1) & (pixels < limits).all(axis=1))
+    assert inside > 2 * points  # every point was seen by two photos or more
+
+
+@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+@pytest.mark.parametrize("share", [0, 0.1, 0.5, 0.9, 1])
+def test_a_file_cut_short_is_blamed(tmp_path, part, share):
+    path = write_scene(tmp_path) / "sparse" / "0" / f"{part}.bin"
+    data = path.read_bytes()
+    path.write_bytes(data[:min(int(share * len(data)), len(data) - 1)])
+    refused(tmp_path, f"{part}.bin", "cut short")
+
+
+@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+def test_a_missing_or_empty_file_is_blamed(tmp_path, part):
+    for kind in ("bin", "txt"):
+        folder = write_scene(tmp_path / kind, text=kind == "txt")
+        path = folder / "sparse" / "0" / f"{part}.{kind}"
+        path.write_bytes(bytes(8) if kind == "bin" else b"# only a comment\n\n")
+        refused(folder, path.name, f"holds no {part}")
+        path.unlink()
+        refused(folder, path.name, "missing")
+
+
+def test_a_text_model_cut_short_is_refused(tmp_path):
+    for part in ("images", "points3D"):
+        folder = write_scene(tmp_path / part, text=True)
+        path = folder / "sparse" / "0" / f"{part}.txt"
+        path.write_bytes(path.read_bytes()[:-60])
+        refused(folder, "pycolmap cannot read", "copy it again")
+
+
+def test_a_crash_of_pycolmap_is_one_line(tmp_path):
+    path = write_scene(tmp_path) / "sparse" / "0" / "images.bin"
+    data = bytearray(path.read_bytes())
+    end = data.index(b"\0", data.index(b"photo_"))
+    struct.pack_into("<Q", data, end + 1 + 8 + 16, 999_999)  # a point that does not exist
+    path.write_bytes(data)
+    refused(tmp_path, str(path.parent), "pycolmap cannot read")
+
+
+def test_points_that_cannot_be_trained_on(tmp_path):
+    for name, value, words in (("nan", np.nan, ("1 of 30 points", "not finite")),
+                               ("inf", np.inf, ("1 of 30 points", "not finite"))):
+        made = reconstruction()
+        next(iter(made.points3D.values())).xyz = np.array([0, value, 0])
+        refused(write_scene(tmp_path / name, made), *words)
+    made = reconstruction()
+    for point in made.points3D.values():
+        point.xyz = np.ones(3)
+    refused(write_scene(tmp_path / "one", made), "30 points all lie at one place")
+
+
+def test_a_pose_that_is_not_finite(tmp_path):
+    path = write_scene(tmp_path) / "sparse" / "0" / "images.bin"
+    for offset in (4, 4 + 32):  # a quaternion, a translation
+        data = bytearray(path.read_bytes())
+        struct.pack_into("<d", data, 8 + offset, np.nan)
+        (tmp_path / "sparse" / "0" / "images.bin").write_bytes(data)
+        # rigs.bin and frames.bin would bring the pose back
+        for extra in ("rigs.bin", "frames.bin"):
+            (tmp_path / "sparse" / "0" / extra).unlink(missing_ok=True)
+        refused(tmp_path, "the pose of image photo_", "1 of 4 images")
+        write_scene(tmp_path)
+
+
+def test_no_registered_image(tmp_path):
+    made = reconstruction()
+    for frame in list(made.reg_frame_ids()):
+        made.deregister_frame(frame)
+    refused(write_scene(tmp_path, made), "sparse/0")
+
+
+def test_photos(tmp_path):
+    folder = write_scene(tmp_path)
+    photo = folder / "images" / "photo_1.png"
+    for size, word in (((24, 18), "rescaled"), ((36, 48), "rotated"), ((48, 30), "cropped")):
+        write_image(photo, np.zeros((size[1], size[0], 3), np.uint8))
+        refused(folder, "photo_1.png", word, f"{size[0]}x{size[1]}", "48x36")
+    photo.write_bytes(b"")
+    refused(folder, "photo_1.png", "not an image")
+    for number in (1, 3):
+        (folder / "images" / f"photo_{number}.png").unlink()
+    refused(folder, "photo_1.png", "2 of 4 images")
+
+
+def test_no_model(tmp_path):
+    refused(tmp_path, str(tmp_path), "no COLMAP model")
+    refused(tmp_path / "nowhere", "nowhere", "no such scene")
+    (tmp_path / "town.zip").write_bytes(b"")
+    refused(tmp_path / "town.zip", "town.zip", "not a scene")

@@ -1,0 +1,74 @@
+"""The colour fit undoes a quadratic change of colours and nothing else."""
+
+import numpy as np
+import pytest
+
+from clsplat.evaluate import colour
+from clsplat.evaluate.colour import fit_colour
+from clsplat.evaluate.metrics import psnr
+
+
+def quadratic(image):
+    """A map like a change of exposure and white balance, that mixes all ten features."""
+    r, g, b = np.moveaxis(image, -1, 0)
+    return np.stack([
+        0.05 + 0.8 * r + 0.05 * g - 0.15 * r * r + 0.04 * r * g,
+        0.02 + 0.9 * g + 0.03 * b - 0.1 * g * g + 0.05 * g * b,
+        0.10 + 0.6 * b + 0.05 * r + 0.1 * b * b - 0.06 * b * r], axis=-1)
+
+
+@pytest.fixture
+def image():
+    return np.random.default_rng(0).uniform(0, 1, (60, 50, 3))
+
+
+def test_a_quadratic_change_is_undone(image):
+    photo = quadratic(image)
+    assert photo.min() > 0 and photo.max() < 1  # clipping must not take part
+    assert np.abs(image - photo).max() > 10 / 255
+    assert np.abs(fit_colour(image, photo) - photo).max() < 1e-9
+
+
+def test_nearly_grey_images_are_restored():
+    """Photos have channels that agree within a few levels, and the features nearly coincide."""
+    rng = np.random.default_rng(1)
+    grey = rng.uniform(0, 1, (60, 50, 1)) + rng.normal(0, 1e-3, (60, 50, 3))
+    photo = quadratic(grey.clip(0, 1)).astype(np.float32)
+    fitted = fit_colour(grey.clip(0, 1).astype(np.float32), photo)
+    assert np.abs(fitted - photo).max() < 1 / 255
+
+
+def test_it_is_the_least_squares_fit(image):
+    photo = np.clip(quadratic(image) + np.random.default_rng(2).normal(0, 0.01, image.shape), 0, 1)
+    r, g, b = image.reshape(-1, 3).T
+    design = np.stack([np.ones_like(r), r, g, b, r * r, r * g, r * b, g * g, g * b, b * b], 1)
+    best = (design @ np.linalg.lstsq(design, photo.reshape(-1, 3))[0]).reshape(photo.shape)
+    assert np.abs(fit_colour(image, photo) - best.clip(0, 1)).max() < 1e-9
+
+
+def test_chunks_do_not_show(image, monkeypatch):
+    photo = quadratic(image)
+    whole = fit_colour(image, photo)
+    monkeypatch.setattr(colour, "CHUNK", 7)
+    assert np.abs(fit_colour(image, photo) - whole).max() < 1e-9
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3, 1.0])
+def test_constant_images_take_the_mean_colour(level, image):
+    fitted = fit_colour(np.full_like(image, level), image)
+    assert np.abs(fitted - image.mean((0, 1))).max() < 1e-6
+
+
+def test_grey_images_work(image):
+    grey = np.repeat(image[..., :1], 3, axis=-1)
+    assert np.abs(fit_colour(grey, grey**2) - grey**2).max() < 1e-6
+
+
+def test_the_result_is_clipped(image):
+    fitted = fit_colour(image, np.where(image > 0.5, 1.0, 0.0))
+    assert fitted.min() == 0.0 and fitted.max() == 1.0
+
+
+def test_the_fit_never_makes_an_image_worse(image):
+    photo = np.clip(image + np.random.default_rng(3).normal(0, 0.1, image.shape), 0, 1)
+    assert psnr(fit_colour(image, photo), photo) >= psnr(image, photo)

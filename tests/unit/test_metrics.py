@@ -1,0 +1,62 @@
+"""PSNR and SSIM recover what was put in."""
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.evaluate.metrics import psnr, ssim
+
+
+@pytest.fixture
+def photo():
+    return np.random.default_rng(0).uniform(0.2, 0.8, (96, 80, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("sigma", [0.003, 0.03])
+def test_known_noise_gives_known_psnr(photo, sigma):
+    noise = np.random.default_rng(1).normal(0, sigma, photo.shape)
+    assert psnr(photo + noise, photo) == pytest.approx(-20 * np.log10(sigma), abs=0.1)
+
+
+def test_a_constant_error_is_exact():
+    photo = np.full((16, 20, 3), 0.25)
+    assert psnr(photo + 0.1, photo) == pytest.approx(20.0, abs=1e-9)
+
+
+def test_one_wrong_channel_counts_a_third():
+    photo = np.full((16, 20, 3), 0.25)
+    image = photo + np.array([0.1, 0.0, 0.0])
+    assert psnr(image, photo) == pytest.approx(20.0 + 10 * np.log10(3), abs=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+def test_equal_and_black_images_do_not_fail(photo):
+    black = np.zeros_like(photo)
+    for image in (photo, black):
+        assert psnr(image, image) == np.inf
+        assert ssim(image, image) == pytest.approx(1.0, abs=1e-12)
+    assert np.isfinite(psnr(black, photo)) and np.isfinite(ssim(black, photo))
+
+
+def test_ssim_is_that_of_wang_et_al(photo):
+    """The map written out for one channel with an explicit 11x11 window."""
+    image = np.clip(photo + np.random.default_rng(2).normal(0, 0.05, photo.shape), 0, 1)
+    axis = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
+    window = np.outer(axis, axis) / axis.sum() ** 2
+
+    def mean(values):
+        return (np.lib.stride_tricks.sliding_window_view(values, (11, 11)) * window).sum((2, 3))
+
+    expected = []
+    for channel in range(3):
+        x, y = image[..., channel].astype(float), photo[..., channel].astype(float)
+        mx, my = mean(x), mean(y)
+        vx, vy, cov = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
+        top = (2 * mx * my + 0.01**2) * (2 * cov + 0.03**2)
+        expected.append((top / ((mx**2 + my**2 + 0.01**2) * (vx + vy + 0.03**2))).mean())
+    assert ssim(image, photo) == pytest.approx(np.mean(expected), abs=1e-9)
+
+
+def test_an_image_smaller_than_the_window_is_refused():
+    with pytest.raises(InputError, match="40x10 pixels.*11x11.*--downscale"):
+        ssim(np.zeros((10, 40, 3)), np.zeros((10, 40, 3)))

@@ -1,0 +1,224 @@
+"""The synthetic city: its truth is true, its model is one COLMAP reads, and it repeats."""
+
+import numpy as np
+import pycolmap
+import pytest
+from click.testing import CliRunner
+
+from clsplat.cli.synth import synth
+from clsplat.errors import InputError
+from clsplat.io.images import read_image
+from clsplat.synth import geometry, raycast
+from clsplat.synth.cameras import survey
+from clsplat.synth.geometry import City, distance
+from clsplat.synth.layout import city as lay_out
+from clsplat.synth.tracks import MARGIN, observe
+from clsplat.synth.write import synthesise
+
+TINY = {"blocks": (1, 1), "views": 6, "width": 48, "height": 36, "seed": 3}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("synth") / "scene"
+    synthesise(folder, **TINY)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def observed():
+    city = lay_out((1, 1), 0)
+    cameras = survey(city, 12, 320, 240)
+    return city, cameras, *observe(city, cameras)
+
+
+@pytest.fixture
+def solids():
+    """A box 4 x 2 x 5 and a unit sphere."""
+    return City(0, (1, 1), np.zeros((1, 1), bool), np.array([[[0, 0, 0], [4, 2, 5.0]]]),
+                np.array([0]), np.array([[-5, 0, 3, 1.0]]))
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes()
+            for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.mark.parametrize("point, expected", [
+    ((10, 10, 0), 0), ((10, 10, 0.7), 0.7), ((10, 10, -0.4), 0.4),  # the ground
+    ((4, 1, 3), 0), ((2, 1, 5), 0), ((4.5, 1, 3), 0.5), ((2, 1, 5.25), 0.25),  # faces
+    ((7, 6, 4), 4.0), ((7, 6, 9), np.sqrt(41)),  # the ground is nearer; a corner is nearer
+    ((5, 1, 6), np.sqrt(2)), ((2, 0.3, 2), 0.3), ((2, 1, 0.1), 1.0),  # edge; inside; not its floor
+    ((-5, 0, 3), 1.0), ((-5, 0, 4.5), 0.5), ((-5, 1, 3), 0),  # sphere
+])
+def test_distance_is_exact(solids, point, expected):
+    assert distance(solids, np.array([point], float))[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_samples_lie_on_surfaces_in_proportion_to_area(solids):
+    points = geometry.sample(solids, 20000, 0.0, np.random.default_rng(0))
+    on_box = (points[:, 2] > 0) & (points[:, 0] > -3)
+    on_sphere = points[:, 0] < -3
+    assert np.linalg.norm(points[on_sphere & (points[:, 2] > 0)] - (-5, 0, 3),
+                          axis=1) == pytest.approx(1)
+    assert distance(solids, points[on_box]).max() < 1e-12
+    ground, box, sphere = 4 * solids.extent.prod(), 2 * (4 + 2) * 5 + 4 * 2, 4 * np.pi
+    total = ground + box + sphere
+    assert on_box.mean() == pytest.approx(box / total, rel=0.1)
+    assert (points[:, 2] == 0).mean() == pytest.approx(ground / total, rel=0.02)
+
+
+def test_culling_drops_no_hit():
+    city = lay_out((1, 1), 1)
+    camera = survey(city, 6, 40, 30)[4]
+    pixels = np.random.default_rng(0).uniform(0, (40, 30), (2000, 2))
+    points, primitive = raycast.cast(city, camera, pixels)
+    directions = points - camera.position
+    everywhere = np.tile([[-np.inf, -np.inf], [np.inf, np.inf]], (len(city.bounds), 1, 1))
+    met, solid = raycast._nearest(city, np.broadcast_to(camera.position, directions.shape),
+                                  directions, pixels, everywhere)
+    solid[met > 1 + 1e-9] = 0
+    assert len(np.unique(primitive)) > 20
+    assert (solid == primitive).all()
+    assert distance(city, points).max() < 1e-9
+
+
+def test_the_box_casts_its_shadow_away_from_the_sun(solids):
+    to_sun = raycast.SUN / raycast.SUN[2]  # a step up by one
+    below, above = (np.array([2, 1, height]) - height * to_sun for height in (4, 9))
+    points = np.array([below, above, [4, 2, 0] - below])  # the last is on the sunny side
+    hidden = raycast.shadowed(solids, points, np.tile([0, 0, 1.0], (3, 1)))
+    assert hidden.tolist() == [True, False, False]
+
+
+def test_points_lie_on_the_surface_within_noise(observed):
+    city, cameras, points, *_ = observed
+    off = distance(city, points)
+    pixel = 30 / cameras[0].focal[0]  # world units, at the flying height
+    assert 0.05 * pixel < off.mean() < 0.5 * pixel
+    assert off.max() < 2.5 * pixel
+
+
+def test_tracks_reproject_within_noise_and_are_not_hidden(observed):
+    city, cameras, points, point, view, pixels = observed
+    assert (np.bincount(point, minlength=len(points)) >= 2).all()
+    for number, camera in enumerate(cameras):
+        rows = view == number
+        projected, _ = camera.project(points[point[rows]])
+        error = np.linalg.norm(projected - pixels[rows], axis=1)
+        assert 0.2 < error.mean() < 0.8 and error.max() < 3.5
+        # what the camera meets there is the point, but for those that noise moves past an edge
+        met, _ = raycast.cast(city, camera, projected)
+        assert (np.linalg.norm(met - points[point[rows]], axis=1) < 1).mean() > 0.93
+
+
+def test_density_is_lower_at_the_border(observed):
+    city, _, points, *_ = observed
+    reach = np.abs(points[:, :2] / (city.extent + MARGIN)).max(axis=1)
+    on_ground = points[:, 2] < 0.2
+    ring = (reach > 0.9) & on_ground
+    density = ring.sum() / (1 - 0.81)
+    street = (reach > 0.4) & (reach < 0.6) & on_ground
+    assert ring.sum() > 0
+    assert density < 0.4 * street.sum() / (0.36 - 0.16)
+
+
+def test_inner_surfaces_are_seen_from_several_views():
+    city = lay_out((2, 2), 0)
+    cameras = survey(city, 32, 320, 240)
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-1, 1, 21)), 2).reshape(-1, 2)
+    points = np.column_stack([grid * city.extent, np.zeros(len(grid))])
+    seen = 0
+    for camera in cameras:
+        pixel, depth = camera.project(points)
+        seen = seen + ((pixel > 0) & (pixel < (320, 240))).all(axis=1) * (depth > 0)
+    assert seen.min() >= 4
+
+
+def test_pycolmap_reads_the_model(scene):
+    model = pycolmap.Reconstruction(scene / "sparse" / "0")
+    cameras = survey(lay_out((1, 1), 3), 6, 48, 36, 3)
+    assert (model.num_cameras(), model.num_images()) == (1, 6)
+    camera = model.cameras[1]
+    assert camera.model.name == "PINHOLE" and (camera.width, camera.height) == (48, 36)
+    assert np.allclose(camera.params, [*cameras[0].focal, 24, 18])
+    stored = [point.error for point in model.points3D.values()]
+    model.update_point_3d_errors()  # recomputed by COLMAP from poses and observations
+    assert np.allclose(stored, [point.error for point in model.points3D.values()], atol=1e-6)
+    assert np.mean(stored) < 0.8
+    for number, ours in enumerate(cameras, 1):
+        image = model.images[number]
+        assert image.name == f"{number - 1:03d}.jpg"
+        assert np.allclose(image.cam_from_world().matrix(),
+                           np.column_stack([ours.rotation, ours.translation]), atol=1e-9)
+        pixels = read_image(scene / "images" / image.name)
+        assert pixels.shape == (36, 48, 3) and pixels.std() > 20
+
+
+def test_point_colours_come_from_the_images(scene):
+    model = pycolmap.Reconstruction(scene / "sparse" / "0")
+    images = {number: read_image(scene / "images" / image.name).astype(float)
+              for number, image in model.images.items()}
+    differences = []
+    for point in model.points3D.values():
+        element = point.track.elements[0]
+        x, y = model.images[element.image_id].points2D[element.point2D_idx].xy
+        differences.append(np.abs(images[element.image_id][int(y), int(x)] - point.color).mean())
+    assert np.median(differences) < 20
+
+
+def test_the_same_seed_gives_the_same_bytes(scene, tmp_path):
+    synthesise(tmp_path / "again", **TINY)
+    synthesise(tmp_path / "other", **{**TINY, "seed": 4})
+    again, other = contents(tmp_path / "again"), contents(tmp_path / "other")
+    assert len(again) == 6 + 3 + 1
+    assert contents(scene) == again
+    assert again.keys() == other.keys() and all(again[k] != other[k] for k in again
+                                                if k.name != "cameras.bin")
+
+
+def test_geometry_survives_its_file(scene):
+    stored, made = geometry.load(scene / "geometry.json"), lay_out((1, 1), 3)
+    for name in ("parks", "boxes", "kinds", "spheres"):
+        assert np.array_equal(getattr(stored, name), getattr(made, name))
+    assert (stored.seed, stored.blocks) == (3, (1, 1))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"seed": 0, "blocks": 3}'])
+def test_a_damaged_geometry_file_is_one_line(tmp_path, text):
+    path = tmp_path / "geometry.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match="geometry.json") as caught:
+        geometry.load(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("change", [
+    {"blocks": (0, 1)}, {"views": 2}, {"width": 0}, {"height": -5}, {"seed": -1}])
+def test_bad_numbers_are_refused_before_anything_is_written(tmp_path, change):
+    with pytest.raises(InputError):
+        synthesise(tmp_path / "scene", **{**TINY, **change})
+    assert not (tmp_path / "scene").exists()
+
+
+def test_folders_with_other_things_are_never_touched(tmp_path):
+    (tmp_path / "images").mkdir()
+    photo = tmp_path / "images" / "mine.jpg"
+    photo.write_bytes(b"mine")
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="name another"):
+            synthesise(tmp_path, **TINY, overwrite=overwrite)
+    assert photo.read_bytes() == b"mine"
+
+
+def test_the_command_overwrites_only_when_told(tmp_path):
+    folder = tmp_path / "scene"
+    arguments = ["-o", str(folder), "--blocks", "1x1", "--size", "16x16", "--views", "3"]
+    first = CliRunner().invoke(synth, arguments)
+    assert first.exit_code == 0 and "3 views of 16 x 16" in first.output
+    (folder / "images" / "999.jpg").write_bytes(b"stale")
+    assert isinstance(CliRunner().invoke(synth, arguments).exception, InputError)
+    assert CliRunner().invoke(synth, [*arguments, "--overwrite"]).exit_code == 0
+    assert not (folder / "images" / "999.jpg").exists()
+    bad = CliRunner().invoke(synth, [*arguments, "--size", "big"])
+    assert isinstance(bad.exception, InputError)
