@@ -21,3 +21,13 @@ __kernel void compact(uint count, __global const uint *restrict flags,
     kept_keys[offsets[i]] = keys[i];
     kept[offsets[i]] = i;
 }
+
+// The inverse: rows[indices[i], :] = values[i, :]; indices must be distinct.
+__kernel void scatter(uint count, uint width, __global const uint *restrict indices,
+                      __global const real *restrict values, __global real *restrict rows)
+{
+    const ulong i = get_global_id(0);
+    if (i >= (ulong)count * width)
+        return;
+    rows[(ulong)indices[i / width] * width + i % width] = values[i];
+}

@@ -14,9 +14,9 @@ void sum_columns(uint count, uint width, __global const real *restrict rows,
         sum += rows[i * width + column];
     scratch[lane] = sum;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint half = GROUP / 2; half > 0; half >>= 1) {
-        if (lane < half)
-            scratch[lane] += scratch[lane + half];
+    for (uint stride = GROUP / 2; stride > 0; stride >>= 1) {
+        if (lane < stride)
+            scratch[lane] += scratch[lane + stride];
         barrier(CLK_LOCAL_MEM_FENCE);
     }
     if (lane == 0)

@@ -37,6 +37,12 @@ class Camera:
             focal=(self.focal[0] * sx, self.focal[1] * sy),
             centre=(self.centre[0] * sx, self.centre[1] * sy))
 
+    def reduced(self, downscale, max_resolution=0):
+        """The same camera for an image `downscale` times smaller, sides rounded down, whose longer
+        side is at most `max_resolution` pixels (0: any)."""
+        factor = max(downscale, max(self.width, self.height) / (max_resolution or np.inf))
+        return self.resized(max(1, int(self.width / factor)), max(1, int(self.height / factor)))
+
     def shifted(self, offset):
         """The same camera in a world whose origin was moved to `offset` (float64[3], world)."""
         return replace(self, translation=self.translation + self.rotation @ np.asarray(offset))

@@ -7,6 +7,8 @@ import numpy as np
 
 from clsplat.camera import Camera, scene_extent
 
+NEAR_SHARE = 1 / 500  # of the extent: holds for scenes in any unit
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -25,7 +27,8 @@ class Scene:
     """Views sorted by name, and sparse points.
 
     points: float64[N, 3]; colours: uint8[N, 3]; offset: float64[3], what was subtracted from the
-    original world coordinates (`original = local + offset`); kept so that exports restore it.
+    original world coordinates (`original = local + offset`); kept so that exports restore it;
+    path: where it was read from.
     """
 
     name: str
@@ -33,6 +36,7 @@ class Scene:
     points: np.ndarray
     colours: np.ndarray
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    path: Path = Path()
 
     @property
     def extent(self):
@@ -42,6 +46,11 @@ class Scene:
             return extent
         return 1.1 * float(np.linalg.norm(self.points - self.points.mean(0), axis=1).max())
 
+    @property
+    def near_plane(self):
+        """World units: what is closer to a camera is not drawn."""
+        return self.extent * NEAR_SHARE
+
     def split(self, test_every):
         """(train, test) tuples of views: every `test_every`-th view by name, from the first, is
         held out; 0 holds out none."""
@@ -49,6 +58,11 @@ class Scene:
             return self.views, ()
         test = self.views[::test_every]
         return tuple(v for i, v in enumerate(self.views) if i % test_every), test
+
+    def reduced(self, downscale, max_resolution=0):
+        """The scene with smaller images; see `Camera.reduced`."""
+        return replace(self, views=tuple(
+            replace(v, camera=v.camera.reduced(downscale, max_resolution)) for v in self.views))
 
     def recentred(self):
         """The scene with its origin at the median point, so that float32 keeps its digits."""

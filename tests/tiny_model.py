@@ -23,6 +23,8 @@ def reconstruction(model="PINHOLE", parameters=(*FOCAL, *CENTRE)):
     made = pycolmap.synthesize_dataset(options)
     for number, image in enumerate(made.images.values()):
         image.name = f"photo_{(number * 3) % 4}.png"
+    for number, point in made.points3D.items():
+        point.color = np.array([number, 2 * number, 255 - number], np.uint8)
     return made
 
 

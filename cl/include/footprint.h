@@ -4,6 +4,8 @@
 typedef real16 vreal;
 typedef mask16 vmask;
 #define TO_MASK convert_mask16
+#define TO_INTS convert_int16
+#define AS_VREAL as_float16
 #else
 typedef real vreal;
 #if REAL_IS_DOUBLE
@@ -12,16 +14,21 @@ typedef long vmask;
 typedef int vmask;
 #endif
 #define TO_MASK (vmask)
+#define TO_INTS (int)
+#define AS_VREAL as_float
 #endif
 
-// exp for powers that matter (-6 to 0): rounding the exponent out leaves 2^f with |f| <= 1/2, where
-// the degree-6 polynomial (our least-squares fit of 2^f, relative error 3e-9) is exact to rounding.
+// exp for the powers that matter, -6 to 0: rounding the exponent out leaves 2^f with |f| <= 1/2,
+// where a degree-6 polynomial (our least-squares fit of 2^f, relative error 3e-9) is exact to
+// rounding. A device whose native_exp was seen accurate uses that instead.
 inline vreal exp_power(vreal x)
 {
 #if REAL_IS_DOUBLE
     return exp(x);
-#elif FORM_ITEM
-    const vreal t = max(x, (vreal)-100) * 1.4426950408889634;
+#elif HAVE_NATIVE_EXP && !FORM_ITEM
+    return native_exp(x);
+#else
+    const vreal t = max(x, (vreal)-87) * (vreal)1.4426950408889634;
     const vreal n = rint(t);
     const vreal f = t - n;
     vreal p = 0.00015343758673529777;
@@ -31,9 +38,7 @@ inline vreal exp_power(vreal x)
     p = mad(p, f, (vreal)0.24022645717156282);
     p = mad(p, f, (vreal)0.6931472143763362);
     p = mad(p, f, (vreal)1.0000000008587457);
-    return p * as_float16((convert_int16(n) + 127) << 23);
-#else
-    return native_exp(x); // GPUs: a rounding or two above exp, a fifth of its time
+    return p * AS_VREAL((TO_INTS(n) + 127) << 23);
 #endif
 }
 

@@ -11,9 +11,9 @@ inline real group_sum(real value, __local real *scratch)
     const uint lane = get_local_id(0);
     scratch[lane] = value;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint half = GROUP / 2; half > 0; half >>= 1) {
-        if (lane < half)
-            scratch[lane] += scratch[lane + half];
+    for (uint stride = GROUP / 2; stride > 0; stride >>= 1) {
+        if (lane < stride)
+            scratch[lane] += scratch[lane + stride];
         barrier(CLK_LOCAL_MEM_FENCE);
     }
     const real total = scratch[0];

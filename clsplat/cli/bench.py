@@ -2,7 +2,6 @@
 
 import importlib
 import importlib.util
-import pkgutil
 import sys
 from pathlib import Path
 
@@ -23,8 +22,8 @@ def bench(family, as_json, device, arguments):
     Further ARGUMENTS go to the benchmark.
     """
     package = bench_package()
-    families = sorted(module.name for module in pkgutil.iter_modules(package.__path__)
-                      if not module.name.startswith("_"))
+    families = sorted(path.stem for folder in package.__path__ for path in Path(folder).glob("*.py")
+                      if not path.stem.startswith("_") and "\ndef main(" in path.read_text())
     if family is None:
         click.echo("\n".join(families))
         return

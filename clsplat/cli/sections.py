@@ -39,9 +39,6 @@ class SectionedGroup(click.Group):
         for command in commands:
             self.add_command(command)
 
-    def list_commands(self, ctx):
-        return [name for names in self.sections.values() for name in names]
-
     def format_commands(self, ctx, formatter):
         width = formatter.width - 6 - max(map(len, self.commands))
         for heading, names in self.sections.items():

@@ -20,6 +20,10 @@ _DOUBLE = """
 __kernel void probe(__global float *x) {
     x[get_local_id(0)] = (float)((double)get_local_id(0) + 1e-12 > (double)get_local_id(0));
 }"""
+_NATIVE_EXP = """
+__kernel void probe(__global float *x) {
+    x[get_local_id(0)] = native_exp(-0.18f * (float)get_local_id(0));
+}"""
 _PLAIN = "__kernel void probe(__global float *x) { x[get_local_id(0)] = exp(1.0f) + get_local_id(0); }"
 
 
@@ -33,7 +37,7 @@ def _run(context, handle, source, expected):
         program = cl.Program(context, source).build()
     cl.Kernel(program, "probe")(queue, (32,), (32,), buffer)
     cl.enqueue_copy(queue, result, buffer)
-    return bool(np.allclose(result, expected, rtol=1e-5))
+    return bool(np.allclose(result, expected, rtol=2e-6))
 
 
 def probe_working(handle):
@@ -55,6 +59,7 @@ def probe_capabilities(context, handle):
     """{define: bool} of optional features, each seen running."""
     lane = np.arange(32, dtype=np.float32)
     tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
+             "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp(-0.18 * lane)),
              "HAVE_PTX_SHUFFLE": (_SHUFFLE, np.maximum(lane - 1, 0))}
     found = {}
     for name, (source, expected) in tests.items():

@@ -34,7 +34,7 @@ def checked_scene(path, name, model, sources, offset=None):
              for i, n in enumerate(names))
     return Scene(name, tuple(sorted(views, key=lambda view: view.name)),
                  np.array(model["points"], np.float64), np.array(model["colours"], np.uint8),
-                 np.zeros(3) if offset is None else np.array(offset, np.float64))
+                 np.zeros(3) if offset is None else np.array(offset, np.float64), Path(path))
 
 
 def _check_names(path, names):

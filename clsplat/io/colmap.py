@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def read_colmap(folder):
     sources = [folder / "images" / name for name in arrays["names"]]
     scene = checked_scene(model, folder.resolve().name, arrays, sources)
     check_photos(scene.views)
-    return scene.recentred()
+    return replace(scene, path=folder).recentred()
 
 
 def _undistort(folder, model, names):

@@ -58,7 +58,7 @@ def _check_binary(path, part, walk):
             raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
         try:
             end = walk(data, count)
-        except (struct.error, IndexError):
+        except (struct.error, IndexError, OverflowError):
             end = size + 1
     if end > size:
         raise InputError(f"{path}: cut short ({size} bytes are too few for its {count} {part}); "
@@ -93,10 +93,16 @@ def _walk_points(data, count):
 
 
 def _check_text(path, part):
+    filled = made_by_colmap = False
+    line = b""
     with open(path, "rb") as file:
         for line in file:
             if b"\0" in line:
                 raise InputError(f"{path}: not a text file; copy the model again")
-            if line.strip() and not line.lstrip().startswith(b"#"):
-                return
-    raise InputError(f"{path}: holds no {part}; copy the model again, or reconstruct the scene")
+            made_by_colmap |= line.startswith(b"# Number of")
+            filled |= bool(line.strip()) and not line.lstrip().startswith(b"#")
+    if not filled:
+        raise InputError(f"{path}: holds no {part}; copy the model again, or reconstruct the scene")
+    if made_by_colmap and not line.endswith(b"\n"):
+        raise InputError(f"{path}: cut short: its last line has no end; copy the model again, "
+                         "or end that line if you know it is whole")

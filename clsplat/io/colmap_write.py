@@ -1,12 +1,13 @@
 """Sparse models out, in COLMAP's classic binary format (cameras, images, points3D)."""
 
-import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from clsplat.io.atomic import replacing
 
 PINHOLE = 1  # COLMAP's number of the camera model with parameters fx, fy, cx, cy
 
@@ -37,9 +38,11 @@ def write_colmap(folder, views, points, colours, tracks):
     for view in views:
         camera_ids.setdefault(_intrinsics(view.camera), len(camera_ids) + 1)
     by_view = [np.flatnonzero(tracks.views == i) for i in range(len(views))]
-    _replace(folder / "cameras.bin", _cameras(camera_ids))
-    _replace(folder / "images.bin", _images(views, camera_ids, tracks, by_view))
-    _replace(folder / "points3D.bin", _points(views, points, colours, tracks, by_view))
+    for name, chunks in (("cameras", _cameras(camera_ids)),
+                         ("images", _images(views, camera_ids, tracks, by_view)),
+                         ("points3D", _points(views, points, colours, tracks, by_view))):
+        with replacing(folder / f"{name}.bin") as file:
+            file.writelines(chunks)
 
 
 def _intrinsics(camera):
@@ -82,11 +85,3 @@ def _points(views, points, colours, tracks, by_view):
                           *map(int, colours[number - 1]), mean, end - begin)
         yield seen[begin:end].tobytes()
         begin = end
-
-
-def _replace(path, chunks):
-    """Write beside and rename, so that a killed process leaves the old file or the new one."""
-    beside = path.with_name(path.name + ".part")
-    with open(beside, "wb") as file:
-        file.writelines(chunks)
-    os.replace(beside, path)

@@ -91,8 +91,8 @@ def _read_arrays(path):
             arrays = {key: file[key] for key in (*LAYOUT, "offset") if key in file.files}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError,
-            NotImplementedError) as error:
+    except (OSError, ValueError, EOFError, AttributeError, TypeError, NotImplementedError,
+            zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: not a packed scene, or damaged ({_one_line(error)}); "
                          "pack or copy it again") from None
     for key, (kinds, shape) in LAYOUT.items():

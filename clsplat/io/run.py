@@ -45,7 +45,7 @@ class RunFolder:
             held = [name for name in FILES if (run.path / name).exists()]
             if held and not overwrite:
                 raise InputError(f"{run.path}: already holds a run ({held[0]}); continue it with "
-                                 "--resume, replace it with --overwrite, or choose another --output")
+                                 "--resume, replace it with --overwrite, or choose another folder")
             run._remove_files()
             probe = run.path / (OPTIONS + PARTIAL)
             probe.touch()

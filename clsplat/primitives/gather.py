@@ -7,6 +7,8 @@ from clsplat.primitives.scan import exclusive_scan
 
 GATHER = Kernel("gather.cl", "gather", count="uint", width="uint", indices=("uint", "N"),
                 rows=("real", "M", "W"), result=("real", "N", "W"))
+SCATTER = Kernel("gather.cl", "scatter", count="uint", width="uint", indices=("uint", "N"),
+                 values=("real", "N", "W"), rows=("real", "M", "W"))
 COMPACT = Kernel("gather.cl", "compact", count="uint", flags=("uint", "N"), offsets=("uint", "N"),
                  keys=("uint", "N"), kept_keys=("uint", "N"), kept=("uint", "N"))
 
@@ -19,12 +21,24 @@ def gather(device, rows, indices, result=None):
     count = len(indices)
     if result is None:
         result = device.empty((count, *rows.shape[1:]))
-    width = int(np.prod(rows.shape[1:], dtype=np.int64))
+    width = _width(rows)
     if width:
         device.launch(GATHER, count * width, count=count, width=width, indices=indices,
                       rows=rows.reshaped(len(rows), width),
                       result=result.narrow(count).reshaped(count, width))
     return result
+
+
+def scatter(device, values, indices, rows):
+    """rows[indices[i]] = values[i], in place, for distinct indices uint[N]."""
+    count, width = len(indices), _width(rows)
+    if width:
+        device.launch(SCATTER, count * width, count=count, width=width, indices=indices,
+                      values=values.reshaped(count, width), rows=rows.reshaped(len(rows), width))
+
+
+def _width(rows):
+    return int(np.prod(rows.shape[1:], dtype=np.int64))
 
 
 def compact(device, flags, keys):

@@ -24,7 +24,7 @@ def survey(city, views, width, height, seed=0):
     cameras = []
     for place in _grid(nadir, city.extent * 0.8):
         tilt = rng.normal(0, 0.03, 2)
-        cameras.append(_camera(
+        cameras.append(looking(
             np.array([*place, altitude * rng.uniform(0.97, 1.03)]), np.array([*tilt, -1.0]),
             np.array([0, 1.0, 0]), width, height))
     turn = rng.uniform(0, 2 * np.pi)
@@ -39,7 +39,7 @@ def survey(city, views, width, height, seed=0):
                             -np.sin(pitch)])
         low = 0.85 * altitude
         target = np.array([*place, 0.0])
-        cameras.append(_camera(target + forward * (low / forward[2]), forward,
+        cameras.append(looking(target + forward * (low / forward[2]), forward,
                                np.array([0, 0, 1.0]), width, height))
     return cameras
 
@@ -55,7 +55,8 @@ def _grid(count, reach):
     return np.array(places).reshape(-1, 2)
 
 
-def _camera(position, forward, up, width, height):
+def looking(position, forward, up, width, height):
+    """The survey's camera at `position`, looking along `forward` with `up` upwards, all world."""
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)

@@ -13,6 +13,7 @@ SUN = np.array([0.45, -0.38, 0.81])  # towards the sun
 SUN /= np.linalg.norm(SUN)
 SUNLIGHT = np.array([0.78, 0.75, 0.68])
 SKYLIGHT = np.array([0.42, 0.45, 0.50])
+NEAR = 1e-3  # depth from which a camera sees, world units
 FAR = np.inf
 
 
@@ -23,17 +24,23 @@ def _corners(bounds):
 
 
 def _rectangles(city, camera):
-    """float64[P, 2, 2]: low and high pixel of every solid; unbounded for those beside the camera."""
-    corners = _corners(city.bounds)
-    pixel, depth = camera.project(corners.reshape(-1, 3))
-    pixel, depth = pixel.reshape(-1, 8, 2), depth.reshape(-1, 8)
-    rectangles = np.stack([pixel.min(axis=1), pixel.max(axis=1)], axis=1)
-    rectangles[depth.min(axis=1) < 1e-3] = [[-FAR, -FAR], [FAR, FAR]]
+    """float64[P, 2, 2]: low and high pixel of every solid; empty for those behind the camera."""
+    corners = _corners(city.bounds) @ camera.rotation.T + camera.translation
+    rectangles = np.full((len(corners), 2, 2), FAR)
+    for solid, corner in enumerate(corners):
+        front, back = corner[corner[:, 2] > NEAR], corner[corner[:, 2] <= NEAR]
+        if len(front) and len(back):  # cut at the near plane, along all lines between corners
+            line = front[:, None] - back
+            share = (NEAR - back[:, 2]) / line[:, :, 2]
+            front = np.concatenate([front, (back + share[:, :, None] * line).reshape(-1, 3)])
+        if len(front):
+            pixel = front[:, :2] / front[:, 2:] * camera.focal + camera.centre
+            rectangles[solid] = pixel.min(axis=0), pixel.max(axis=0)
     return rectangles
 
 
 def _meet_box(box, origin, direction):
-    """Ray parameter float64[N] where rays [N, 3] enter a box; FAR where they miss or start in it."""
+    """Where rays [N, 3] enter a box, float64[N] ray parameter; FAR if they miss or start in it."""
     inverse = 1 / np.where(direction == 0, 1e-12, direction)
     first, second = (box[0] - origin) * inverse, (box[1] - origin) * inverse
     enter = np.minimum(first, second).max(axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
+from clsplat.io import colmap
 from clsplat.io.colmap import read_colmap
 from clsplat.io.images import write_image
 from clsplat.io.scenes import fingerprint, read_scene
@@ -72,7 +73,8 @@ def test_fingerprint_tells_scenes_apart(tmp_path):
 def test_distorted_is_refused_with_a_command(tmp_path):
     made = reconstruction("SIMPLE_RADIAL", (50.0, *CENTRE, 0.05))
     refused(write_scene(tmp_path / "town", made), "SIMPLE_RADIAL", "colmap image_undistorter",
-            f"--image_path '{tmp_path}/town/images'", f"--output_path '{tmp_path}/town_undistorted'")
+            f"--image_path '{tmp_path}/town/images'",
+            f"--output_path '{tmp_path}/town_undistorted'")
 
 
 @needs_data
@@ -118,12 +120,13 @@ def test_a_missing_or_empty_file_is_blamed(tmp_path, part):
         refused(folder, path.name, "missing")
 
 
-def test_a_text_model_cut_short_is_refused(tmp_path):
-    for part in ("images", "points3D"):
-        folder = write_scene(tmp_path / part, text=True)
-        path = folder / "sparse" / "0" / f"{part}.txt"
-        path.write_bytes(path.read_bytes()[:-60])
-        refused(folder, "pycolmap cannot read", "copy it again")
+@pytest.mark.parametrize("part", ["images", "points3D"])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 1])
+def test_a_text_file_cut_short_is_blamed(tmp_path, part, share):
+    path = write_scene(tmp_path, text=True) / "sparse" / "0" / f"{part}.txt"
+    data = path.read_bytes()
+    path.write_bytes(data[:min(int(share * len(data)), len(data) - 1)])
+    refused(tmp_path, f"{part}.txt", "cut short")
 
 
 def test_a_crash_of_pycolmap_is_one_line(tmp_path):
@@ -133,6 +136,22 @@ def test_a_crash_of_pycolmap_is_one_line(tmp_path):
     struct.pack_into("<Q", data, end + 1 + 8 + 16, 999_999)  # a point that does not exist
     path.write_bytes(data)
     refused(tmp_path, str(path.parent), "pycolmap cannot read")
+
+
+@pytest.mark.parametrize("script, word", [
+    ("kill -ABRT $$", "SIGABRT"),
+    ("kill -SEGV $$", "SIGSEGV"),
+    ("echo noise >&2; echo 'F1 a.cc:7] Check failed: 1 == 2' >&2; kill -ABRT $$", "1 == 2"),
+    ("echo \"ModuleNotFoundError: No module named 'pycolmap'\" >&2; exit 1", "install it"),
+    ("exec sleep 60", "did not finish"),
+])
+def test_a_child_that_dies_or_hangs_is_one_line(tmp_path, monkeypatch, script, word):
+    child = tmp_path / "python"
+    child.write_text(f"#!/bin/sh\n{script}\n")
+    child.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(child))
+    monkeypatch.setattr(colmap, "SECONDS", 0.5)
+    refused(write_scene(tmp_path / "town"), str(tmp_path / "town" / "sparse" / "0"), word)
 
 
 def test_points_that_cannot_be_trained_on(tmp_path):
@@ -164,7 +183,7 @@ def test_no_registered_image(tmp_path):
     made = reconstruction()
     for frame in list(made.reg_frame_ids()):
         made.deregister_frame(frame)
-    refused(write_scene(tmp_path, made), "sparse/0")
+    refused(write_scene(tmp_path, made), "images.bin", "holds no images")
 
 
 def test_photos(tmp_path):

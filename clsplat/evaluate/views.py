@@ -1,0 +1,120 @@
+"""Renders of a model beside the photos of a scene, and what they score."""
+
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.evaluate.colour import fit_colour
+from clsplat.evaluate.metrics import psnr, ssim
+from clsplat.io.images import read_image, write_image
+from clsplat.io.ply import read_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.options import TrainOptions, resolve
+from clsplat.render.pipeline import Renderer
+
+SCORES = ("psnr", "ssim", "psnr_cc", "ssim_cc")
+
+
+def render_view(renderer, rows, degree, camera):
+    """float32[H, W, 3] in 0..1: what a Camera sees."""
+    frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree)
+    return np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
+
+
+def evaluate_views(renderer, rows, degree, views, keep=None):
+    """Scores of renders from the views' cameras against their photos, resampled to that size.
+
+    Returns {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", "per_view"}: means over views, dB and
+    0..1; `_cc` after the quadratic colour fit of each render to its photo. keep: called with
+    (view, image, fitted image, photo), each float[H, W, 3], for every view.
+    """
+    per_view = []
+    for view in views:
+        image = render_view(renderer, rows, degree, view.camera)
+        photo = photo_of(view)
+        fitted = fit_colour(image, photo)
+        scores = (psnr(image, photo), ssim(image, photo), psnr(fitted, photo), ssim(fitted, photo))
+        per_view.append({"name": view.name, **dict(zip(SCORES, scores))})
+        if keep:
+            keep(view, image, fitted, photo)
+    means = {score: float(np.mean([v[score] for v in per_view])) for score in SCORES}
+    return {"views": len(per_view), **means, "per_view": per_view}
+
+
+def photo_of(view):
+    """float32[H, W, 3] in 0..1: the view's photo at its camera's size."""
+    return read_image(view.source, (view.camera.width, view.camera.height)) / np.float32(255)
+
+
+def run_options(run):
+    """The TrainOptions that a run was trained with."""
+    record = run.read_options()
+    known = TrainOptions.__dataclass_fields__
+    return resolve({k: tuple(v) if isinstance(v, list) else v
+                    for k, v in record.items() if k in known}, {})
+
+
+def evaluate_run(run, device, save_images):
+    """`evaluate_views` of a run's finished model on its held-out views; `save_images` writes
+    render, colour-fitted render and photo side by side as PNG into the run."""
+    options = run_options(run)
+    scene = read_scene(run.read_options()["scene"])
+    scene = scene.reduced(options.downscale, options.max_resolution)
+    _, views = scene.split(options.test_every)
+    if not views:
+        raise InputError(f"{run.path}: no held-out views (--test-every {options.test_every}); "
+                         "nothing to compare with")
+    renderer, rows, degree = _opened(device, run.load_model(), scene, options)
+
+    def keep(view, image, fitted, photo):
+        beside = np.concatenate([image, fitted, photo], axis=1)
+        write_image(run.render_path("test", view.name), beside)
+
+    return evaluate_views(renderer, rows, degree, views, keep if save_images else None)
+
+
+def render_views(model, scene_path, folder, device, views="all", beside=False):
+    """Render a run or a PLY file from a scene's cameras to PNG files; returns how many.
+
+    scene_path: None takes the run's own scene. views: "all", "test" or "train"; beside: put the
+    photo at the render's right.
+    """
+    model, folder = Path(model), Path(folder)
+    if model.is_dir():
+        run = RunFolder.open(model)
+        options = run_options(run)
+        scene = read_scene(scene_path or run.read_options()["scene"])
+        gaussians = run.load_model()
+    else:
+        if scene_path is None:
+            raise InputError(f"{model}: a PLY file has no cameras; name them with --scene SCENE")
+        options, scene = TrainOptions(), read_scene(scene_path)
+        gaussians = read_ply(model, scene.offset)
+    scene = scene.reduced(options.downscale, options.max_resolution)
+    train, test = scene.split(options.test_every)
+    chosen = {"all": scene.views, "train": train, "test": test}[views]
+    if not chosen:
+        raise InputError(f"{scene.name}: no {views} views; choose others with --views")
+    renderer, rows, degree = _opened(device, gaussians, scene, options)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+    for view in chosen:
+        image = render_view(renderer, rows, degree, view.camera)
+        if beside:
+            image = np.concatenate([image, photo_of(view)], axis=1)
+        path = folder / f"{view.name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_image(path, image)
+    return len(chosen)
+
+
+def _opened(device, gaussians, scene, options):
+    """(Renderer, device rows, degree) for a finished model."""
+    renderer = Renderer(device, gaussians.sh_degree, options.near or scene.near_plane,
+                        options.antialiased, options.background)
+    rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+    return renderer, rows, gaussians.sh_degree

@@ -1,0 +1,1 @@
+"""What training minimises. A loss returns its value and its gradient by the image together."""

@@ -1,0 +1,1 @@
+"""Adam with moments aligned to the gaussians' fields, and learning-rate curves."""

@@ -1,0 +1,158 @@
+"""Adam on the rows of the gaussians: one definition, two engines (cl/adam.cl).
+
+`DeviceAdam` is one fused kernel a field. `NumpyAdam` is the readable reference and keeps the moments
+in host memory, for models whose moments do not fit the device. Both update, by default, only the
+rows that the view saw ("sparse"); "dense" decays and moves every row at every step, as Adam does.
+"""
+
+import numpy as np
+
+from clsplat.device import Kernel
+from clsplat.gaussians import FIELDS
+from clsplat.primitives.gather import gather, scatter
+
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # adam.cl has the same
+NO_ROW = 2**32 - 1
+
+_ARGUMENTS = dict(count="uint", stride="uint", used="uint", rate="real", root_correction="real")
+_MOMENTS = dict(gradient=("real", "V", "W"), parameter=("real", "N", "W"), m=("real", "N", "W"),
+                v=("real", "N", "W"))
+ROWS = Kernel("adam.cl", "adam_rows", **_ARGUMENTS, rows=("uint", "V"), **_MOMENTS)
+ALL = Kernel("adam.cl", "adam_all", **_ARGUMENTS, places=("uint", "N"), **_MOMENTS)
+INVERT = Kernel("adam.cl", "invert_rows", count="uint", rows=("uint", "V"), places=("uint", "N"))
+
+
+def corrections(step):
+    """(1 - beta1^t, sqrt(1 - beta2^t)) of step t, from 1."""
+    return 1 - BETA1**step, float(np.sqrt(1 - BETA2**step))
+
+
+def _flat(array):
+    return array.reshaped(len(array), int(np.prod(array.shape[1:], dtype=np.int64)))
+
+
+class DeviceAdam:
+    """Moments on the device. `m`, `v`: field name -> Array shaped as the parameter."""
+
+    def __init__(self, device, rows, dense=False):
+        self.device, self.dense = device, dense
+        self.m = {name: device.zeros(array.shape) for name, array in rows.items()}
+        self.v = {name: device.zeros(array.shape) for name, array in rows.items()}
+
+    def step(self, rows, gradients, step, rates, used):
+        """Update parameters `rows` (field -> real[N, ...]) in place.
+
+        gradients: `render.pipeline.Gradients`; step: from 1; rates: field -> learning rate; used:
+        field -> leading floats of a row that may change (0 leaves a field alone).
+        """
+        device, seen, count = self.device, gradients.rows, len(rows["positions"])
+        correction, root_correction = corrections(step)
+        if self.dense:
+            places = device.empty(count, np.uint32)
+            places.fill(NO_ROW)
+            device.launch(INVERT, len(seen), count=len(seen), rows=seen, places=places)
+        for name, parameter in rows.items():
+            if not used[name]:
+                continue
+            gradient = _flat(gradients.fields[name])
+            values = dict(
+                stride=gradient.shape[1], used=used[name], rate=rates[name] / correction,
+                root_correction=root_correction, gradient=gradient, parameter=_flat(parameter),
+                m=_flat(self.m[name].narrow(count)), v=_flat(self.v[name].narrow(count)))
+            if self.dense:
+                device.launch(ALL, count * used[name], count=count, places=places, **values)
+            else:
+                device.launch(ROWS, len(seen) * used[name], count=len(seen), rows=seen, **values)
+
+    def regrow(self, source, kept, capacity):
+        """Follow the rows: the first `kept` of `source` uint[M] are old rows, the rest start new."""
+        for moments in (self.m, self.v):
+            for name, old in moments.items():
+                new = self.device.zeros((capacity, *old.shape[1:]))
+                moments[name] = gather(self.device, old, source.narrow(kept), new)
+
+    def reset(self, name):
+        """Forget the moments of one field."""
+        self.m[name].fill(0)
+        self.v[name].fill(0)
+
+    def download(self, count):
+        """(m, v) as host arrays by field, the first `count` rows."""
+        return tuple({name: array.narrow(count).download() for name, array in moments.items()}
+                     for moments in (self.m, self.v))
+
+    def upload(self, m, v):
+        """Take moments over from host arrays by field."""
+        for own, given in ((self.m, m), (self.v, v)):
+            for name, values in given.items():
+                own[name].write(values)
+
+
+class NumpyAdam:
+    """Moments in host memory; only gradients and changed parameters cross to the device."""
+
+    def __init__(self, device, rows, dense=False):
+        self.device, self.dense = device, dense
+        self.m = {name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
+        self.v = {name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
+
+    def step(self, rows, gradients, step, rates, used):
+        """As `DeviceAdam.step`."""
+        count = len(rows["positions"])
+        seen = gradients.rows.download()
+        usable = seen != NO_ROW
+        touched = np.arange(count, dtype=np.uint32) if self.dense else seen[usable]
+        touched_device = self.device.upload(touched)
+        for field in FIELDS:
+            name, columns = field.name, slice(0, used[field.name])
+            if not used[name] or not len(touched):
+                continue
+            parameter = gather(self.device, rows[name], touched_device)
+            values, gradient = parameter.download(), gradients.fields[name].download()
+            if self.dense:
+                spread = np.zeros_like(values)
+                spread[seen[usable]] = gradient[usable]
+                gradient = spread
+            else:
+                gradient = gradient[usable]
+            flat = values.reshape(len(values), -1)
+            m, v = (moments[name].reshape(len(moments[name]), -1) for moments in (self.m, self.v))
+            flat[:, columns], m[touched, columns], v[touched, columns] = adam_update(
+                flat[:, columns], gradient.reshape(len(values), -1)[:, columns],
+                m[touched, columns], v[touched, columns], step, rates[name])
+            parameter.write(values)
+            scatter(self.device, parameter, touched_device, rows[name])
+
+    def regrow(self, source, kept, capacity):
+        """As `DeviceAdam.regrow`."""
+        kept_rows = source.narrow(kept).download()
+        for moments in (self.m, self.v):
+            for name, old in moments.items():
+                moments[name] = np.zeros((capacity, *old.shape[1:]), old.dtype)
+                moments[name][:kept] = old[kept_rows]
+
+    def reset(self, name):
+        """Forget the moments of one field."""
+        self.m[name][:] = 0
+        self.v[name][:] = 0
+
+    def download(self, count):
+        """As `DeviceAdam.download`."""
+        return tuple({name: array[:count].copy() for name, array in moments.items()}
+                     for moments in (self.m, self.v))
+
+    def upload(self, m, v):
+        """As `DeviceAdam.upload`."""
+        for own, given in ((self.m, m), (self.v, v)):
+            for name, values in given.items():
+                own[name][:len(values)] = values
+
+
+def adam_update(parameter, gradient, m, v, step, rate):
+    """(parameter, m, v) after one step of Adam (Kingma & Ba 2015), arrays of one shape."""
+    correction, root_correction = corrections(step)
+    one = parameter.dtype.type
+    m = m + one(1 - BETA1) * (gradient - m)
+    v = v + one(1 - BETA2) * (gradient * gradient - v)
+    moved = one(rate / correction) * m / (np.sqrt(v) / one(root_correction) + one(EPSILON))
+    return parameter - moved, m, v

@@ -1,0 +1,22 @@
+"""The schedule of 3DGS (Kerbl et al. 2023): nothing but the step number decides."""
+
+from clsplat.schedule.plan import Plan
+
+
+class Constant:
+    """options: TrainOptions with scaled steps."""
+
+    def __init__(self, options):
+        self.options = options
+
+    def plan(self, iteration):
+        """The Plan of a step, counted from 1."""
+        o = self.options
+        growing = iteration < o.densify_until
+        return Plan(
+            level=1.0,
+            degree=min(o.sh_degree, (iteration - 1) // o.sh_every),
+            gathers=growing,
+            grows=growing and iteration > o.densify_from and iteration % o.densify_every == 0,
+            resets_opacity=growing and o.reset_every > 0 and iteration % o.reset_every == 0,
+            prunes_large=0 < o.reset_every < iteration)

@@ -1,0 +1,41 @@
+"""What a training starts from."""
+
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.ply import read_ply
+
+
+def initial_gaussians(scene, options):
+    """Gaussians on the sparse points, on random points within their bounds, or from a PLY file.
+
+    Raises InputError for fewer gaussians allowed than given, or a file that cannot be used.
+    """
+    if options.init == "sfm":
+        gaussians = Gaussians.from_points(scene.points, scene.colours, options.sh_degree)
+    elif options.init == "random":
+        rng = np.random.default_rng([options.seed, 0])
+        low, high = np.percentile(scene.points, (1, 99), axis=0)
+        points = rng.uniform(low, high, scene.points.shape)
+        colours = rng.integers(0, 256, scene.points.shape)
+        gaussians = Gaussians.from_points(points, colours, options.sh_degree)
+    else:
+        if not Path(options.init).is_file():
+            raise InputError(f"{options.init}: no such file; --init wants sfm, random or a PLY file")
+        gaussians = of_degree(read_ply(options.init, scene.offset), options.sh_degree)
+    if options.max_gaussians and gaussians.count > options.max_gaussians:
+        raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
+                         f"{gaussians.count}; allow at least that many")
+    return gaussians
+
+
+def of_degree(gaussians, sh_degree):
+    """The same gaussians with harmonics up to `sh_degree`: cut, or filled up with zeros."""
+    bands = (sh_degree + 1) ** 2 - 1
+    rest = np.zeros((gaussians.count, bands, 3), np.float32)
+    shared = min(bands, gaussians.sh_rest.shape[1])
+    rest[:, :shared] = gaussians.sh_rest[:, :shared]
+    return Gaussians({**gaussians.rows, "sh_rest": rest}, sh_degree)

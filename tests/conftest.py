@@ -1,0 +1,115 @@
+"""Opens the OpenCL devices of the tests: each platform in both kernel forms and both precisions.
+
+A test asks for `device` (all four), `float_device`, `double_device` (both forms) or `group_device`.
+CLSPLAT_TEST_DEVICES chooses the platforms: unset, PoCL, else the first that works; a part of a
+platform's or device's name; or "all". A device is opened once and shared, so whatever a test
+changes of it, it changes with monkeypatch.
+"""
+
+import functools
+import os
+from pathlib import Path
+
+import pytest
+
+WORKER = os.environ.get("PYTEST_XDIST_WORKER")
+if WORKER:  # PoCL's cache of built kernels is not safe across processes
+    folder = Path.home() / ".cache" / "clsplat-tests" / WORKER
+    folder.mkdir(parents=True, exist_ok=True)
+    os.environ.setdefault("POCL_CACHE_DIR", str(folder))
+
+from clsplat.device import Device, list_devices  # noqa: E402  (reads the environment above)
+
+FORMS, PRECISIONS = ("item", "group"), ("float", "double")
+FIXTURES = {  # name -> the forms and precisions it stands for
+    "device": (FORMS, PRECISIONS),
+    "float_device": (FORMS, ("float",)),
+    "double_device": (FORMS, ("double",)),
+    "group_device": (("group",), PRECISIONS),
+}
+POCL, SIMULATOR = "Portable Computing Language", "Oclgrind"
+
+
+def pytest_generate_tests(metafunc):
+    for name, (forms, precisions) in FIXTURES.items():
+        if name in metafunc.fixturenames:
+            combinations = [(entry, form, precision) for entry in _entries()
+                            for form in forms for precision in precisions
+                            if _is_worth_it(entry, form, precision)]
+            metafunc.parametrize(name, combinations, ids=map(_label, combinations), indirect=True)
+
+
+def _is_worth_it(entry, form, precision):
+    """The simulator is slow and looks for races and accesses out of bounds: one precision will do,
+    and only groups can race."""
+    simulated = isinstance(entry, str) or SIMULATOR not in entry.platform
+    return simulated or (form, precision) == ("group", "float")
+
+
+@functools.cache
+def _entries():
+    """The devices to test, as `Found`, or a sentence that says why there is none."""
+    wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "")
+    entries = list_devices()
+    working = [entry for entry in entries if entry.works]
+    pocl = [entry for entry in working if entry.platform == POCL]
+    if wanted == "all":
+        return entries or ("no OpenCL platform is installed",)
+    if wanted:
+        return tuple(entry for entry in working
+                     if wanted.lower() in f"{entry.platform} {entry.name}".lower()) or (
+            f"no working device matches CLSPLAT_TEST_DEVICES={wanted}",)
+    if pocl or working and not _is_ci():
+        return (pocl or working)[:1]
+    reasons = [f"{entry.platform} {entry.name}: {entry.reason}" for entry in entries]
+    return (f"no working PoCL ({'; '.join(reasons) or 'no OpenCL platform'})",)
+
+
+def _is_ci():
+    return os.environ.get("CI") == "true"
+
+
+def _label(combination):
+    entry, form, precision = combination
+    name = "none" if isinstance(entry, str) else f"{entry.index}-{entry.platform.split()[0]}"
+    return f"{name}-{form}-{precision}"
+
+
+@pytest.fixture(scope="session")
+def opened():
+    """Devices opened so far, so that each kernel is built once."""
+    return {}
+
+
+def _open(request, opened):
+    entry, form, precision = request.param
+    if isinstance(entry, str):
+        (pytest.fail if _is_ci() or os.environ.get("CLSPLAT_TEST_DEVICES") else pytest.skip)(entry)
+    if not entry.works:
+        pytest.skip(f"{entry.platform} {entry.name}: {entry.reason}")
+    if precision == "double" and not entry.capabilities["HAVE_DOUBLE"]:
+        pytest.skip(f"{entry.platform} {entry.name} has no double precision")
+    key = entry.index, form, precision
+    if key not in opened:
+        opened[key] = Device(entry.handle, precision=precision, form=form)
+    return opened[key]
+
+
+@pytest.fixture
+def device(request, opened):
+    return _open(request, opened)
+
+
+@pytest.fixture
+def float_device(request, opened):
+    return _open(request, opened)
+
+
+@pytest.fixture
+def double_device(request, opened):
+    return _open(request, opened)
+
+
+@pytest.fixture
+def group_device(request, opened):
+    return _open(request, opened)

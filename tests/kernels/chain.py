@@ -1,0 +1,129 @@
+"""What the tests of rendering share: cases on the device, and the same chain by the reference."""
+
+import numpy as np
+
+from clsplat.camera import Camera
+from clsplat.render.pipeline import Renderer
+from tests import cases
+from tests.checks import close
+from tests.reference.blend import blend, blend_adjoint, fragile_pixels
+from tests.reference.project import project, project_adjoint
+
+SUM_NAMES = ("means", "conics", "opacities", "colours", "depths")
+
+
+def precision_of(device):
+    return "double" if device.real == np.float64 else "float"
+
+
+def upload_rows(device, rows):
+    return {name: device.upload(values) for name, values in rows.items()}
+
+
+def camera_of(case):
+    c = case["camera"]
+    return Camera(c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]),
+                  c["rotation"], c["translation"])
+
+
+def size_of(case):
+    return case["camera"]["width"], case["camera"]["height"]
+
+
+def stored_degree(case):
+    return round(np.sqrt(case["rows"]["sh_rest"].shape[1] + 1)) - 1
+
+
+def renderer_of(device, case, **options):
+    return Renderer(device, stored_degree(case), case["near"], background=case["background"],
+                    **options)
+
+
+def render(device, case, rows=None, with_depth=False, **options):
+    """(renderer, rows on the device, frame) of a case."""
+    renderer = renderer_of(device, case, **options)
+    rows = upload_rows(device, case["rows"] if rows is None else rows)
+    frame = renderer.render(rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
+                            with_depth)
+    return renderer, rows, frame
+
+
+def depth_order(splats):
+    visible = np.flatnonzero(splats["visible"])
+    return visible[np.argsort(splats["depths"][visible].astype(np.float32), kind="stable")]
+
+
+def gradients_by_row(gradients, case):
+    """Downloaded gradients as arrays like the rows, zero where a view did not see the gaussian."""
+    visible = gradients.rows.download()
+    result = {}
+    for name, values in case["rows"].items():
+        result[name] = np.zeros(values.shape)
+        seen = gradients.fields[name].download()
+        if name == "sh_rest":  # bands that are not active are not written
+            seen[:, case["degree"] * (case["degree"] + 2):] = 0
+        result[name][visible] = seen
+    return result
+
+
+def close_gradients(actual, expected, case, precision, what):
+    """Quaternions may have any length, and their gradients are as the inverse of it."""
+    for name, values in expected.items():
+        scale = 1
+        if name == "quaternions":
+            scale = np.linalg.norm(case["rows"][name], axis=1, keepdims=True)
+        close(actual[name] * scale, values * scale, precision, f"{what}: gradient of {name}")
+
+
+def agrees_with_reference(device, case, antialiased, what):
+    """Render a case with depth, and back from random cotangents, against the reference."""
+    width, height = size_of(case)
+    arguments = case["camera"], case["degree"], case["near"]
+    splats = project(case["rows"], *arguments, antialiased=antialiased)
+    order = depth_order(splats)
+    rng = np.random.default_rng(1)
+    fragile = fragile_pixels(splats, order, width, height)
+    grad_image = np.where(fragile, 0, rng.normal(size=(3, height, width)))
+    grad_depth = np.where(fragile, 0, rng.normal(size=(height, width)))
+    image, _, depth = blend(splats, order, width, height, case["background"], with_depth=True)
+    by_splat = blend_adjoint(
+        splats, order, width, height, case["background"], grad_image, grad_depth)
+    expected = project_adjoint(case["rows"], *arguments, antialiased=antialiased, grads=by_splat)
+
+    renderer, rows, frame = render(device, case, with_depth=True, antialiased=antialiased)
+    precision = precision_of(device)
+    assert sorted(frame.visible.download()) == sorted(order), f"{what}: visible gaussians"
+    close(np.where(fragile, image, frame.image.download()), image, precision, f"{what}: image")
+    close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision,
+          f"{what}: depth")
+    gradients = renderer.adjoint(
+        rows, frame, device.upload(grad_image), device.upload(grad_depth))
+    assert np.array_equal(gradients.rows.download(), frame.visible.download())
+    assert renderer.skipped.last() == 0
+    close_gradients(gradients_by_row(gradients, case), expected, case, precision, what)
+
+
+def pack_splats(splats, order):
+    """Rows of 12 (cl/include/splat.h) of reference splats in `order`; cutoffs and extents follow
+    from opacities and conics."""
+    conics, opacities = splats["conics"][order], splats["opacities"][order]
+    a, b, c = conics.T
+    cutoffs = 2 * np.log(255 * opacities)
+    extents = np.sqrt(cutoffs * a / (a * c - b * b))
+    return np.column_stack([
+        splats["means"][order], opacities, cutoffs, conics, extents, splats["colours"][order],
+        splats["depths"][order]])
+
+
+def grads_of_sums(sums, conics):
+    """Gradients by splat (names of the reference) from the adjoint's sums[V, 9 or 10]."""
+    x, y, xx, xy, yy = sums[:, 4:9].T
+    a, b, c = conics.T
+    return {"colours": sums[:, :3], "opacities": sums[:, 3],
+            "means": np.stack([a * x + b * y, b * x + c * y], axis=1),
+            "conics": -np.stack([xx / 2, xy, yy / 2], axis=1),
+            "depths": sums[:, 9] if sums.shape[1] > 9 else np.zeros(len(sums))}
+
+
+def small_scene(seed=0, count=24, **size):
+    return cases.gaussians("degree_1", seed=seed, count=count, **size)

@@ -1,0 +1,31 @@
+"""Sums of columns: exact enough, and the same bytes every time."""
+
+import numpy as np
+import pytest
+
+from clsplat.primitives.reduce import sum_columns
+from tests.checks import close
+from tests.kernels.chain import precision_of
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("width", [1, 2, 5])
+def test_sums(device, width):
+    group = device.scan_group
+    for count in (0, 1, group - 1, group, group + 1, 3 * group + 7):
+        rows = np.random.default_rng(count).normal(1, 1, (count, width))
+        totals = sum_columns(device, device.upload(rows)).download()
+        close(totals, rows.sum(axis=0), precision_of(device), f"{count} rows")
+
+
+def test_many_terms_do_not_drift(float_device):
+    """A plain loop in single precision would lose four digits here."""
+    rows = np.full((300_001, 1), np.float32(0.1))
+    total = sum_columns(float_device, float_device.upload(rows)).last()
+    assert abs(total / (300_001 * np.float64(np.float32(0.1))) - 1) < 1e-5
+
+
+def test_the_same_bytes_every_time(device):
+    rows = device.upload(np.random.default_rng(2).normal(size=(5000, 3)))
+    first = sum_columns(device, rows).download()
+    assert all(np.array_equal(first, sum_columns(device, rows).download()) for _ in range(3))
