@@ -8,15 +8,15 @@
 // (harmonics not yet active stay out). One work-item an element, one writer each.
 #include "real.h"
 #define NO_ROW UINT_MAX
-#define BETA1 0.9
-#define BETA2 0.999
+#define ONE_MINUS_BETA1 0.1 // written out: in single precision the difference loses digits
+#define ONE_MINUS_BETA2 0.001
 #define EPSILON 1e-15 // Kerbl et al. (2023)
 
 inline void update(real g, real rate, real root_correction, __global real *parameter,
                    __global real *m, __global real *v)
 {
-    const real new_m = *m + (1 - (real)BETA1) * (g - *m);
-    const real new_v = *v + (1 - (real)BETA2) * (g * g - *v);
+    const real new_m = *m + (real)ONE_MINUS_BETA1 * (g - *m);
+    const real new_v = *v + (real)ONE_MINUS_BETA2 * (g * g - *v);
     *m = new_m;
     *v = new_v;
     *parameter -= rate * new_m / (sqrt(new_v) / root_correction + (real)EPSILON);

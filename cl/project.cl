@@ -188,7 +188,8 @@ __kernel void project_adjoint(
     }
     grad_opacity *= root;
 #endif
-    const real grad_logit = grad_opacity * f.opacity * (1 - f.opacity);
+    // 1 - opacity would cancel where the opacity saturates
+    const real grad_logit = grad_opacity * f.opacity / (1 + exp(opacity_logits[row]));
 
     const real3 grad_log_scale = (grad_m1 * f.b1 + grad_m2 * f.b2) * f.scale;
     const real3 grad_b1 = grad_m1 * f.scale, grad_b2 = grad_m2 * f.scale;

@@ -10,13 +10,19 @@ class Constant:
         self.options = options
 
     def plan(self, iteration):
-        """The Plan of a step, counted from 1."""
+        """The Plan of a step, counted from 1.
+
+        Growth follows the step after a round number: evaluations at round numbers then see a model
+        that has had a whole interval to settle.
+        """
         o = self.options
-        growing = iteration < o.densify_until
+        before = iteration - 1
+        growing = before < o.densify_until
         return Plan(
             level=1.0,
-            degree=min(o.sh_degree, (iteration - 1) // o.sh_every),
+            degree=min(o.sh_degree, before // o.sh_every),
             gathers=growing,
-            grows=growing and iteration > o.densify_from and iteration % o.densify_every == 0,
-            resets_opacity=growing and o.reset_every > 0 and iteration % o.reset_every == 0,
-            prunes_large=0 < o.reset_every < iteration)
+            grows=growing and before > o.densify_from and before % o.densify_every == 0,
+            resets_opacity=growing and o.reset_every > 0 and before > 0
+            and before % o.reset_every == 0,
+            prunes_large=0 < o.reset_every < before)

@@ -1,10 +1,10 @@
-"""Rows by index, and the rows that a flag keeps."""
+"""Rows by index, back to their places, and the rows that a flag keeps."""
 
 import numpy as np
 import pytest
 
 from clsplat.primitives import scan
-from clsplat.primitives.gather import compact, gather
+from clsplat.primitives.gather import compact, gather, scatter
 from tests.reference.gather import gather as expected_gather
 
 
@@ -37,3 +37,15 @@ def test_compact_keeps_flagged_rows_in_order(device, monkeypatch):
                 device, device.upload(flags.astype(np.uint32)), device.upload(keys))
             assert np.array_equal(kept.download(), np.flatnonzero(flags))
             assert np.array_equal(kept_keys.download(), keys[flags == 1])
+
+
+def test_scatter_is_the_inverse(device):
+    rng = np.random.default_rng(2)
+    for shape in ((), (3,), (15, 3)):
+        rows = rng.normal(size=(300, *shape)).astype(device.real)
+        index = rng.permutation(300)[:device.group_size + 1].astype(np.uint32)
+        values = rng.normal(size=(len(index), *shape)).astype(device.real)
+        target = device.upload(rows)
+        scatter(device, device.upload(values), device.upload(index), target)
+        rows[index] = values
+        assert np.array_equal(target.download(), rows)

@@ -1,0 +1,120 @@
+"""Pairs of tile and splat: none is missing, few are spare, each tile's are in depth order."""
+
+import numpy as np
+import pytest
+
+from clsplat.render.bin import BUCKET, bin_splats
+from tests import cases
+from tests.kernels.chain import pack_splats
+from tests.reference.tiles import tiles_of
+
+
+def rows_of(count, width, height, seed=0, sigma=(0.3, 40)):
+    """Splats in depth order, from far below a pixel to larger than the image, some of them thin."""
+    return pack_splats(*cases.splats(count, width, height, seed, sigma=sigma))
+
+
+class Binned:
+    def __init__(self, device, rows, width, height):
+        pairs = bin_splats(device, device.upload(rows), width, height)
+        self.pairs, self.counts = pairs, pairs.counts.download()
+        self.offsets, self.slots = pairs.offsets.download(), pairs.slots.download()
+        self.ranges = pairs.ranges.download().astype(int)
+        self.splats = pairs.sorted_splats.download()
+        self.tiles = {v: set() for v in range(len(rows))}
+        for tile, (begin, end) in enumerate(self.ranges):
+            for v in self.splats[begin:end]:
+                self.tiles[v].add((tile % pairs.tiles_x, tile // pairs.tiles_x))
+
+
+def true_tiles(device, row, tiles_x, tiles_y):
+    a, b, c = row[4:7]
+    extent = np.sqrt(row[3] * np.array([c, a]) / (a * c - b * b))
+    return tiles_of(row[:2], row[4:7], extent, row[3], tiles_x, tiles_y, device.tile)
+
+
+def check(device, rows, width, height, what):
+    found = Binned(device, rows, width, height)
+    pairs = found.pairs
+    truth = [true_tiles(device, row, pairs.tiles_x, pairs.tiles_y) for row in rows]
+    for v, tiles in enumerate(truth):
+        assert tiles <= found.tiles[v], f"{what}: splat {v} lacks tiles {tiles - found.tiles[v]}"
+        assert len(found.tiles[v]) == found.counts[v], f"{what}: a pair twice, or not emitted"
+    needed = sum(map(len, truth))
+    assert pairs.count <= 1.03 * needed + 5, f"{what}: {pairs.count} pairs, {needed} are needed"
+    assert found.counts.sum() == pairs.count == np.diff(found.ranges).sum()
+    assert np.array_equal(np.sort(found.slots), np.arange(pairs.count))
+    own = found.slots - found.offsets[found.splats]
+    assert (own < found.counts[found.splats]).all(), f"{what}: a slot of another splat"
+    for begin, end in found.ranges:
+        assert (np.diff(found.splats[begin:end].astype(int)) > 0).all(), f"{what}: depth order"
+    return found
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size", [(61, 37), (16, 16), (1, 1), (7, 5)])
+def test_tiles_hold_every_pixel_that_is_drawn(device, size):
+    check(device, rows_of(130, *size), *size, f"{size}")
+
+
+def test_a_larger_image(device):
+    check(device, rows_of(300, 160, 120, seed=1), 160, 120, "160 x 120")
+
+
+def test_small_tiles(device, monkeypatch):
+    monkeypatch.setattr(device, "tile", 8)
+    check(device, rows_of(130, 61, 37, seed=2), 61, 37, "tiles of 8")
+
+
+def test_counts_around_the_group_size(device):
+    group = device.group_size
+    for count in (0, 1, group - 1, group, group + 1):
+        check(device, rows_of(count, 61, 37, seed=count, sigma=(0.3, 3)), 61, 37, f"{count} splats")
+
+
+def test_needles_touch_only_the_tiles_along_them(device):
+    """A thousand times as long as wide: its box would hold all tiles of the image."""
+    rows = rows_of(40, 160, 120)
+    for row, angle in zip(rows, np.linspace(0, np.pi, 40)):
+        cos, sin, u, v = np.cos(angle), np.sin(angle), 100.0**-2, 0.6**-2
+        a, b, c = u * cos**2 + v * sin**2, (u - v) * cos * sin, u * sin**2 + v * cos**2
+        row[4:7] = a, b, c
+        row[7] = np.sqrt(row[3] * a / (a * c - b * b))
+    rows[:] = cases.single(rows)
+    found = check(device, rows, 160, 120, "needles")
+    assert found.counts.max() < 40 and found.counts.max() >= 9
+
+
+def test_splats_beside_the_image_have_no_pairs(device):
+    rows = rows_of(4, 48, 40, sigma=(1, 2))
+    rows[:, :2] = [[-30, 20], [80, 20], [24, -30], [24, 75]]
+    assert Binned(device, rows, 48, 40).pairs.count == 0
+
+
+def test_a_giant_is_in_every_tile_once(device):
+    rows = rows_of(2, 61, 37)
+    rows[:, 4:8] = 1e-12, 0, 1e-12, np.sqrt(rows[0, 3]) * 1e6
+    found = Binned(device, rows, 61, 37)
+    assert list(found.counts) == [found.pairs.tiles_x * found.pairs.tiles_y] * 2
+
+
+def test_buckets_cover_each_tile_in_order(group_device):
+    found = Binned(group_device, rows_of(300, 61, 37, seed=3), 61, 37)
+    lengths = found.ranges[:, 1] - found.ranges[:, 0]
+    expected = np.repeat(np.arange(len(lengths)), -(-lengths // BUCKET))
+    buckets = found.pairs.bucket_tiles.download()
+    assert lengths.max() > 2 * BUCKET
+    assert np.array_equal(buckets[:len(expected)], expected)
+    assert (buckets[len(expected):] == len(lengths)).all()
+    assert np.array_equal(found.pairs.bucket_offsets.download(),
+                          np.cumsum(-(-lengths // BUCKET)) - -(-lengths // BUCKET))
+
+
+def test_the_same_pairs_for_every_group_size(device, monkeypatch):
+    rows = rows_of(150, 61, 37, seed=4)
+    first = Binned(device, rows, 61, 37)
+    for group in (32, 64):
+        monkeypatch.setattr(device, "group_size", group)
+        again = Binned(device, rows, 61, 37)
+        assert np.array_equal(first.splats, again.splats)
+        assert np.array_equal(first.slots, again.slots)
