@@ -1,61 +1,101 @@
 // One Adam step (Kingma & Ba 2015) on one field; bias corrections are folded into the arguments:
 //
 //   m <- m + (1 - beta1)(g - m);   v <- v + (1 - beta2)(g^2 - v)
-//   parameter <- parameter - rate m / (sqrt(v) / root_correction + epsilon)
+//   parameter <- parameter - rate m / (correction sqrt(v) + epsilon)
 //
-// with rate = learning rate / (1 - beta1^t), root_correction = sqrt(1 - beta2^t). parameter, m, v:
+// with rate = learning rate / (1 - beta1^t), correction = 1 / sqrt(1 - beta2^t). parameter, m, v:
 // real[N, stride]; gradient: real[V, stride]; only the first `used` columns of a row are touched
-// (harmonics not yet active stay out). One work-item an element, one writer each.
+// (harmonics not yet active stay out). Elementwise, one writer each. Item form: a work-item walks
+// rows, 16 columns at a time. Group form: a work-item an element.
 #include "real.h"
+#include "each.h"
 #define NO_ROW UINT_MAX
 #define ONE_MINUS_BETA1 0.1 // written out: in single precision the difference loses digits
 #define ONE_MINUS_BETA2 0.001
 #define EPSILON 1e-15 // Kerbl et al. (2023)
 
-inline void update(real g, real rate, real root_correction, __global real *parameter,
-                   __global real *m, __global real *v)
+inline void update(real g, real rate, real correction, __global real *parameter, __global real *m,
+                   __global real *v)
 {
     const real new_m = *m + (real)ONE_MINUS_BETA1 * (g - *m);
     const real new_v = *v + (real)ONE_MINUS_BETA2 * (g * g - *v);
     *m = new_m;
     *v = new_v;
-    *parameter -= rate * new_m / (sqrt(new_v) / root_correction + (real)EPSILON);
+    *parameter -= rate * new_m / (sqrt(new_v) * correction + (real)EPSILON);
 }
 
+inline void update16(real16 g, real rate, real correction, __global real *parameter,
+                     __global real *m, __global real *v)
+{
+    const real16 old_m = vload16(0, m), old_v = vload16(0, v);
+    const real16 new_m = old_m + (real)ONE_MINUS_BETA1 * (g - old_m);
+    const real16 new_v = old_v + (real)ONE_MINUS_BETA2 * (g * g - old_v);
+    vstore16(new_m, 0, m);
+    vstore16(new_v, 0, v);
+    vstore16(vload16(0, parameter) - rate * new_m / (sqrt(new_v) * correction + (real)EPSILON), 0,
+             parameter);
+}
+
+// Columns [begin, end) of the row of gradients at `from` and of the parameters at `to`; without a
+// gradient (has false) it counts as zero.
+inline void update_columns(uint begin, uint end, bool has, __global const real *from, ulong to,
+                           real rate, real correction, __global real *parameter, __global real *m,
+                           __global real *v)
+{
+    uint column = begin;
+    for (; column + 16 <= end; column += 16)
+        update16(has ? vload16(0, from + column) : (real16)(0), rate, correction,
+                 parameter + to + column, m + to + column, v + to + column);
+    for (; column < end; column++)
+        update(has ? from[column] : 0, rate, correction, parameter + to + column, m + to + column,
+               v + to + column);
+}
+
+// A work-item's share of a row: all of it (item form), or one column.
+#if FORM_ITEM
+#define OWN_ELEMENTS(count, used) (count)
+#define OWN_ROW(i, used) (i)
+#define OWN_COLUMNS(i, used) 0, used
+#else
+#define OWN_ELEMENTS(count, used) ((ulong)(count) * (used))
+#define OWN_ROW(i, used) ((i) / (used))
+#define OWN_COLUMNS(i, used) (uint)((i) % (used)), (uint)((i) % (used)) + 1
+#endif
+
 // rows: uint[V], the row of each gradient; NO_ROW is skipped.
-__kernel void adam_rows(uint count, uint stride, uint used, real rate, real root_correction,
+__kernel void adam_rows(uint count, uint stride, uint used, real rate, real correction,
                         __global const uint *restrict rows, __global const real *restrict gradient,
                         __global real *restrict parameter, __global real *restrict m,
                         __global real *restrict v)
 {
-    const uint i = get_global_id(0), own = i / used, column = i % used;
-    if (own >= count || rows[own] == NO_ROW)
-        return;
-    const ulong at = (ulong)rows[own] * stride + column;
-    update(gradient[(ulong)own * stride + column], rate, root_correction, parameter + at, m + at,
-           v + at);
+    FOR_EACH(i, OWN_ELEMENTS(count, used)) {
+        const ulong own = OWN_ROW(i, used);
+        if (rows[own] != NO_ROW)
+            update_columns(OWN_COLUMNS(i, used), true, gradient + own * stride,
+                           (ulong)rows[own] * stride, rate, correction, parameter, m, v);
+    }
 }
 
 // Every row: places: uint[N], the gradient's row of each parameter row, NO_ROW where it is zero.
-__kernel void adam_all(uint count, uint stride, uint used, real rate, real root_correction,
+__kernel void adam_all(uint count, uint stride, uint used, real rate, real correction,
                        __global const uint *restrict places, __global const real *restrict gradient,
                        __global real *restrict parameter, __global real *restrict m,
                        __global real *restrict v)
 {
-    const uint i = get_global_id(0), own = i / used, column = i % used;
-    if (own >= count)
-        return;
-    const ulong at = (ulong)own * stride + column;
-    const real g =
-        places[own] == NO_ROW ? 0 : gradient[(ulong)places[own] * stride + column];
-    update(g, rate, root_correction, parameter + at, m + at, v + at);
+    FOR_EACH(i, OWN_ELEMENTS(count, used)) {
+        const ulong own = OWN_ROW(i, used);
+        const bool has = places[own] != NO_ROW;
+        update_columns(OWN_COLUMNS(i, used), has, gradient + (has ? (ulong)places[own] * stride : 0),
+                       own * stride, rate, correction, parameter, m, v);
+    }
 }
 
 // places[rows[i]] = i; places holds NO_ROW elsewhere.
 __kernel void invert_rows(uint count, __global const uint *restrict rows,
                           __global uint *restrict places)
 {
-    const uint i = get_global_id(0);
-    if (i < count && rows[i] != NO_ROW)
-        places[rows[i]] = i;
+    FOR_EACH(i, count) {
+        if (rows[i] != NO_ROW)
+            places[rows[i]] = i;
+    }
 }

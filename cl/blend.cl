@@ -15,6 +15,7 @@
 // lane l holds splat l while the tile's pixels stream through the lanes, (T, C . grad) passing
 // from lane to lane, so that each lane sums its own splat without any reduction.
 #include "real.h"
+#include "each.h"
 #include "splat.h"
 #include "footprint.h"
 
@@ -30,16 +31,33 @@
 #endif
 
 // Sums of each splat over its pairs, in slot order: totals[v, :] from sums[offsets[v] + ..., :].
-__kernel void sum_pairs(uint count, uint width, __global const uint *restrict counts,
+// Item form: an element is a splat. Group form: it is a splat's column.
+#if FORM_ITEM
+__kernel void sum_pairs(uint count, __global const uint *restrict counts,
                         __global const uint *restrict offsets, __global const real *restrict sums,
                         __global real *restrict totals)
 {
-    const uint i = get_global_id(0), v = i / width, column = i % width;
-    if (v >= count)
-        return;
-    const ulong begin = offsets[v], end = begin + counts[v];
-    real total = 0;
-    for (ulong slot = begin; slot < end; slot++)
-        total += sums[slot * width + column];
-    totals[i] = total;
+    FOR_EACH(v, count) {
+        real total[SUMS] = {0};
+        const ulong begin = (ulong)offsets[v] * SUMS, end = begin + (ulong)counts[v] * SUMS;
+        for (ulong i = begin; i < end; i += SUMS)
+            for (int column = 0; column < SUMS; column++)
+                total[column] += sums[i + column];
+        for (int column = 0; column < SUMS; column++)
+            totals[v * SUMS + column] = total[column];
+    }
 }
+#else
+__kernel void sum_pairs(uint count, __global const uint *restrict counts,
+                        __global const uint *restrict offsets, __global const real *restrict sums,
+                        __global real *restrict totals)
+{
+    FOR_EACH(i, (ulong)count * SUMS) {
+        const ulong v = i / SUMS, begin = offsets[v], end = begin + counts[v];
+        real total = 0;
+        for (ulong slot = begin; slot < end; slot++)
+            total += sums[slot * SUMS + i % SUMS];
+        totals[i] = total;
+    }
+}
+#endif

@@ -28,13 +28,14 @@ typedef real16 vreal;
 typedef real vreal;
 #endif
 
-// SSIM from the window means of x, y, x^2, y^2, x y, and its gradients by the first, third, fifth.
-inline vreal ssim(vreal x, vreal y, vreal xx, vreal yy, vreal xy, vreal *by_x, vreal *by_xx,
-                  vreal *by_xy)
+// SSIM from the window means of x, y, x^2 + y^2 and x y, and its gradients by the means of x, x^2
+// and x y.
+#define MEANS 4
+inline vreal ssim(vreal x, vreal y, vreal squares, vreal xy, vreal *by_x, vreal *by_xx, vreal *by_xy)
 {
     const vreal a1 = 2 * x * y + (real)C1, a2 = 2 * (xy - x * y) + (real)C2;
     const vreal b1 = x * x + y * y + (real)C1;
-    const vreal b2 = (xx - x * x) + (yy - y * y) + (real)C2;
+    const vreal b2 = squares - (x * x + y * y) + (real)C2;
     const vreal inverse = 1 / (b1 * b2);
     const vreal value = a1 * a2 * inverse;
     *by_x = 2 * (y * (a2 - a1) * inverse - x * value * (1 / b1 - 1 / b2));

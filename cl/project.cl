@@ -7,6 +7,7 @@
 // Parameters are real[N, ...] rows; splats real[V, SPLAT_REALS] and all gradients real[V, ...] are
 // rows of visible gaussians in depth order; rows[v] is the gaussian of splat v.
 #include "real.h"
+#include "each.h"
 #include "camera.h"
 #include "quaternion.h"
 #include "harmonics.h"
@@ -74,6 +75,28 @@ inline real2 mean_pixel(__global const real *camera, real3 p)
     return vload2(0, camera + CAMERA_FOCAL) * p.xy / p.z + vload2(0, camera + CAMERA_CENTRE);
 }
 
+// Channels of a colour that are drawn; others are black and have no gradient: negative ones, and those
+// so bright (or not finite) that they would overflow the gradients of all gaussians on their pixels.
+#define COLOUR_MAX 1e6
+#define drawn(COLOUR) (((COLOUR) > (real3)(0)) & ((COLOUR) < (real3)(COLOUR_MAX)))
+
+inline bool meets_image(__global const real *camera, real2 mean, real2 extent)
+{
+    const real2 size = vload2(0, camera + CAMERA_SIZE);
+    return mean.x + extent.x > 0 && mean.y + extent.y > 0 && mean.x - extent.x < size.x &&
+           mean.y - extent.y < size.y;
+}
+
+// At least the footprint's extent, from the largest scale alone: most gaussians are outside the
+// image, and this says so without their rotation. The rows of J W have length focal/z sqrt(1 + r^2).
+inline real2 largest_extent(__global const real *camera, real3 p, real3 log_scale)
+{
+    const real scale = exp(max(log_scale.x, max(log_scale.y, log_scale.z)));
+    const real2 ratio = clamped_ratio(camera, p);
+    const real2 reach = vload2(0, camera + CAMERA_FOCAL) / p.z * scale;
+    return sqrt((real)(2 * 5.55) * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS]));
+}
+
 // Depth keys uint[N] (positive floats order as their bits) and flags uint[N]: 1 where the
 // footprint at its cutoff meets the image. Comparisons are written to fail for NaN.
 __kernel void cull(uint count, __global const real *restrict camera,
@@ -82,27 +105,26 @@ __kernel void cull(uint count, __global const real *restrict camera,
                    __global const real *restrict opacity_logits, __global uint *restrict depth_keys,
                    __global uint *restrict flags)
 {
-    const uint row = get_global_id(0);
-    if (row >= count)
-        return;
-    flags[row] = 0;
-    const real z = to_camera(camera, vload3(row, positions)).z;
-    if (!(z > camera[CAMERA_NEAR]))
-        return;
-    const Footprint f =
-        footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
-    const real opacity = f.opacity * sqrt(f.area_ratio);
-    const real cutoff = 2 * log(255 * opacity);
-    const real2 extent = sqrt(cutoff * (real2)(f.xx, f.yy));
-    const real2 mean = mean_pixel(camera, f.p), size = vload2(0, camera + CAMERA_SIZE);
-    const bool meets = mean.x + extent.x > 0 && mean.y + extent.y > 0 && mean.x - extent.x < size.x &&
-                       mean.y - extent.y < size.y;
-    // a footprint past the float range has no usable conic
-    const bool finite = isfinite(f.det) && f.det > 0 && isfinite(extent.x) && isfinite(extent.y) &&
-                        isfinite(z) && f.q_length > 0;
-    if (cutoff > 0 && meets && finite) {
-        flags[row] = 1;
-        depth_keys[row] = as_uint((float)z);
+    FOR_EACH(row, count) {
+        flags[row] = 0;
+        const real3 p = to_camera(camera, vload3(row, positions));
+        if (!(p.z > camera[CAMERA_NEAR]))
+            continue;
+        const real2 mean = mean_pixel(camera, p);
+        if (!meets_image(camera, mean, largest_extent(camera, p, vload3(row, log_scales))))
+            continue;
+        const Footprint f =
+            footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
+        const real opacity = f.opacity * sqrt(f.area_ratio);
+        const real cutoff = 2 * log(255 * opacity);
+        const real2 extent = sqrt(cutoff * (real2)(f.xx, f.yy));
+        // a footprint past the float range has no usable conic
+        const bool finite = isfinite(f.det) && f.det > 0 && isfinite(extent.x) &&
+                            isfinite(extent.y) && isfinite(p.z) && f.q_length > 0;
+        if (cutoff > 0 && finite && meets_image(camera, mean, extent)) {
+            flags[row] = 1;
+            depth_keys[row] = as_uint((float)p.z);
+        }
     }
 }
 
@@ -113,31 +135,30 @@ __kernel void project(uint count, uint degree, __global const uint *restrict row
                       __global const real *restrict log_scales,
                       __global const real *restrict quaternions, __global real *restrict splats)
 {
-    const uint v = get_global_id(0);
-    if (v >= count)
-        return;
-    const uint row = rows[v];
-    const Footprint f =
-        footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
-    const real opacity = f.opacity * sqrt(f.area_ratio);
-    const real cutoff = 2 * log(255 * opacity);
+    FOR_EACH(v, count) {
+        const uint row = rows[v];
+        const Footprint f =
+            footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
+        const real opacity = f.opacity * sqrt(f.area_ratio);
+        const real cutoff = 2 * log(255 * opacity);
 
-    real3 colour = 0.5 + SH_C0 * vload3(row, sh_constant);
+        real3 colour = (real)0.5 + SH_C0 * vload3(row, sh_constant);
 #if SH_REST > 0
-    if (degree > 0) {
-        real basis[SH_SIZE];
-        const real3 d = normalize(vload3(row, positions) - vload3(0, camera + CAMERA_POSITION));
-        harmonics(d, degree, basis);
-        for (uint k = 0; k < SH_ACTIVE(degree); k++)
-            colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
-    }
+        if (degree > 0) {
+            real basis[SH_SIZE];
+            const real3 d = normalize(vload3(row, positions) - vload3(0, camera + CAMERA_POSITION));
+            harmonics(d, degree, basis);
+            for (uint k = 0; k < SH_ACTIVE(degree); k++)
+                colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
+        }
 #endif
-    const real2 mean = mean_pixel(camera, f.p);
-    __global real *splat = splats + (ulong)v * SPLAT_REALS;
-    vstore4((real4)(mean, opacity, cutoff), 0, splat);
-    vstore4((real4)((real3)(f.yy, -f.xy, f.xx) / f.det, sqrt(cutoff * f.yy)), 1, splat);
-    colour = select((real3)(0), colour, colour > (real3)(0)); // also drops NaN
-    vstore4((real4)(colour, f.p.z), 2, splat);
+        const real2 mean = mean_pixel(camera, f.p);
+        __global real *splat = splats + (ulong)v * SPLAT_REALS;
+        vstore4((real4)(mean, opacity, cutoff), 0, splat);
+        vstore4((real4)((real3)(f.yy, -f.xy, f.xx) / f.det, sqrt(cutoff * f.yy)), 1, splat);
+        colour = select((real3)(0), colour, drawn(colour));
+        vstore4((real4)(colour, f.p.z), 2, splat);
+    }
 }
 
 // From the pair sums of each splat (sums: real[V, S], see splat.h) to gradients of the parameters.
@@ -155,107 +176,105 @@ __kernel void project_adjoint(
     __global real *restrict grad_means, __global uint *restrict active,
     __global uint *restrict skipped)
 {
-    const uint v = get_global_id(0);
-    if (v >= count)
-        return;
-    const uint row = rows[v];
-    __global const real *sum = sums + (ulong)v * sum_count;
-    const Footprint f =
-        footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
+    FOR_EACH(v, count) {
+        const uint row = rows[v];
+        __global const real *sum = sums + (ulong)v * sum_count;
+        const Footprint f =
+            footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
 
-    // power = -1/2 d^T K d with d = pixel - mean: grad_mean = K sum(grad_power d)
-    const real3 conic = (real3)(f.yy, -f.xy, f.xx) / f.det;
-    const real2 grad_mean = (real2)(conic.x * sum[SUM_X] + conic.y * sum[SUM_Y],
-                                    conic.y * sum[SUM_X] + conic.z * sum[SUM_Y]);
-    // dK = -K dC K, so grad C = -K G K with G = -1/2 sum(grad_power d d^T)
-    const real gxx = 0.5 * sum[SUM_XX], gxy = 0.5 * sum[SUM_XY], gyy = 0.5 * sum[SUM_YY];
-    const real t11 = conic.x * gxx + conic.y * gxy, t12 = conic.x * gxy + conic.y * gyy;
-    const real t21 = conic.y * gxx + conic.z * gxy, t22 = conic.y * gxy + conic.z * gyy;
-    const real c11 = t11 * conic.x + t12 * conic.y, c12 = t11 * conic.y + t12 * conic.z;
-    const real c22 = t21 * conic.y + t22 * conic.z;
-    real3 grad_m1 = 2 * (c11 * f.m1 + c12 * f.m2);
-    real3 grad_m2 = 2 * (c12 * f.m1 + c22 * f.m2);
+        // power = -1/2 d^T K d with d = pixel - mean: grad_mean = K sum(grad_power d)
+        const real3 conic = (real3)(f.yy, -f.xy, f.xx) / f.det;
+        const real2 grad_mean = (real2)(conic.x * sum[SUM_X] + conic.y * sum[SUM_Y],
+                                        conic.y * sum[SUM_X] + conic.z * sum[SUM_Y]);
+        // dK = -K dC K, so grad C = -K G K with G = -1/2 sum(grad_power d d^T)
+        const real gxx = 0.5 * sum[SUM_XX], gxy = 0.5 * sum[SUM_XY], gyy = 0.5 * sum[SUM_YY];
+        const real t11 = conic.x * gxx + conic.y * gxy, t12 = conic.x * gxy + conic.y * gyy;
+        const real t21 = conic.y * gxx + conic.z * gxy, t22 = conic.y * gxy + conic.z * gyy;
+        const real c11 = t11 * conic.x + t12 * conic.y, c12 = t11 * conic.y + t12 * conic.z;
+        const real c22 = t21 * conic.y + t22 * conic.z;
+        real3 grad_m1 = 2 * (c11 * f.m1 + c12 * f.m2);
+        real3 grad_m2 = 2 * (c12 * f.m1 + c22 * f.m2);
 
-    real grad_opacity = sum[SUM_OPACITY];
+        real grad_opacity = sum[SUM_OPACITY];
 #if ANTIALIASED
-    const real root = sqrt(f.area_ratio), sharp = dot(f.cross_m, f.cross_m);
-    if (f.area_ratio > AREA_RATIO_MIN) {
-        const real e = camera[CAMERA_LOW_PASS];
-        const real g = grad_opacity * f.opacity * 0.5 / (root * f.det);
-        const real by_sharp = 2 * g * f.blur / f.det, by_blur = -2 * g * e * (sharp / f.det);
-        grad_m1 += by_sharp * cross(f.m2, f.cross_m) + by_blur * f.m1;
-        grad_m2 += by_sharp * cross(f.cross_m, f.m1) + by_blur * f.m2;
-    }
-    grad_opacity *= root;
+        const real root = sqrt(f.area_ratio), sharp = dot(f.cross_m, f.cross_m);
+        if (f.area_ratio > AREA_RATIO_MIN) {
+            const real e = camera[CAMERA_LOW_PASS];
+            const real g = grad_opacity * f.opacity * 0.5 / (root * f.det);
+            const real by_sharp = 2 * g * f.blur / f.det, by_blur = -2 * g * e * (sharp / f.det);
+            grad_m1 += by_sharp * cross(f.m2, f.cross_m) + by_blur * f.m1;
+            grad_m2 += by_sharp * cross(f.cross_m, f.m1) + by_blur * f.m2;
+        }
+        grad_opacity *= root;
 #endif
-    // 1 - opacity would cancel where the opacity saturates
-    const real grad_logit = grad_opacity * f.opacity / (1 + exp(opacity_logits[row]));
+        // 1 - opacity would cancel where the opacity saturates
+        const real grad_logit = grad_opacity * f.opacity / (1 + exp(opacity_logits[row]));
 
-    const real3 grad_log_scale = (grad_m1 * f.b1 + grad_m2 * f.b2) * f.scale;
-    const real3 grad_b1 = grad_m1 * f.scale, grad_b2 = grad_m2 * f.scale;
-    __global const real *w = camera + CAMERA_ROTATION;
-    const real3 w3 = vload3(2, w);
-    const real2 focal = vload2(0, camera + CAMERA_FOCAL) / f.p.z;
-    const real3 a1 = focal.x * (vload3(0, w) - f.ratio.x * w3);
-    const real3 a2 = focal.y * (vload3(1, w) - f.ratio.y * w3);
-    const real4 grad_quaternion = rotation_rows_adjoint(
-        f.q, f.q_length, a1.x * grad_b1 + a2.x * grad_b2, a1.y * grad_b1 + a2.y * grad_b2,
-        a1.z * grad_b1 + a2.z * grad_b2);
+        const real3 grad_log_scale = (grad_m1 * f.b1 + grad_m2 * f.b2) * f.scale;
+        const real3 grad_b1 = grad_m1 * f.scale, grad_b2 = grad_m2 * f.scale;
+        __global const real *w = camera + CAMERA_ROTATION;
+        const real3 w3 = vload3(2, w);
+        const real2 focal = vload2(0, camera + CAMERA_FOCAL) / f.p.z;
+        const real3 a1 = focal.x * (vload3(0, w) - f.ratio.x * w3);
+        const real3 a2 = focal.y * (vload3(1, w) - f.ratio.y * w3);
+        const real4 grad_quaternion = rotation_rows_adjoint(
+            f.q, f.q_length, a1.x * grad_b1 + a2.x * grad_b2, a1.y * grad_b1 + a2.y * grad_b2,
+            a1.z * grad_b1 + a2.z * grad_b2);
 
-    // through A = J W to the camera-frame position
-    const real3 grad_a1 = (real3)(dot(f.r0, grad_b1), dot(f.r1, grad_b1), dot(f.r2, grad_b1));
-    const real3 grad_a2 = (real3)(dot(f.r0, grad_b2), dot(f.r1, grad_b2), dot(f.r2, grad_b2));
-    const real inverse_z = 1 / f.p.z;
-    const real2 ratio = f.p.xy / f.p.z; // as clamped_ratio computes it
-    const real2 inside = (real2)(f.ratio.x == ratio.x, f.ratio.y == ratio.y);
-    const real2 along = focal * (real2)(dot(grad_a1, w3), dot(grad_a2, w3)); // by -ratio
-    const real2 across = focal * (real2)(dot(grad_a1, vload3(0, w)), dot(grad_a2, vload3(1, w)));
-    const real2 by_ratio = -along * inside;
-    real3 grad_p;
-    grad_p.xy = (by_ratio + focal * f.p.z * grad_mean) * inverse_z;
-    const real2 by_z =
-        across - f.ratio * along + ratio * (by_ratio + focal * f.p.z * grad_mean);
-    grad_p.z = -(by_z.x + by_z.y) * inverse_z;
-    if (sum_count > SUM_DEPTH)
-        grad_p.z += sum[SUM_DEPTH];
-    real3 grad_position = to_world(camera, grad_p);
+        // through A = J W to the camera-frame position
+        const real3 grad_a1 = (real3)(dot(f.r0, grad_b1), dot(f.r1, grad_b1), dot(f.r2, grad_b1));
+        const real3 grad_a2 = (real3)(dot(f.r0, grad_b2), dot(f.r1, grad_b2), dot(f.r2, grad_b2));
+        const real inverse_z = 1 / f.p.z;
+        const real2 ratio = f.p.xy / f.p.z; // as clamped_ratio computes it
+        const real2 along = focal * (real2)(dot(grad_a1, w3), dot(grad_a2, w3)); // by -ratio
+        const real2 across = focal * (real2)(dot(grad_a1, vload3(0, w)), dot(grad_a2, vload3(1, w)));
+        const real2 by_ratio = select((real2)(0), -along, f.ratio == ratio); // zero where clamped
+        real3 grad_p;
+        grad_p.xy = (by_ratio + focal * f.p.z * grad_mean) * inverse_z;
+        const real2 by_z =
+            across - f.ratio * along + ratio * (by_ratio + focal * f.p.z * grad_mean);
+        grad_p.z = -(by_z.x + by_z.y) * inverse_z;
+        if (sum_count > SUM_DEPTH)
+            grad_p.z += sum[SUM_DEPTH];
+        real3 grad_position = to_world(camera, grad_p);
 
-    // colour; where it was clamped at zero nothing flows
-    real3 grad_colour = vload3(0, sum + SUM_COLOUR);
-    real3 colour = 0.5 + SH_C0 * vload3(row, sh_constant);
+        // colour; where it is not drawn nothing flows
+        real3 grad_colour = vload3(0, sum + SUM_COLOUR);
+        real3 colour = (real)0.5 + SH_C0 * vload3(row, sh_constant);
 #if SH_REST > 0
-    real basis[SH_SIZE], weight[SH_SIZE];
-    const real3 offset = vload3(row, positions) - vload3(0, camera + CAMERA_POSITION);
-    const real3 d = normalize(offset);
-    if (degree > 0) {
-        harmonics(d, degree, basis);
-        for (uint k = 0; k < SH_ACTIVE(degree); k++)
-            colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
-    }
+        real basis[SH_SIZE], weight[SH_SIZE];
+        const real3 offset = vload3(row, positions) - vload3(0, camera + CAMERA_POSITION);
+        const real3 d = normalize(offset);
+        if (degree > 0) {
+            harmonics(d, degree, basis);
+            for (uint k = 0; k < SH_ACTIVE(degree); k++)
+                colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
+        }
 #endif
-    grad_colour = select((real3)(0), grad_colour, colour > (real3)(0));
-    const real3 grad_constant = SH_C0 * grad_colour;
+        grad_colour = select((real3)(0), grad_colour, drawn(colour));
+        const real3 grad_constant = SH_C0 * grad_colour;
 #if SH_REST > 0
-    if (degree > 0) {
-        for (uint k = 0; k < SH_ACTIVE(degree); k++)
-            weight[k] = dot(grad_colour, vload3(row * SH_REST + k, sh_rest));
-        const real3 g = harmonics_gradient(d, degree, weight);
-        grad_position += (g - d * dot(d, g)) / length(offset);
-        for (uint k = 0; k < SH_ACTIVE(degree); k++)
-            vstore3(basis[k] * grad_colour, v * SH_REST + k, grad_sh_rest);
-    }
+        if (degree > 0) {
+            for (uint k = 0; k < SH_ACTIVE(degree); k++)
+                weight[k] = dot(grad_colour, vload3(row * SH_REST + k, sh_rest));
+            const real3 g = harmonics_gradient(d, degree, weight);
+            grad_position += (g - d * dot(d, g)) / length(offset);
+            for (uint k = 0; k < SH_ACTIVE(degree); k++)
+                vstore3(basis[k] * grad_colour, v * SH_REST + k, grad_sh_rest);
+        }
 #endif
-    vstore3(grad_position, v, grad_positions);
-    vstore3(grad_constant, v, grad_sh_constant);
-    vstore3(grad_log_scale, v, grad_log_scales);
-    vstore4(grad_quaternion, v, grad_quaternions);
-    vstore2(grad_mean, v, grad_means);
-    grad_opacity_logits[v] = grad_logit;
+        vstore3(grad_position, v, grad_positions);
+        vstore3(grad_constant, v, grad_sh_constant);
+        vstore3(grad_log_scale, v, grad_log_scales);
+        vstore4(grad_quaternion, v, grad_quaternions);
+        vstore2(grad_mean, v, grad_means);
+        grad_opacity_logits[v] = grad_logit;
 
-    const real3 all = grad_position + grad_constant + grad_log_scale;
-    const bool finite =
-        isfinite(all.x + all.y + all.z + grad_logit + dot(grad_quaternion, (real4)(1)));
-    active[v] = finite ? row : NO_ROW;
-    if (!finite)
-        atomic_inc(skipped);
+        const real3 all = grad_position + grad_constant + grad_log_scale;
+        const bool finite =
+            isfinite(all.x + all.y + all.z + grad_logit + dot(grad_quaternion, (real4)(1)));
+        active[v] = finite ? row : NO_ROW;
+        if (!finite)
+            atomic_inc(skipped);
+    }
 }

@@ -2,16 +2,18 @@
 // gradient of its mean in NDC units (pixel gradient x W/2, H/2; Kerbl et al. 2023), and how many
 // views saw it. grad_means: real[V, 2], pixels; rows: uint[V]; sums over N gaussians, in place.
 #include "real.h"
+#include "each.h"
 #define NO_ROW UINT_MAX
 
 __kernel void accumulate(uint count, real half_width, real half_height,
                          __global const uint *restrict rows, __global const real *restrict grad_means,
                          __global real *restrict grad_norm_sum, __global uint *restrict seen_count)
 {
-    const uint v = get_global_id(0);
-    if (v >= count || rows[v] == NO_ROW)
-        return;
-    const real2 g = vload2(v, grad_means) * (real2)(half_width, half_height);
-    grad_norm_sum[rows[v]] += length(g);
-    seen_count[rows[v]] += 1;
+    FOR_EACH(v, count) {
+        if (rows[v] == NO_ROW)
+            continue;
+        const real2 g = vload2(v, grad_means) * (real2)(half_width, half_height);
+        grad_norm_sum[rows[v]] += length(g);
+        seen_count[rows[v]] += 1;
+    }
 }

@@ -5,7 +5,9 @@ format, and the run folder stores the resolved values.
 """
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
+from typing import get_args
 
 from clsplat.errors import InputError
 
@@ -15,11 +17,15 @@ except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
 
-def option(default, group, text, short=None, choices=None, minimum=None, maximum=None):
-    """A field of `TrainOptions`: its default and what the command line says about it."""
+def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, wish=None):
+    """A field of `TrainOptions`: its default and what the command line says about it.
+
+    choices, minimum, maximum: of a value, or of each element of a tuple; wish: what a refusal says
+    is wanted, where these and the type do not say it well.
+    """
     return field(default=default, metadata={
         "group": group, "help": text, "short": short, "choices": choices,
-        "minimum": minimum, "maximum": maximum})
+        "minimum": minimum, "maximum": maximum, "wish": wish})
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,8 @@ class TrainOptions:
                           minimum=0)
     checkpoint_every: int = option(1000, "Run", "steps between checkpoints (0: only at the end)",
                                    minimum=0)
-    eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps; repeatable")
+    eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps; repeatable",
+                                     minimum=1, wish="a list of steps, each at least 1")
     eval_every: int = option(0, "Run", "also evaluate every so many steps (0: off)", minimum=0)
 
     downscale: float = option(1.0, "Scene", "divide image width and height by this", short="-r",
@@ -44,7 +51,8 @@ class TrainOptions:
     test_every: int = option(8, "Scene", "hold out every N-th view by name (0: none)", minimum=0)
     init: str = option("sfm", "Scene", "initial gaussians: sfm, random, or a PLY file")
     background: tuple[float, float, float] = option(
-        (0.0, 0.0, 0.0), "Scene", "background colour, three numbers from 0 to 1")
+        (0.0, 0.0, 0.0), "Scene", "background colour, three numbers from 0 to 1",
+        minimum=0.0, maximum=1.0, wish="three numbers from 0 to 1")
 
     schedule: str = option("constant", "Method", "how resolution and growth are decided",
                            choices=("constant",))
@@ -96,27 +104,40 @@ def from_toml(path):
 
 
 def checked(source, key, value):
-    """`value` in the type of option `key`, within its limits; InputError names `source`."""
+    """`value` in the type of option `key`, within its limits; InputError names `source`.
+
+    Whole numbers serve as fractions, and lists (what TOML and JSON have) as tuples.
+    """
     known = {f.name: f for f in dataclasses.fields(TrainOptions)}
     if key not in known:
         raise InputError(f"{source}: unknown option '{key}'; see `clsplat train --help`")
-    default, meta = known[key].default, known[key].metadata
-    wanted = type(default)
-    if wanted is float and type(value) is int:
+    kind, meta = known[key].type, known[key].metadata
+    elements = get_args(kind)  # of a tuple; none otherwise
+    try:
+        if not elements:
+            return _checked_one(kind, meta, value)
+        if not isinstance(value, (list, tuple)) or (
+                ... not in elements and len(value) != len(elements)):
+            raise ValueError
+        return tuple(_checked_one(elements[0], meta, element) for element in value)
+    except ValueError as wish:
+        raise InputError(
+            f"{source}: option '{key}' wants {meta['wish'] or wish}, got {value!r}") from None
+
+
+def _checked_one(kind, meta, value):
+    """`value` as `kind`; ValueError says what is wanted."""
+    if kind is float and type(value) is int:
         value = float(value)
-    if wanted is tuple and isinstance(value, list):
-        value = tuple(value)
-    if type(value) is not wanted:
-        raise InputError(f"{source}: option '{key}' wants {wanted.__name__}, got {value!r}")
-    if key == "background" and (len(value) != 3 or not all(0 <= v <= 1 for v in value)):
-        raise InputError(f"{source}: option 'background' wants three numbers from 0 to 1")
+    if type(value) is not kind:
+        raise ValueError(kind.__name__)
     low, high = meta["minimum"], meta["maximum"]
     if (low is not None and not value >= low) or (high is not None and not value <= high):
-        limits = f"at least {low}" if high is None else f"from {low} to {high}"
-        raise InputError(f"{source}: option '{key}' wants {limits}, got {value!r}")
+        raise ValueError(f"at least {low}" if high is None else f"from {low} to {high}")
+    if kind is float and not math.isfinite(value):
+        raise ValueError("a finite number")
     if meta["choices"] and value not in meta["choices"]:
-        raise InputError(
-            f"{source}: option '{key}' wants one of {', '.join(meta['choices'])}, got {value!r}")
+        raise ValueError(f"one of {', '.join(meta['choices'])}")
     return value
 
 

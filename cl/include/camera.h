@@ -32,6 +32,6 @@ inline real2 clamped_ratio(__global const real *camera, real3 p)
 {
     const real2 focal = vload2(0, camera + CAMERA_FOCAL), centre = vload2(0, camera + CAMERA_CENTRE);
     const real2 size = vload2(0, camera + CAMERA_SIZE);
-    const real2 margin = 0.15 * size;
+    const real2 margin = (real)0.15 * size;
     return clamp(p.xy / p.z, -(centre + margin) / focal, (size - centre + margin) / focal);
 }

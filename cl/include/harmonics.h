@@ -3,16 +3,16 @@
 #ifndef SH_REST
 #error "SH_REST, the stored harmonics above the constant (0, 3, 8 or 15), must be defined"
 #endif
-#define SH_C0 0.28209479177387814
-#define SH_C1 0.4886025119029199
-#define SH_C2A 1.0925484305920792
-#define SH_C2B 0.31539156525252005
-#define SH_C2C 0.5462742152960396
-#define SH_C3A 0.5900435899266435
-#define SH_C3B 2.890611442640554
-#define SH_C3C 0.4570457994644658
-#define SH_C3D 0.3731763325901154
-#define SH_C3E 1.445305721320277
+#define SH_C0 ((real)0.28209479177387814)
+#define SH_C1 ((real)0.4886025119029199)
+#define SH_C2A ((real)1.0925484305920792)
+#define SH_C2B ((real)0.31539156525252005)
+#define SH_C2C ((real)0.5462742152960396)
+#define SH_C3A ((real)0.5900435899266435)
+#define SH_C3B ((real)2.890611442640554)
+#define SH_C3C ((real)0.4570457994644658)
+#define SH_C3D ((real)0.3731763325901154)
+#define SH_C3E ((real)1.445305721320277)
 #define SH_SIZE (SH_REST > 0 ? SH_REST : 1)
 
 // Number of harmonics above the constant that an active degree uses.

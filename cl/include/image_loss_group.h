@@ -26,7 +26,7 @@ void image_loss(int width, int height, int strip, __global const real *restrict 
                 __global const uchar *restrict photo, __global real *restrict maps,
                 __global real *restrict partials)
 {
-    __local real xs[WIDE * WIDE], ys[WIDE * WIDE], rows[5][WIDE * TILE], scratch[GROUP];
+    __local real xs[WIDE * WIDE], ys[WIDE * WIDE], rows[MEANS][WIDE * TILE], scratch[GROUP];
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
     const int group = get_group_id(0), lane = get_local_id(0), channel = group / (across * down);
     const int x0 = group % across * TILE, y0 = group / across % down * TILE;
@@ -41,27 +41,26 @@ void image_loss(int width, int height, int strip, __global const real *restrict 
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int i = lane; i < WIDE * TILE; i += GROUP) {
         const int from = i / TILE * WIDE + i % TILE;
-        real sums[5] = {0, 0, 0, 0, 0};
+        real sums[MEANS] = {0, 0, 0, 0};
         for (int k = 0; k < TAPS; k++) {
             const real x = xs[from + k], y = ys[from + k], wx = WINDOW[k] * x, wy = WINDOW[k] * y;
             sums[0] += wx;
             sums[1] += wy;
-            sums[2] += wx * x;
-            sums[3] += wy * y;
-            sums[4] += wx * y;
+            sums[2] += wx * x + wy * y;
+            sums[3] += wx * y;
         }
-        for (int m = 0; m < 5; m++)
+        for (int m = 0; m < MEANS; m++)
             rows[m][i] = sums[m];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     const int x = x0 + lane % TILE, y = y0 + lane / TILE;
     real value = 0, l1 = 0;
     if (x < width && y < height) {
-        real mean[5] = {0, 0, 0, 0, 0}, by[3];
+        real mean[MEANS] = {0, 0, 0, 0}, by[3];
         for (int k = 0; k < TAPS; k++)
-            for (int m = 0; m < 5; m++)
+            for (int m = 0; m < MEANS; m++)
                 mean[m] += WINDOW[k] * rows[m][(lane / TILE + k) * TILE + lane % TILE];
-        value = ssim(mean[0], mean[1], mean[2], mean[3], mean[4], &by[0], &by[1], &by[2]);
+        value = ssim(mean[0], mean[1], mean[2], mean[3], &by[0], &by[1], &by[2]);
         const int centre = (lane / TILE + RADIUS) * WIDE + lane % TILE + RADIUS;
         l1 = fabs(xs[centre] - ys[centre]);
         for (int m = 0; m < 3; m++)

@@ -24,16 +24,9 @@ inline real16 photo16(__global const uchar *values)
     return convert_real16(vload16(0, values)) * (real)(1.0 / 255);
 }
 
-// Horizontal window sums of one row: every tap adds weight * (x, y, x^2, y^2, x y).
-#define MOMENTS(LOAD_X, LOAD_Y)                                                                    \
-    for (int k = 0; k < TAPS; k++) {                                                               \
-        const real16 x = LOAD_X, y = LOAD_Y, wx = WINDOW[k] * x, wy = WINDOW[k] * y;               \
-        sums[0] += wx;                                                                             \
-        sums[1] += wy;                                                                             \
-        sums[2] += wx * x;                                                                         \
-        sums[3] += wy * y;                                                                         \
-        sums[4] += wx * y;                                                                         \
-    }
+// Every tap spelled out, so that sums stay in registers and weights are constants.
+#define EACH_TAP(TAP)                                                                              \
+    TAP(0) TAP(1) TAP(2) TAP(3) TAP(4) TAP(5) TAP(6) TAP(7) TAP(8) TAP(9) TAP(10)
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void image_loss(int width, int height, int strip, __global const real *restrict image,
@@ -46,38 +39,60 @@ void image_loss(int width, int height, int strip, __global const real *restrict 
     const long plane = (long)width * height;
     const int columns = min(16, width - x0), y_end = min(y0 + strip, height);
     const bool interior = x0 >= RADIUS && x0 + 16 + RADIUS <= width;
-    real16 ring[TAPS][5];
+    real16 ring[TAPS][MEANS];
     real l1 = 0, total = 0;
     for (int y = y0 - RADIUS; y < y_end + RADIUS; y++) {
-        real16 *sums = ring[(y + TAPS) % TAPS];
-        for (int m = 0; m < 5; m++)
-            sums[m] = 0;
+        real16 s0 = 0, s1 = 0, s2 = 0, s3 = 0;
         if (y >= 0 && y < height) {
             __global const real *image_row = image + channel * plane + (long)y * width;
             __global const uchar *photo_row = photo + channel * plane + (long)y * width;
+#define HORIZONTAL(K)                                                                              \
+    {                                                                                              \
+        const real16 x = LOAD_X(K), y = LOAD_Y(K), wx = WINDOW[K] * x, wy = WINDOW[K] * y;         \
+        s0 += wx;                                                                                  \
+        s1 += wy;                                                                                  \
+        s2 += wx * x;                                                                              \
+        s2 += wy * y;                                                                              \
+        s3 += wx * y;                                                                              \
+    }
             if (interior) {
                 image_row += x0 - RADIUS;
                 photo_row += x0 - RADIUS;
-                MOMENTS(vload16(0, image_row + k), photo16(photo_row + k))
+#define LOAD_X(K) vload16(0, image_row + K)
+#define LOAD_Y(K) photo16(photo_row + K)
+                EACH_TAP(HORIZONTAL)
+#undef LOAD_X
+#undef LOAD_Y
             } else {
                 real xs[PADDED], ys[PADDED];
                 load_padded(image_row, x0, width, xs);
                 load_padded_photo(photo_row, x0, width, ys);
-                MOMENTS(vload16(0, xs + k), vload16(0, ys + k))
+#define LOAD_X(K) vload16(0, xs + K)
+#define LOAD_Y(K) vload16(0, ys + K)
+                EACH_TAP(HORIZONTAL)
             }
         }
+        real16 *newest = ring[(y + TAPS) % TAPS];
+        newest[0] = s0;
+        newest[1] = s1;
+        newest[2] = s2;
+        newest[3] = s3;
         const int out = y - RADIUS; // the row whose window is now complete
         if (out < y0)
             continue;
-        real16 mean[5] = {0, 0, 0, 0, 0};
-        for (int k = 0; k < TAPS; k++) {
-            const real16 *row = ring[(out - RADIUS + k + TAPS) % TAPS];
-            for (int m = 0; m < 5; m++)
-                mean[m] += WINDOW[k] * row[m];
-        }
+        real16 x = 0, y_mean = 0, squares = 0, xy = 0;
+#define VERTICAL(K)                                                                                \
+    {                                                                                              \
+        const real16 *row = ring[(out - RADIUS + K + TAPS) % TAPS];                                \
+        x += WINDOW[K] * row[0];                                                                   \
+        y_mean += WINDOW[K] * row[1];                                                              \
+        squares += WINDOW[K] * row[2];                                                             \
+        xy += WINDOW[K] * row[3];                                                                  \
+    }
+        EACH_TAP(VERTICAL)
+#undef VERTICAL
         real16 by[3];
-        const real16 value =
-            ssim(mean[0], mean[1], mean[2], mean[3], mean[4], &by[0], &by[1], &by[2]);
+        const real16 value = ssim(x, y_mean, squares, xy, &by[0], &by[1], &by[2]);
         const long pixel = (long)out * width + x0;
         if (columns == 16) {
             for (int m = 0; m < 3; m++)
@@ -103,10 +118,6 @@ void image_loss(int width, int height, int strip, __global const real *restrict 
     partials[2 * item + 1] = total;
 }
 
-#define CONVOLVE(M, LOAD)                                                                          \
-    for (int k = 0; k < TAPS; k++)                                                                 \
-        sums[M] += WINDOW[k] * LOAD;
-
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void image_loss_adjoint(int width, int height, int strip, real l1_scale, real ssim_scale,
                         __global const real *restrict image, __global const uchar *restrict photo,
@@ -120,30 +131,42 @@ void image_loss_adjoint(int width, int height, int strip, real l1_scale, real ss
     const bool interior = x0 >= RADIUS && x0 + 16 + RADIUS <= width;
     real16 ring[TAPS][3];
     for (int y = y0 - RADIUS; y < y_end + RADIUS; y++) {
-        real16 *sums = ring[(y + TAPS) % TAPS];
-        for (int m = 0; m < 3; m++) {
-            sums[m] = 0;
-            if (y < 0 || y >= height)
-                continue;
-            __global const real *row = maps + (channel * 3 + m) * plane + (long)y * width;
+        real16 s0 = 0, s1 = 0, s2 = 0;
+        if (y >= 0 && y < height) {
+            __global const real *row = maps + channel * 3 * plane + (long)y * width;
+#define CONVOLVE(K)                                                                                \
+    s0 += WINDOW[K] * LOAD(0, K);                                                                  \
+    s1 += WINDOW[K] * LOAD(1, K);                                                                  \
+    s2 += WINDOW[K] * LOAD(2, K);
             if (interior) {
                 row += x0 - RADIUS;
-                CONVOLVE(m, vload16(0, row + k))
+#define LOAD(M, K) vload16(0, row + M * plane + K)
+                EACH_TAP(CONVOLVE)
+#undef LOAD
             } else {
-                real values[PADDED];
-                load_padded(row, x0, width, values);
-                CONVOLVE(m, vload16(0, values + k))
+                real values[3][PADDED];
+                for (int m = 0; m < 3; m++)
+                    load_padded(row + m * plane, x0, width, values[m]);
+#define LOAD(M, K) vload16(0, values[M] + K)
+                EACH_TAP(CONVOLVE)
             }
         }
+        real16 *newest = ring[(y + TAPS) % TAPS];
+        newest[0] = s0;
+        newest[1] = s1;
+        newest[2] = s2;
         const int out = y - RADIUS;
         if (out < y0)
             continue;
-        real16 by[3] = {0, 0, 0};
-        for (int k = 0; k < TAPS; k++) {
-            const real16 *row = ring[(out - RADIUS + k + TAPS) % TAPS];
-            for (int m = 0; m < 3; m++)
-                by[m] += WINDOW[k] * row[m];
-        }
+        real16 by_x = 0, by_xx = 0, by_xy = 0;
+#define VERTICAL(K)                                                                                \
+    {                                                                                              \
+        const real16 *row = ring[(out - RADIUS + K + TAPS) % TAPS];                                \
+        by_x += WINDOW[K] * row[0];                                                                \
+        by_xx += WINDOW[K] * row[1];                                                               \
+        by_xy += WINDOW[K] * row[2];                                                               \
+    }
+        EACH_TAP(VERTICAL)
         const long pixel = channel * plane + (long)out * width + x0;
         real values[16];
         real16 x, photo_value;
@@ -160,7 +183,7 @@ void image_loss_adjoint(int width, int height, int strip, real l1_scale, real ss
             photo_value = vload16(0, ys);
         }
         const real16 g = l1_scale * sign(x - photo_value) +
-                         ssim_scale * (by[0] + 2 * x * by[1] + photo_value * by[2]);
+                         ssim_scale * (by_x + 2 * x * by_xx + photo_value * by_xy);
         if (columns == 16) {
             vstore16(g, 0, grad_image + pixel);
         } else {

@@ -22,8 +22,7 @@ def bench(family, as_json, device, arguments):
     Further ARGUMENTS go to the benchmark.
     """
     package = bench_package()
-    families = sorted(path.stem for folder in package.__path__ for path in Path(folder).glob("*.py")
-                      if not path.stem.startswith("_") and "\ndef main(" in path.read_text())
+    families = package.families()
     if family is None:
         click.echo("\n".join(families))
         return

@@ -64,7 +64,7 @@ def plan_growth(gradient, rows, extent, options, prune_large, rng):
         source, len(stays), slice(len(source) - len(children), len(source)),
         (rows["positions"][children] + offsets).astype(np.float32),
         np.log(scales[children] / SPLIT_SHRINK).astype(np.float32),
-        len(clones), count - len(stays) - len(splits))
+        len(clones), count - len(stays) - len(children) // CHILDREN)
 
 
 def _highest(gradient, room):

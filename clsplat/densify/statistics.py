@@ -23,7 +23,7 @@ class Statistics:
 
     def accumulate(self, gradients, width, height):
         """Add one view's `render.pipeline.Gradients`; width, height: of its image, pixels."""
-        self.device.launch(
+        self.device.launch_each(
             ACCUMULATE, len(gradients.rows), count=len(gradients.rows), half_width=width / 2,
             half_height=height / 2, rows=gradients.rows, grad_means=gradients.means,
             grad_norm_sum=self.grad_norm_sum, seen_count=self.seen_count)

@@ -9,7 +9,7 @@ from clsplat.errors import ShapeError
 class Array:
     """Device memory with a shape and a type; rows are contiguous and the first axis counts them."""
 
-    __slots__ = ("device", "buffer", "shape", "dtype")
+    __slots__ = ("device", "buffer", "shape", "dtype", "__weakref__")
 
     def __init__(self, device, buffer, shape, dtype):
         self.device, self.buffer = device, buffer

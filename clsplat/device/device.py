@@ -1,6 +1,7 @@
 """An open device: context, queue, memory, built programs, checked launches, profiling."""
 
 import warnings
+import weakref
 from contextlib import contextmanager
 
 import numpy as np
@@ -12,6 +13,9 @@ from clsplat.device.capabilities import probe_capabilities
 from clsplat.device.kernel import SCALARS
 from clsplat.device.source import kernel_folder, kernel_source
 from clsplat.errors import DeviceError
+
+
+RUNS_A_CORE = 4  # of the item form: enough for cores that are not equally busy
 
 
 class Device:
@@ -36,7 +40,10 @@ class Device:
         # a group owns a 16 x 16 tile, or 8 x 8 where groups are small; the item form's rows are 16
         self.tile = 16 if self.form == "item" or handle.max_work_group_size >= 256 else 8
         self.scan_group = min(256, 1 << handle.max_work_group_size.bit_length() - 1)
-        self._pool = cl.tools.MemoryPool(cl.tools.ImmediateAllocator(self.queue))
+        # sizes change from view to view: coarse bins (two an octave) are reused, fine ones pile up
+        self._pool = cl.tools.MemoryPool(
+            cl.tools.ImmediateAllocator(self.queue), leading_bits_in_bin_id=1)
+        self._held = weakref.WeakSet()
         self._kernels = {}
         self._programs = {}
         self._profile = None
@@ -44,6 +51,7 @@ class Device:
         self._base_options = [
             "-I", str(kernel_folder() / "include"), "-cl-std=CL1.2", "-cl-kernel-arg-info",
             f"-DREAL_IS_DOUBLE={int(precision == 'double')}",
+            f"-DFORM_ITEM={int(self.form == 'item')}",
             *([] if precision == "double" else ["-cl-single-precision-constant"]),
             *(f"-D{name}=1" for name, has in self.capabilities.items() if has)]
 
@@ -51,11 +59,21 @@ class Device:
 
     @property
     def memory_bytes(self):
-        """Device memory now held by arrays and the pool."""
-        return self._pool.managed_bytes
+        """Device memory now held by long-lived arrays and by the pool of short-lived ones."""
+        return self._pool.managed_bytes + sum(array.nbytes for array in self._held)
 
     def empty(self, shape, dtype=None):
-        """Uninitialised Array; dtype None is the device's real."""
+        """Uninitialised Array for a step's work, from the pool; dtype None is the device's real."""
+        return self._allocate(shape, dtype, self._pool.allocate)
+
+    def hold(self, shape, dtype=None):
+        """Uninitialised Array that lives long: as large as it must be, and not from the pool."""
+        array = self._allocate(
+            shape, dtype, lambda size: cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size))
+        self._held.add(array)
+        return array
+
+    def _allocate(self, shape, dtype, allocate):
         shape = tuple(int(s) for s in (shape if np.iterable(shape) else (shape,)))
         dtype = self.real if dtype is None else np.dtype(dtype)
         size = max(int(np.prod(shape, dtype=np.int64)) * dtype.itemsize, 64)
@@ -65,23 +83,24 @@ class Device:
                 f"{self.name}: one buffer of {size >> 20} MiB is asked for, the limit is "
                 f"{limit >> 20} MiB; use fewer gaussians (--max-gaussians) or smaller images (-r)")
         try:
-            return Array(self, self._pool.allocate(size), shape, dtype)
+            return Array(self, allocate(size), shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(
                 f"{self.name}: no memory for {size >> 20} MiB more ({self.memory_bytes >> 20} MiB "
                 f"held): use --max-gaussians or -r ({error})") from None
 
     def zeros(self, shape, dtype=None):
-        array = self.empty(shape, dtype)
+        """A long-lived Array of zeros."""
+        array = self.hold(shape, dtype)
         array.fill(0)
         return array
 
     def upload(self, values, dtype=None):
-        """An Array with a copy of host values; floating values become the device's real."""
+        """A long-lived Array with a copy of host values; floats become the device's real."""
         values = np.asarray(values)
         if dtype is None:
             dtype = self.real if values.dtype.kind == "f" else values.dtype
-        array = self.empty(values.shape, dtype)
+        array = self.hold(values.shape, dtype)
         if values.size:
             cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values, dtype))
         return array
@@ -105,6 +124,14 @@ class Device:
             *[values[n].buffer if arrays[n] else values[n] for n in kernel.names])
         if self._profile is not None:
             self._profile.append((kernel.function, event))
+
+    def launch_each(self, kernel, elements, defines=(), /, **values):
+        """Run a kernel written with FOR_EACH (cl/include/each.h) over so many elements."""
+        if self.form == "item":
+            runs = min(elements, RUNS_A_CORE * self.compute_units)
+            self.launch(kernel, runs, 1, defines, **values)
+        else:
+            self.launch(kernel, elements, self.group_size, defines, **values)
 
     def _build(self, kernel, defines):
         program = self._programs.get((kernel.file, defines))

@@ -1,6 +1,7 @@
 """A kernel and its contract: what it is called with, checked when it is built and launched."""
 
 import numpy as np
+import pyopencl as cl
 
 from clsplat.errors import DeviceError, ShapeError
 
@@ -28,7 +29,8 @@ class Kernel:
     def check_built(self, built):
         """Compare with the compiler's own signature, so that no two arguments can be swapped."""
         if built.num_args != len(self.names):
-            raise DeviceError(f"{self}: takes {built.num_args} arguments, {len(self.names)} declared")
+            raise DeviceError(
+                f"{self}: takes {built.num_args} arguments, {len(self.names)} declared")
         for index, (name, argument) in enumerate(self.arguments.items()):
             actual, kind = _signature(built, index)
             if actual is None:  # a driver that withholds names
@@ -64,8 +66,6 @@ class Kernel:
 
 
 def _signature(built, index):
-    import pyopencl as cl
-
     try:
         return (built.get_arg_info(index, cl.kernel_arg_info.NAME),
                 built.get_arg_info(index, cl.kernel_arg_info.TYPE_NAME))

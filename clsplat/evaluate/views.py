@@ -52,8 +52,7 @@ def run_options(run):
     """The TrainOptions that a run was trained with."""
     record = run.read_options()
     known = TrainOptions.__dataclass_fields__
-    return resolve({k: tuple(v) if isinstance(v, list) else v
-                    for k, v in record.items() if k in known}, {})
+    return resolve({k: v for k, v in record.items() if k in known}, {})
 
 
 def evaluate_run(run, device, save_images):

@@ -26,8 +26,7 @@ def image_loss(device, image, photo, ssim_weight):
         group, items = 1, 3 * -(-width // 16) * -(-height // STRIP)
     else:
         group, items = device.tile**2, 3 * -(-width // device.tile) * -(-height // device.tile)
-    defines = (("FORM_ITEM", int(device.form == "item")), ("TILE", device.tile),
-               ("GROUP", device.tile**2))
+    defines = (("TILE", device.tile), ("GROUP", device.tile**2))
     size = dict(width=width, height=height, strip=STRIP)
     maps, partials = device.empty((3, 3, height, width)), device.empty((items, 2))
     grad_image = device.empty((3, height, width))

@@ -14,7 +14,7 @@ from clsplat.primitives.gather import gather, scatter
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # adam.cl has the same
 NO_ROW = 2**32 - 1
 
-_ARGUMENTS = dict(count="uint", stride="uint", used="uint", rate="real", root_correction="real")
+_ARGUMENTS = dict(count="uint", stride="uint", used="uint", rate="real", correction="real")
 _MOMENTS = dict(gradient=("real", "V", "W"), parameter=("real", "N", "W"), m=("real", "N", "W"),
                 v=("real", "N", "W"))
 ROWS = Kernel("adam.cl", "adam_rows", **_ARGUMENTS, rows=("uint", "V"), **_MOMENTS)
@@ -23,8 +23,8 @@ INVERT = Kernel("adam.cl", "invert_rows", count="uint", rows=("uint", "V"), plac
 
 
 def corrections(step):
-    """(1 - beta1^t, sqrt(1 - beta2^t)) of step t, from 1."""
-    return 1 - BETA1**step, float(np.sqrt(1 - BETA2**step))
+    """The bias corrections 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t) of step t, from 1."""
+    return 1 / (1 - BETA1**step), 1 / float(np.sqrt(1 - BETA2**step))
 
 
 def _flat(array):
@@ -46,23 +46,24 @@ class DeviceAdam:
         field -> leading floats of a row that may change (0 leaves a field alone).
         """
         device, seen, count = self.device, gradients.rows, len(rows["positions"])
-        correction, root_correction = corrections(step)
+        first, second = corrections(step)
         if self.dense:
             places = device.empty(count, np.uint32)
             places.fill(NO_ROW)
-            device.launch(INVERT, len(seen), count=len(seen), rows=seen, places=places)
+            device.launch_each(INVERT, len(seen), count=len(seen), rows=seen, places=places)
         for name, parameter in rows.items():
             if not used[name]:
                 continue
             gradient = _flat(gradients.fields[name])
             values = dict(
-                stride=gradient.shape[1], used=used[name], rate=rates[name] / correction,
-                root_correction=root_correction, gradient=gradient, parameter=_flat(parameter),
+                stride=gradient.shape[1], used=used[name], rate=rates[name] * first,
+                correction=second, gradient=gradient, parameter=_flat(parameter),
                 m=_flat(self.m[name].narrow(count)), v=_flat(self.v[name].narrow(count)))
+            columns = 1 if device.form == "item" else used[name]
             if self.dense:
-                device.launch(ALL, count * used[name], count=count, places=places, **values)
+                device.launch_each(ALL, count * columns, count=count, places=places, **values)
             else:
-                device.launch(ROWS, len(seen) * used[name], count=len(seen), rows=seen, **values)
+                device.launch_each(ROWS, len(seen) * columns, count=len(seen), rows=seen, **values)
 
     def regrow(self, source, kept, capacity):
         """Follow the rows: the first `kept` of `source` uint[M] are old rows, the rest start new."""
@@ -150,9 +151,9 @@ class NumpyAdam:
 
 def adam_update(parameter, gradient, m, v, step, rate):
     """(parameter, m, v) after one step of Adam (Kingma & Ba 2015), arrays of one shape."""
-    correction, root_correction = corrections(step)
+    first, second = corrections(step)
     one = parameter.dtype.type
     m = m + one(1 - BETA1) * (gradient - m)
     v = v + one(1 - BETA2) * (gradient * gradient - v)
-    moved = one(rate / correction) * m / (np.sqrt(v) / one(root_correction) + one(EPSILON))
+    moved = one(rate * first) * m / (np.sqrt(v) * one(second) + one(EPSILON))
     return parameter - moved, m, v

@@ -23,7 +23,7 @@ def gather(device, rows, indices, result=None):
         result = device.empty((count, *rows.shape[1:]))
     width = _width(rows)
     if width:
-        device.launch(GATHER, count * width, count=count, width=width, indices=indices,
+        device.launch_each(GATHER, count * width, count=count, width=width, indices=indices,
                       rows=rows.reshaped(len(rows), width),
                       result=result.narrow(count).reshaped(count, width))
     return result
@@ -33,7 +33,7 @@ def scatter(device, values, indices, rows):
     """rows[indices[i]] = values[i], in place, for distinct indices uint[N]."""
     count, width = len(indices), _width(rows)
     if width:
-        device.launch(SCATTER, count * width, count=count, width=width, indices=indices,
+        device.launch_each(SCATTER, count * width, count=count, width=width, indices=indices,
                       values=values.reshaped(count, width), rows=rows.reshaped(len(rows), width))
 
 
@@ -49,7 +49,7 @@ def compact(device, flags, keys):
     count = len(flags)
     offsets, totals = exclusive_scan(device, flags)
     kept_keys, kept = (device.empty(count, np.uint32) for _ in range(2))
-    device.launch(COMPACT, count, count=count, flags=flags, offsets=offsets, keys=keys,
+    device.launch_each(COMPACT, count, count=count, flags=flags, offsets=offsets, keys=keys,
                   kept_keys=kept_keys, kept=kept)
     total = int(totals.last())
     return kept_keys.narrow(total), kept.narrow(total)

@@ -14,9 +14,9 @@ PER_ITEM = 8  # of the group form; scan.cl has the same
 SMALLEST_CHUNK = 4096  # of the item form: below this a second thread costs more than it brings
 
 
-def form_defines(device):
-    """The defines that choose a kernel form; group is the work-group size of the group form."""
-    return (("FORM_ITEM", int(device.form == "item")), ("GROUP", device.scan_group))
+def group_defines(device):
+    """The work-group size, as the group form wants it."""
+    return (("GROUP", device.scan_group),)
 
 
 def chunk_size(device, count):
@@ -37,7 +37,7 @@ def exclusive_scan(device, values):
     totals = device.empty(chunks + 1, np.uint64)
     item = device.form == "item"
     group = 1 if item else device.scan_group
-    defines = form_defines(device)
+    defines = group_defines(device)
     items = chunks * group
     device.launch(REDUCE, items, group, defines, count=count, chunk=chunk, values=values,
                   totals=totals)

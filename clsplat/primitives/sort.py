@@ -3,7 +3,7 @@
 import numpy as np
 
 from clsplat.device import Kernel
-from clsplat.primitives.scan import chunk_size, exclusive_scan, form_defines
+from clsplat.primitives.scan import chunk_size, exclusive_scan, group_defines
 
 COUNT = Kernel("sort.cl", "sort_count", count="uint", chunk="uint", chunks="uint", shift="uint",
                keys=("uint", "N"), table=("uint", "T"))
@@ -12,7 +12,7 @@ SCATTER = Kernel("sort.cl", "sort_scatter", count="uint", chunk="uint", chunks="
                  sorted_keys=("uint", "N"), sorted_values=("uint", "N"))
 
 # Bits a pass: a CPU's chunk keeps its counters in the first cache, a group in local memory
-LARGEST_DIGIT = {"item": 11, "group": 8}
+LARGEST_DIGIT = {"item": 13, "group": 8}
 
 
 def stable_sort(device, keys, bits=32, values=None):
@@ -27,7 +27,7 @@ def stable_sort(device, keys, bits=32, values=None):
     chunk = chunk_size(device, count)
     chunks = max(1, -(-count // chunk))
     group = 1 if device.form == "item" else device.scan_group
-    defines = (*form_defines(device), ("DIGIT_BITS", digit_bits))
+    defines = (*group_defines(device), ("DIGIT_BITS", digit_bits))
     first = values is None
     values = keys if first else values  # any array of the right size: not read in the first pass
     table = device.empty(chunks << digit_bits, np.uint32)

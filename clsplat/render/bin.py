@@ -59,20 +59,21 @@ def bin_splats(device, splats, width, height):
     defines = (("TILE", tile), ("BUCKET", BUCKET))
     shape = dict(tiles_x=tiles_x, tiles_y=tiles_y)
     counts = device.empty(count, np.uint32)
-    device.launch(COUNT, count, None, defines, count=count, **shape, splats=splats, counts=counts)
+    device.launch_each(COUNT, count, defines, count=count, **shape, splats=splats, counts=counts)
     offsets, totals = exclusive_scan(device, counts)
     pair_count = int(totals.last())
     if pair_count > PAIR_LIMIT:
         raise DeviceError(f"{pair_count} pairs of tile and splat in one {width} x {height} image, "
                           f"more than {PAIR_LIMIT}: use smaller images (-r)")
     pair_tiles, pair_splats = (device.empty(pair_count, np.uint32) for _ in range(2))
-    device.launch(EMIT, count, None, defines, count=count, **shape, splats=splats, counts=counts,
+    device.launch_each(EMIT, count, defines, count=count, **shape, splats=splats, counts=counts,
                   offsets=offsets, pair_tiles=pair_tiles, pair_splats=pair_splats)
     # `tiles` itself is a key too: what emit_pairs writes where there is nothing to emit
     sorted_tiles, slots = stable_sort(device, pair_tiles, bits=tiles.bit_length())
-    ranges = device.zeros((tiles, 2), np.uint32)
+    ranges = device.empty((tiles, 2), np.uint32)
+    ranges.fill(0)
     sorted_splats = device.empty(pair_count, np.uint32)
-    device.launch(RANGES, pair_count, None, defines, count=pair_count, tiles=tiles,
+    device.launch_each(RANGES, pair_count, defines, count=pair_count, tiles=tiles,
                   sorted_tiles=sorted_tiles, slots=slots, pair_splats=pair_splats, ranges=ranges,
                   sorted_splats=sorted_splats)
     pairs = Pairs(tiles_x, tiles_y, counts, offsets, ranges, sorted_splats, slots)
@@ -83,11 +84,11 @@ def bin_splats(device, splats, width, height):
 
 def _add_buckets(device, pairs, tiles, defines):
     counts = device.empty(tiles, np.uint32)
-    device.launch(COUNT_BUCKETS, tiles, None, defines, tiles=tiles, ranges=pairs.ranges,
+    device.launch_each(COUNT_BUCKETS, tiles, defines, tiles=tiles, ranges=pairs.ranges,
                   counts=counts)
     pairs.bucket_offsets, _ = exclusive_scan(device, counts)
     # every tile wastes less than one bucket: an upper bound needs no wait
     pairs.bucket_tiles = device.empty(pairs.count // BUCKET + tiles, np.uint32)
     pairs.bucket_tiles.fill(tiles)
-    device.launch(FILL_BUCKETS, tiles, None, defines, tiles=tiles, counts=counts,
+    device.launch_each(FILL_BUCKETS, tiles, defines, tiles=tiles, counts=counts,
                   offsets=pairs.bucket_offsets, bucket_tiles=pairs.bucket_tiles)

@@ -29,7 +29,7 @@ ADJOINT = {
                     slots=("uint", "P"), bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"),
                     **_SPLATS, image=("real", 3, "H", "W"), depth=("real", "D", "E"),
                     last=("int", "H", "W"), **_GRADS, **_CHECKPOINTS, sums=("real", "P", "S"))}
-SUM_PAIRS = Kernel("blend.cl", "sum_pairs", count="uint", width="uint", counts=("uint", "V"),
+SUM_PAIRS = Kernel("blend.cl", "sum_pairs", count="uint", counts=("uint", "V"),
                    offsets=("uint", "V"), sums=("real", "P", "S"), totals=("real", "V", "S"))
 
 
@@ -48,8 +48,7 @@ class Blended:
 
 
 def blend_defines(device, with_depth, smooth_cutoff):
-    return (("FORM_ITEM", int(device.form == "item")), ("TILE", device.tile), ("BUCKET", BUCKET),
-            ("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff)))
+    return (("TILE", device.tile), ("BUCKET", BUCKET), ("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff)))
 
 
 def blend(device, splats, pairs, width, height, background, defines):
@@ -95,7 +94,7 @@ def blend_adjoint(device, splats, pairs, blended, background, grad_image, grad_d
                       checkpoints=blended.checkpoints,
                       depth_checkpoints=blended.depth_checkpoints)
     totals = device.empty((len(splats), columns))
-    device.launch(SUM_PAIRS, len(splats) * columns, None, defines, count=len(splats),
-                  width=columns, counts=pairs.counts, offsets=pairs.offsets, sums=sums,
-                  totals=totals)
+    elements = len(splats) if device.form == "item" else len(splats) * columns
+    device.launch_each(SUM_PAIRS, elements, defines, count=len(splats), counts=pairs.counts,
+                       offsets=pairs.offsets, sums=sums, totals=totals)
     return totals

@@ -39,7 +39,7 @@ def cull(device, rows, camera, defines):
     """(flags uint[N], depth keys uint[N]): which gaussians meet the image, and their order."""
     count = len(rows["positions"])
     flags, depth_keys = (device.empty(count, np.uint32) for _ in range(2))
-    device.launch(CULL, count, None, defines, count=count, camera=camera,
+    device.launch_each(CULL, count, defines, count=count, camera=camera,
                   positions=rows["positions"], log_scales=rows["log_scales"],
                   quaternions=rows["quaternions"], opacity_logits=rows["opacity_logits"],
                   depth_keys=depth_keys, flags=flags)
@@ -49,7 +49,7 @@ def cull(device, rows, camera, defines):
 def project(device, rows, visible, camera, degree, defines):
     """splats real[V, 12] (cl/include/splat.h) of the gaussians `visible` uint[V]."""
     splats = device.empty((len(visible), SPLAT_REALS))
-    device.launch(PROJECT, len(visible), None, defines, count=len(visible), degree=degree,
+    device.launch_each(PROJECT, len(visible), defines, count=len(visible), degree=degree,
                   rows=visible, camera=camera, splats=splats, **rows)
     return splats
 
@@ -63,7 +63,7 @@ def project_adjoint(device, rows, visible, camera, degree, defines, sums, skippe
     count = len(visible)
     gradients = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in FIELDS}
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
-    device.launch(ADJOINT, count, None, defines, count=count, degree=degree,
+    device.launch_each(ADJOINT, count, defines, count=count, degree=degree,
                   sum_count=sums.shape[1], rows=visible, camera=camera, **rows, sums=sums,
                   **{f"grad_{name}": g for name, g in gradients.items()},
                   grad_means=grad_means, active=active, skipped=skipped)

@@ -11,14 +11,15 @@ import numpy as np
 
 from clsplat.errors import InputError, Interrupted
 from clsplat.evaluate.views import evaluate_views
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import FIELDS, Gaussians
 from clsplat.io.scenes import fingerprint
 from clsplat.loss.image_loss import loss_value
 from clsplat.render.pipeline import Renderer
 from clsplat.schedule import SCHEDULES, scaled_steps
 from clsplat.train.begin import initial_gaussians
+from clsplat.train.interrupt import deferred_interrupt
 from clsplat.train.model import Model
-from clsplat.train.photos import Photos
+from clsplat.train.photos import Photos, decoded
 from clsplat.train.step import Step
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
@@ -31,9 +32,9 @@ def train(scene, options, device, run, progress=None):
     options: TrainOptions; progress: called as progress(iteration=, loss=, gaussians=,
     memory_bytes=) and progress.message(text). Raises Interrupted, state saved, on Ctrl-C.
     """
-    training = Training(scene, options, device, run, progress)
+    training = Training(scene, options, device, run, progress, initial_gaussians(scene, options))
     run.write_options({"scene": scene.path, **dataclasses.asdict(options),
-                       "fingerprint": fingerprint(scene), "opencl_device": device.name,
+                       "fingerprint": training.fingerprint, "opencl_device": device.name,
                        "kernel_form": device.form, "extent": scene.extent,
                        "offset": scene.offset.tolist()})
     training.run_to_end()
@@ -45,16 +46,31 @@ def resume(scene, options, device, run, progress=None):
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, {record.get('scene')}; "
                          "give that one, or another --output")
-    training = Training(scene, options, device, run, progress)
-    training.load(*run.load_checkpoint())
+    arrays, state = run.load_checkpoint()
+    if state.get("fingerprint") != record["fingerprint"]:
+        raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "
+                         "or start again with --overwrite")
+    try:
+        gaussians = Gaussians(fields_of(arrays, "row"), options.sh_degree)
+        training = Training(scene, options, device, run, progress, gaussians)
+        training.load(arrays, state)
+    except KeyError as error:
+        raise InputError(f"{run.path}: its checkpoint lacks {error}; "
+                         "start again with --overwrite") from None
     run.rewind(training.iteration)
     training.run_to_end()
+
+
+def fields_of(arrays, kind):
+    """Field name -> array, of a checkpoint's arrays of one kind: row, m or v."""
+    return {field.name: arrays[f"{kind}.{field.name}"] for field in FIELDS}
 
 
 class Training:
     """The state of a run: what `take_step` changes and a checkpoint holds."""
 
-    def __init__(self, scene, options, device, run, progress):
+    def __init__(self, scene, options, device, run, progress, gaussians):
+        self.fingerprint = fingerprint(scene)
         self.options = options = scaled_steps(options)
         self.scene = scene = scene.reduced(options.downscale, options.max_resolution)
         self.device, self.run, self.progress = device, run, progress
@@ -63,12 +79,13 @@ class Training:
             raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
                              "view; use a larger number, or 0")
         self.schedule = SCHEDULES[options.schedule](options)
-        gaussians = initial_gaussians(scene, options)
         self.renderer = Renderer(device, options.sh_degree, options.near or scene.near_plane,
                                  options.antialiased, options.background)
         model = Model(device, gaussians, options.engine, options.optimizer == "dense")
         self.step = Step(self.renderer, model, scene.extent, options)
         self.photos = Photos(device, self.train_views)
+        for _ in decoded(self.test_views):
+            pass  # a damaged one would end the run at its evaluation
         self.cameras = [self.renderer.pack(view.camera) for view in self.train_views]
         self.iteration = 0
         self.train_seconds = self.wall_seconds = 0.0
@@ -80,22 +97,24 @@ class Training:
             len(self.train_views))[place]
 
     def run_to_end(self):
-        """Steps until done, `stop_at`, or Ctrl-C; whatever ends it, the state is saved."""
+        """Steps until done, `stop_at` or Ctrl-C, which waits for its step; then saves the state."""
         end = self.options.iterations
         if self.options.stop_at:
             end = min(end, self.options.stop_at)
         self._clock = self._wall = time.perf_counter()
         try:
-            while self.iteration < end:
-                self.take_step()
-                self.report()
-        except KeyboardInterrupt:
-            self.save()
-            raise Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
-                              f"{self.scene.path} -o {self.run.path} --resume") from None
+            with deferred_interrupt() as interrupted:
+                while self.iteration < end and not interrupted():
+                    self.take_step()
+                    self.report()
+                    if self.due(self.options.checkpoint_every) and self.iteration < end:
+                        self.save()
         finally:
             self.photos.close()
         self.save()
+        if self.iteration < end:
+            raise Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
+                              f"{self.scene.path} -o {self.run.path} --resume")
         gaussians = self.step.model.download()
         self.run.save_model(gaussians, self.scene.offset, self.comments())
 
@@ -116,8 +135,6 @@ class Training:
         if self.due(self.options.eval_every) or iteration in self.options.eval_at \
                 or iteration == self.options.iterations:
             self.evaluate()
-        if self.due(self.options.checkpoint_every) and iteration < self.options.iterations:
-            self.save()
 
     def due(self, every):
         return every > 0 and self.iteration % every == 0
@@ -189,30 +206,20 @@ class Training:
         arrays["statistics.seen_count"] = statistics.seen_count.download()
         now = time.perf_counter()
         self.run.save_checkpoint(arrays, {
-            "iteration": self.iteration, "train_seconds": self.train_seconds,
+            "fingerprint": self.fingerprint, "iteration": self.iteration,
+            "train_seconds": self.train_seconds,
             "wall_seconds": self.wall_seconds + now - self._wall,
             "skipped_rows": int(self.renderer.skipped.download()[0])})
         self.unpause()
 
     def load(self, arrays, state):
-        """Take the state over from a checkpoint's arrays."""
-        try:
-            fields = {kind: {name.partition(".")[2]: values for name, values in arrays.items()
-                             if name.startswith(kind + ".")} for kind in ("row", "m", "v")}
-            gaussians = Gaussians(fields["row"], self.options.sh_degree)
-            model = Model(self.device, gaussians, self.options.engine,
-                          self.options.optimizer == "dense")
-            model.adam.upload(fields["m"], fields["v"])
-            self.step.model = model
-            self.step.statistics.clear(model.count)
-            self.step.statistics.grad_norm_sum.write(arrays["statistics.grad_norm_sum"])
-            self.step.statistics.seen_count.write(arrays["statistics.seen_count"])
-            self.renderer.skipped.write(np.array([state["skipped_rows"]], np.uint32))
-            self.iteration = state["iteration"]
-            self.train_seconds, self.wall_seconds = state["train_seconds"], state["wall_seconds"]
-        except KeyError as error:
-            raise InputError(f"{self.run.path}: its checkpoint lacks {error}; "
-                             "start again with --overwrite") from None
+        """Take over what a checkpoint holds besides the rows."""
+        self.step.model.adam.upload(fields_of(arrays, "m"), fields_of(arrays, "v"))
+        self.step.statistics.grad_norm_sum.write(arrays["statistics.grad_norm_sum"])
+        self.step.statistics.seen_count.write(arrays["statistics.seen_count"])
+        self.renderer.skipped.write(np.array([state["skipped_rows"]], np.uint32))
+        self.iteration = state["iteration"]
+        self.train_seconds, self.wall_seconds = state["train_seconds"], state["wall_seconds"]
 
     def comments(self):
         """Lines for the PLY header that other tools read."""

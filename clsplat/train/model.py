@@ -34,7 +34,7 @@ class Model:
         self.capacity = max(self.count, self.capacity)
         self._arrays = {}
         for name, values in gaussians.rows.items():
-            self._arrays[name] = self.device.empty((self.capacity, *values.shape[1:]))
+            self._arrays[name] = self.device.hold((self.capacity, *values.shape[1:]))
             self._arrays[name].write(values)
 
     @property
@@ -53,7 +53,7 @@ class Model:
             self.capacity = int(count * GROWTH_ROOM)
         source = self.device.upload(growth.source)
         for name, old in self._arrays.items():
-            new = self.device.empty((self.capacity, *old.shape[1:]))
+            new = self.device.hold((self.capacity, *old.shape[1:]))
             self._arrays[name] = gather(self.device, old, source, new)
         self.adam.regrow(source, growth.kept, self.capacity)
         self.count = count

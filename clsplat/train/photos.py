@@ -7,18 +7,27 @@ import numpy as np
 from clsplat.io.images import read_image
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
+THREADS = 2  # each may hold a whole photo as floats
 
 
-def planar(pixels):
-    """uint8[3, H, W] from uint8[H, W, 3]."""
+def decode(view):
+    """uint8[3, H, W]: the view's photo at its camera's size."""
+    pixels = read_image(view.source, (view.camera.width, view.camera.height))
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def decoded(views):
+    """Yields `decode` of each view, by a few threads; raises InputError at a damaged photo."""
+    with ThreadPoolExecutor(THREADS) as threads:
+        yield from threads.map(decode, views)
 
 
 class Photos:
     """`photos[i]` is view i's photo as uchar[3, H, W] on the device.
 
-    views: Views whose cameras have the size wanted; budget_bytes: what may stay on the device, by default a
-    quarter of its memory. Past it photos are decoded anew at each use, one ahead in a thread:
+    views: Views whose cameras have the size wanted; budget_bytes: what may stay on the device, by
+    default a quarter of its memory. Within it all are decoded at once, so that a damaged photo is
+    refused before a run begins; past it each is decoded anew at each use, one ahead in a thread:
     `expect` says which comes next.
     """
 
@@ -27,27 +36,20 @@ class Photos:
         total = sum(3 * view.camera.width * view.camera.height for view in views)
         budget = DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None else budget_bytes
         self.resident = total <= budget
-        self._arrays = {}
+        self._arrays = [device.upload(p) for p in decoded(views)] if self.resident else []
         self._ahead = {}
         self._thread = ThreadPoolExecutor(1)
 
-    def _decode(self, index):
-        view = self.views[index]
-        return planar(read_image(view.source, (view.camera.width, view.camera.height)))
-
     def expect(self, index):
         """Begin decoding a photo that will be asked for soon."""
-        if index not in self._arrays and index not in self._ahead:
-            self._ahead[index] = self._thread.submit(self._decode, index)
+        if not self.resident and index not in self._ahead:
+            self._ahead[index] = self._thread.submit(decode, self.views[index])
 
     def __getitem__(self, index):
-        if index in self._arrays:
+        if self.resident:
             return self._arrays[index]
         pending = self._ahead.pop(index, None)
-        photo = self.device.upload(pending.result() if pending else self._decode(index))
-        if self.resident:
-            self._arrays[index] = photo
-        return photo
+        return self.device.upload(pending.result() if pending else decode(self.views[index]))
 
     def close(self):
         self._thread.shutdown(wait=False, cancel_futures=True)

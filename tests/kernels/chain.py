@@ -1,5 +1,7 @@
 """What the tests of rendering share: cases on the device, and the same chain by the reference."""
 
+import functools
+
 import numpy as np
 
 from clsplat.camera import Camera
@@ -75,32 +77,39 @@ def close_gradients(actual, expected, case, precision, what):
         close(actual[name] * scale, values * scale, precision, f"{what}: gradient of {name}")
 
 
-def agrees_with_reference(device, case, antialiased, what):
-    """Render a case with depth, and back from random cotangents, against the reference."""
-    width, height = size_of(case)
-    arguments = case["camera"], case["degree"], case["near"]
+@functools.cache
+def reference_of(name, antialiased, **changes):
+    """A case by the reference, once for all devices: the case, the visible gaussians in depth
+    order, image, depth, pixels that lower precision may decide otherwise, random cotangents that
+    are zero there, and the gradients by row."""
+    case = cases.gaussians(name, **changes)
+    size, arguments = size_of(case), (case["camera"], case["degree"], case["near"])
     splats = project(case["rows"], *arguments, antialiased=antialiased)
     order = depth_order(splats)
+    fragile = fragile_pixels(splats, order, *size)
     rng = np.random.default_rng(1)
-    fragile = fragile_pixels(splats, order, width, height)
-    grad_image = np.where(fragile, 0, rng.normal(size=(3, height, width)))
-    grad_depth = np.where(fragile, 0, rng.normal(size=(height, width)))
-    image, _, depth = blend(splats, order, width, height, case["background"], with_depth=True)
-    by_splat = blend_adjoint(
-        splats, order, width, height, case["background"], grad_image, grad_depth)
-    expected = project_adjoint(case["rows"], *arguments, antialiased=antialiased, grads=by_splat)
+    cotangents = [np.where(fragile, 0, rng.normal(size=(*channels, *fragile.shape)))
+                  for channels in ((3,), ())]
+    image, _, depth = blend(splats, order, *size, case["background"], with_depth=True)
+    by_splat = blend_adjoint(splats, order, *size, case["background"], *cotangents)
+    gradients = project_adjoint(case["rows"], *arguments, antialiased=antialiased, grads=by_splat)
+    return case, order, image, depth, fragile, cotangents, gradients
 
+
+def agrees_with_reference(device, name, antialiased, **changes):
+    """Render a case with depth, and back from random cotangents, against the reference."""
+    case, order, image, depth, fragile, cotangents, expected = reference_of(
+        name, antialiased, **changes)
     renderer, rows, frame = render(device, case, with_depth=True, antialiased=antialiased)
     precision = precision_of(device)
-    assert sorted(frame.visible.download()) == sorted(order), f"{what}: visible gaussians"
-    close(np.where(fragile, image, frame.image.download()), image, precision, f"{what}: image")
+    assert sorted(frame.visible.download()) == sorted(order), f"{name}: visible gaussians"
+    close(np.where(fragile, image, frame.image.download()), image, precision, f"{name}: image")
     close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision,
-          f"{what}: depth")
-    gradients = renderer.adjoint(
-        rows, frame, device.upload(grad_image), device.upload(grad_depth))
+          f"{name}: depth")
+    gradients = renderer.adjoint(rows, frame, *map(device.upload, cotangents))
     assert np.array_equal(gradients.rows.download(), frame.visible.download())
     assert renderer.skipped.last() == 0
-    close_gradients(gradients_by_row(gradients, case), expected, case, precision, what)
+    close_gradients(gradients_by_row(gradients, case), expected, case, precision, name)
 
 
 def pack_splats(splats, order):

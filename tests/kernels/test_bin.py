@@ -108,13 +108,3 @@ def test_buckets_cover_each_tile_in_order(group_device):
     assert (buckets[len(expected):] == len(lengths)).all()
     assert np.array_equal(found.pairs.bucket_offsets.download(),
                           np.cumsum(-(-lengths // BUCKET)) - -(-lengths // BUCKET))
-
-
-def test_the_same_pairs_for_every_group_size(device, monkeypatch):
-    rows = rows_of(150, 61, 37, seed=4)
-    first = Binned(device, rows, 61, 37)
-    for group in (32, 64):
-        monkeypatch.setattr(device, "group_size", group)
-        again = Binned(device, rows, 61, 37)
-        assert np.array_equal(first.splats, again.splats)
-        assert np.array_equal(first.slots, again.slots)

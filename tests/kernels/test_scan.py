@@ -33,7 +33,8 @@ def test_sums_around_chunk_sizes(device, monkeypatch):
 def test_more_chunks_than_lanes_add_up_their_totals(device, monkeypatch):
     monkeypatch.setattr(device, "scan_group", GROUP)
     monkeypatch.setattr(scan, "chunk_size", lambda device, count: CHUNK)
-    check(device, np.random.default_rng(0).integers(0, 1000, (2 * GROUP + 1) * CHUNK + 3, np.uint32))
+    count = (2 * GROUP + 1) * CHUNK + 3
+    check(device, np.random.default_rng(0).integers(0, 1000, count, np.uint32))
 
 
 def test_the_devices_own_group_size(device):

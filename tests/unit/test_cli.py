@@ -312,9 +312,7 @@ def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
 
 def test_bench_lists_and_calls(monkeypatch, tmp_path):
     (tmp_path / "blend.py").write_text("\ndef main(argv):\n    print('timed', argv)\n")
-    (tmp_path / "__main__.py").write_text("\ndef main(argv): ...\n")
-    (tmp_path / "sizes.py").write_text("N = 3\n")
-    package = module(monkeypatch, "made_benches")
+    package = module(monkeypatch, "made_benches", families=lambda: ["blend"])
     package.__path__ = [str(tmp_path)]
     monkeypatch.setattr("clsplat.cli.bench.bench_package", lambda: package)
     assert clsplat_("bench").output == "blend\n"

@@ -1,0 +1,305 @@
+"""A correctness self-test for any driver, in a few seconds: `check(device)`.
+
+What a wrong driver or compiler gets wrong shows here and not as a bad model after hours: every
+family of kernels runs in both forms, in single precision, against numpy or against itself.
+"""
+
+import numpy as np
+from scipy.ndimage import correlate1d
+
+from clsplat.camera import Camera
+from clsplat.densify.statistics import Statistics
+from clsplat.device import Device
+from clsplat.gaussians import FIELDS, SH_C0
+from clsplat.loss.image_loss import image_loss, loss_value
+from clsplat.optimise.adam import NO_ROW, DeviceAdam, adam_update
+from clsplat.primitives.gather import compact, gather, scatter
+from clsplat.primitives.reduce import sum_columns
+from clsplat.primitives.scan import exclusive_scan
+from clsplat.primitives.sort import stable_sort
+from clsplat.render.pipeline import Gradients, Renderer
+from clsplat.render.project import LOW_PASS
+
+SH_C1 = np.sqrt(3 / (4 * np.pi))
+NEAR = 0.1
+CAMERA = Camera(90, 70, (80.0, 75.0), (44.0, 36.0), np.eye(3), np.array([0.1, -0.2, 0.3]))
+BACKGROUND = (0.1, 0.3, 0.2)
+
+
+def check(device):
+    """[(name, passed, detail)]: every check of both kernel forms on the device of `device`.
+
+    detail: the measured error and its bound, or what the driver raised.
+    """
+    forms = [Device(device.handle, form=form) for form in ("item", "group")]
+    return [*check_form(forms[0]), *check_form(forms[1]),
+            _result("render, both forms", forms_agree, *forms)]
+
+
+def check_form(device):
+    """As `check`, of the form and precision in which the device is open."""
+    return [_result(f"{name}, {device.form} form", test, device) for name, test in CHECKS]
+
+
+def _result(name, test, *devices):
+    try:
+        error, bound, what = test(*devices)
+    except Exception as raised:  # a driver may throw anything, and that is the finding
+        return name, False, " ".join(f"{type(raised).__name__}: {raised}".split())[:300]
+    return name, bool(error <= bound), f"{what} {error:.2g}, bound {bound:g}"
+
+
+def _relative(actual, expected):
+    """Root mean square of the difference over that of the expected values."""
+    actual, expected = np.asarray(actual, np.float64), np.asarray(expected, np.float64)
+    return np.linalg.norm(actual - expected) / np.linalg.norm(expected)
+
+
+def _wrong(*pairs):
+    """How many integers differ, as a check's result."""
+    return sum(int((actual != expected).sum()) for actual, expected in pairs), 0, "wrong values"
+
+
+# --- primitives
+
+
+def scan(device):
+    values = np.random.default_rng(0).integers(0, 50, 100_003, dtype=np.uint32)
+    offsets, totals = exclusive_scan(device, device.upload(values))
+    expected = np.cumsum(values, dtype=np.uint64)
+    return _wrong((offsets.download(), expected - values), (totals.last(), expected[-1]))
+
+
+def sort(device):
+    rng = np.random.default_rng(1)
+    keys = rng.choice(rng.integers(0, 2**32, 5000, dtype=np.uint32), 30_011)  # many equal
+    sorted_keys, order = stable_sort(device, device.upload(keys))
+    expected = np.argsort(keys, kind="stable")
+    return _wrong((sorted_keys.download(), keys[expected]), (order.download(), expected))
+
+
+def rows_by_index(device):
+    rng = np.random.default_rng(2)
+    rows, order = rng.random((5003, 3), np.float32), rng.permutation(5003).astype(np.uint32)
+    taken = gather(device, device.upload(rows), device.upload(order))
+    back = device.zeros(rows.shape)
+    scatter(device, taken, device.upload(order), back)
+    return _wrong((taken.download(), rows[order]), (back.download(), rows))
+
+
+def compaction(device):
+    rng = np.random.default_rng(3)
+    flags, keys = rng.integers(0, 2, (2, 10_007), dtype=np.uint32) * np.uint32([[1], [9]])
+    kept_keys, kept = compact(device, device.upload(flags), device.upload(keys))
+    expected = np.flatnonzero(flags)
+    if len(kept) != len(expected):
+        return abs(len(kept) - len(expected)), 0, "rows too many or too few"
+    return _wrong((kept.download(), expected), (kept_keys.download(), keys[expected]))
+
+
+def sums(device):
+    rows = np.random.default_rng(4).random((50_021, 2), np.float32)
+    totals = sum_columns(device, device.upload(rows)).download()
+    return _relative(totals, rows.sum(0, dtype=np.float64)), 1e-6, "relative error"
+
+
+# --- training
+
+
+def adam(device):
+    """Two steps on varying rows; one row's gradient is marked as not finite."""
+    rng = np.random.default_rng(5)
+    expected = {f.name: rng.normal(size=(50, f.width(1))).astype(np.float32) for f in FIELDS}
+    rows = {f.name: device.upload(expected[f.name].reshape(50, *f.row_shape(1))) for f in FIELDS}
+    engine, rates = DeviceAdam(device, rows), {f.name: f.rate for f in FIELDS}
+    moments = {name: np.zeros((2, *values.shape), np.float32) for name, values in expected.items()}
+    for step in (1, 2):
+        seen = rng.permutation(50)[:40].astype(np.uint32)
+        fields = {}
+        for f in FIELDS:
+            gradient = rng.normal(size=(40, f.width(1))).astype(np.float32)
+            fields[f.name] = device.upload(gradient.reshape(40, *f.row_shape(1)))
+            expected[f.name][seen[1:]], *moments[f.name][:, seen[1:]] = adam_update(
+                expected[f.name][seen[1:]], gradient[1:], *moments[f.name][:, seen[1:]], step,
+                f.rate)
+        seen[0] = NO_ROW
+        gradients = Gradients(fields, device.zeros((40, 2)), device.upload(seen))
+        engine.step(rows, gradients, step, rates, {f.name: f.width(1) for f in FIELDS})
+    error = max(_relative(rows[name].download().reshape(50, -1), values)
+                for name, values in expected.items())
+    return error, 1e-6, "relative error"
+
+
+def statistics(device):
+    rng = np.random.default_rng(6)
+    means, seen = rng.normal(size=(40, 2)), rng.permutation(50)[:40].astype(np.uint32)
+    found = Statistics(device, 50)
+    found.accumulate(Gradients({}, device.upload(means), device.upload(seen)), 90, 70)
+    expected = np.zeros(50)
+    expected[seen] = np.linalg.norm(means * (45, 35), axis=1)
+    return _relative(found.mean_gradient(), expected), 1e-6, "relative error"
+
+
+def _losses(image, photo, ssim_weight):
+    """The loss in float64: 11 taps of a gaussian of sigma 1.5 (Wang et al. 2004)."""
+    taps = np.exp(-np.arange(-5, 6)**2 / 4.5)
+
+    def window(values):
+        rows = correlate1d(values, taps / taps.sum(), axis=-1, mode="constant")
+        return correlate1d(rows, taps / taps.sum(), axis=-2, mode="constant")
+
+    mean, photo_mean = window(image), window(photo)
+    variances = window(image**2 + photo**2) - mean**2 - photo_mean**2
+    covariance = window(image * photo) - mean * photo_mean
+    ssim = ((2 * mean * photo_mean + 0.01**2) * (2 * covariance + 0.03**2)
+            / ((mean**2 + photo_mean**2 + 0.01**2) * (variances + 0.03**2)))
+    return (1 - ssim_weight) * np.abs(image - photo).mean() + ssim_weight * (1 - ssim.mean())
+
+
+def _loss_case(device):
+    """(float64 loss as a function of the image, image, device's loss, device's gradient)."""
+    rng = np.random.default_rng(7)
+    photo = rng.integers(0, 256, (3, 41, 53), np.uint8)
+    # never nearer to the photo than the difference quotient's step: |x - y| has a kink
+    image = photo / 255 + rng.choice((-1, 1), photo.shape) * rng.uniform(0.02, 0.2, photo.shape)
+    totals, grad = image_loss(device, device.upload(image), device.upload(photo), 0.2)
+    value, _, _ = loss_value(totals, photo.size, 0.2)
+    return lambda x: _losses(x, photo / 255, 0.2), image, value, grad.download()
+
+
+def loss(device):
+    function, image, value, _ = _loss_case(device)
+    return abs(value - function(image)), 1e-5, "error"
+
+
+def loss_adjoint(device):
+    function, image, _, grad = _loss_case(device)
+    return _slope_error(function, image, grad, step=1e-4), 1e-4, "relative error"
+
+
+def _slope_error(function, point, grad, step):
+    """|difference quotient - adjoint| along a random direction, relative to the sum's terms."""
+    direction = np.random.default_rng(8).normal(size=point.shape)
+    values = {k: function(point + k * step * direction) for k in (-2, -1, 1, 2)}
+    quotient = (8 * (values[1] - values[-1]) - values[2] + values[-2]) / (12 * step)
+    terms = np.asarray(grad, np.float64) * direction
+    return abs(quotient - terms.sum()) / max(abs(quotient), np.linalg.norm(terms))
+
+
+# --- rendering
+
+
+def _gaussians(count, scale):
+    """Rows of degree 1 in front of CAMERA, at distinct depths, about `scale` world units large."""
+    rng = np.random.default_rng(9)
+    depth = rng.permutation(np.linspace(2, 6, count))
+    positions = np.column_stack([rng.uniform(-0.5, 0.5, (count, 2)) * depth[:, None], depth])
+    rows = {"positions": positions - CAMERA.translation,
+            "sh_constant": rng.uniform(0, 1, (count, 3)) / SH_C0,
+            "sh_rest": rng.normal(0, 0.1, (count, 3, 3)),
+            "opacity_logits": rng.uniform(-2, 2, count),
+            "log_scales": np.log(scale) + rng.normal(0, 0.5, (count, 3)),
+            "quaternions": rng.normal(size=(count, 4))}
+    # rounded as the device will round them
+    return {name: values.astype(np.float32).astype(np.float64) for name, values in rows.items()}
+
+
+class _View:
+    """A renderer of CAMERA's view and its last render."""
+
+    def __init__(self, device, **options):
+        self.device = device
+        self.renderer = Renderer(device, 1, NEAR, background=BACKGROUND, **options)
+        self.camera = self.renderer.pack(CAMERA)
+
+    def image(self, rows):
+        self.rows = {name: self.device.upload(values) for name, values in rows.items()}
+        self.frame = self.renderer.render(self.rows, self.camera, CAMERA.width, CAMERA.height, 1)
+        return self.frame.image.download()
+
+    def gradients(self, weights):
+        """Field -> gradients of sum(weights * image) by row."""
+        found = self.renderer.adjoint(self.rows, self.frame, self.device.upload(weights))
+        visible, gradients = found.rows.download(), {}
+        for name, rows in self.rows.items():
+            gradients[name] = np.zeros(rows.shape, np.float32)
+            gradients[name][visible] = found.fields[name].download()
+        return gradients
+
+
+def _weights():
+    """A random gradient of the image."""
+    return np.random.default_rng(10).normal(size=(3, CAMERA.height, CAMERA.width))
+
+
+def _evaluated(rows):
+    """(image float64[3, H, W], mask bool[H, W] of pixels where no cutoff is near) by definition."""
+    pixel = np.stack(np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))) + 0.5
+    image, rest, sure = np.zeros((3, *pixel.shape[1:])), np.ones(pixel.shape[1:]), True
+    means, depths = CAMERA.project(rows["positions"])
+    for i in np.argsort(depths):
+        p = CAMERA.rotation @ rows["positions"][i] + CAMERA.translation
+        w, x, y, z = rows["quaternions"][i] / np.linalg.norm(rows["quaternions"][i])
+        turn = np.array([[1 - 2 * (y*y + z*z), 2 * (x*y - w*z), 2 * (x*z + w*y)],
+                         [2 * (x*y + w*z), 1 - 2 * (x*x + z*z), 2 * (y*z - w*x)],
+                         [2 * (x*z - w*y), 2 * (y*z + w*x), 1 - 2 * (x*x + y*y)]])
+        slope = np.diag(CAMERA.focal) @ [[1, 0, -p[0] / p[2]], [0, 1, -p[1] / p[2]]] / p[2]
+        half = slope @ CAMERA.rotation @ turn * np.exp(rows["log_scales"][i])
+        d = pixel - means[i][:, None, None]
+        q = np.einsum("ihw,ij,jhw->hw", d, np.linalg.inv(half @ half.T + LOW_PASS * np.eye(2)), d)
+        alpha = np.exp(-q / 2) / (1 + np.exp(-rows["opacity_logits"][i]))
+        sure &= np.abs(255 * alpha - 1) > 1e-3
+        alpha[alpha < 1 / 255] = 0
+        x, y, z = (rows["positions"][i] - CAMERA.position) / np.linalg.norm(p)
+        basis = SH_C1 * np.array([-y, z, -x])
+        colour = 0.5 + SH_C0 * rows["sh_constant"][i] + basis @ rows["sh_rest"][i]
+        image += (rest * alpha) * np.maximum(colour, 0)[:, None, None]
+        rest *= 1 - alpha
+    return image + rest * np.array(BACKGROUND)[:, None, None], sure & (rest > 2e-4)
+
+
+def render(device):
+    """A few gaussians, so that no pixel is opaque, against their definition."""
+    rows = _gaussians(12, 0.3)
+    expected, sure = _evaluated(rows)
+    error = np.abs(_View(device).image(rows) - expected)[:, sure].max()
+    return error, 2e-5, "largest error"
+
+
+def render_adjoint(device):
+    """Every field's gradient against the difference quotient through the whole chain."""
+    rows, weights, view = _gaussians(12, 0.3), _weights(), _View(device, smooth_cutoff=True)
+    view.image(rows)
+    gradients, errors = view.gradients(weights), {}
+    for name, point in rows.items():
+        def weighted(values, name=name):
+            return np.sum(weights * view.image({**rows, name: values}))
+        errors[name] = _slope_error(weighted, point, gradients[name], step=1e-3)
+    worst = max(errors, key=errors.get)
+    return errors[worst], 3e-3, f"relative error (by {worst})"
+
+
+def _image_and_gradients(device):
+    view = _View(device)
+    image = view.image(_gaussians(1500, 0.1))
+    return {"image": image, **view.gradients(_weights())}
+
+
+def same_bytes(device):
+    first, second = (_image_and_gradients(device) for _ in range(2))
+    return _wrong(*((first[name].view(np.uint32), second[name].view(np.uint32))
+                    for name in first))
+
+
+def forms_agree(item, group):
+    """1500 gaussians, image and gradients; a few pixels sit on a cutoff and may fall either way."""
+    first, second = (_image_and_gradients(device) for device in (item, group))
+    errors = {name: _relative(second[name], first[name]) for name in first}
+    worst = max(errors, key=errors.get)
+    return errors[worst], 1e-3, f"relative difference ({worst})"
+
+
+CHECKS = (("scan", scan), ("stable sort", sort), ("gather and scatter", rows_by_index),
+          ("compaction", compaction), ("sums", sums), ("Adam", adam), ("statistics", statistics),
+          ("image loss", loss), ("image loss adjoint", loss_adjoint), ("render", render),
+          ("render adjoint", render_adjoint), ("same bytes twice", same_bytes))

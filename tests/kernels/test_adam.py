@@ -1,0 +1,148 @@
+"""Adam: both engines against the reference, over steps, rows and columns."""
+
+import numpy as np
+import pytest
+
+from clsplat.gaussians import FIELDS
+from clsplat.optimise.adam import NO_ROW, DeviceAdam, NumpyAdam
+from clsplat.render.pipeline import Gradients
+from tests.checks import close
+from tests.kernels.chain import precision_of
+from tests.reference.adam import adam
+
+DEGREE = 1
+RATES = {field.name: field.rate for field in FIELDS}
+WIDTHS = {field.name: field.width(DEGREE) for field in FIELDS}
+ENGINES = pytest.mark.parametrize("engine", [DeviceAdam, NumpyAdam])
+DENSE = pytest.mark.parametrize("dense", [False, True], ids=["sparse", "dense"])
+
+
+def random_rows(count, rng):
+    return {field.name: rng.normal(size=(count, *field.row_shape(DEGREE))).astype(np.float32)
+            .astype(float) for field in FIELDS}
+
+
+class Run:
+    """Parameters, an engine, and the same by the reference."""
+
+    def __init__(self, device, engine, count, dense=False, seed=0):
+        self.device, self.dense, self.rng = device, dense, np.random.default_rng(seed)
+        self.expected = random_rows(count, self.rng)
+        self.first = {name: np.zeros(v.shape) for name, v in self.expected.items()}
+        self.second = {name: np.zeros(v.shape) for name, v in self.expected.items()}
+        self.rows = {name: device.upload(values) for name, values in self.expected.items()}
+        self.engine = engine(device, self.rows, dense)
+        self.count, self.steps = count, 0
+
+    def step(self, seen, used=WIDTHS, scale=1.0):
+        """One step on gradients of `seen` random rows; every fifth row is marked as not finite."""
+        self.steps += 1
+        rows = self.rng.permutation(self.count)[:seen].astype(np.uint32)
+        fields = {name: v * scale for name, v in random_rows(seen, self.rng).items()}
+        for name, values in fields.items():
+            spread = np.zeros_like(self.expected[name])
+            spread[rows] = values.astype(self.device.real)
+            spread[rows[::5]] = 0
+            changed = slice(None) if self.dense else np.delete(rows, np.s_[::5])
+            columns = slice(0, used[name])
+            flat = [a.reshape(self.count, -1)[:, columns] for a in (
+                self.expected[name], spread, self.first[name], self.second[name])]
+            results = adam(*flat, self.steps, RATES[name], changed)
+            for target, values in zip((self.expected, self.first, self.second), results):
+                target[name].reshape(self.count, -1)[:, columns] = values
+        rows[::5] = NO_ROW
+        for name in fields:
+            fields[name][::5] = np.nan
+        gradients = Gradients({name: self.device.upload(v) for name, v in fields.items()},
+                              self.device.zeros((seen, 2)), self.device.upload(rows))
+        self.engine.step(self.rows, gradients, self.steps, RATES, used)
+
+    def check(self, what=""):
+        precision = precision_of(self.device)
+        m, v = self.engine.download(self.count)
+        for name in WIDTHS:
+            close(self.rows[name].download(), self.expected[name], precision, f"{what} {name}")
+            close(m[name], self.first[name], precision, f"{what} m of {name}")
+            close(v[name], self.second[name], precision, f"{what} v of {name}")
+
+
+@ENGINES
+@DENSE
+def test_steps_on_varying_rows(device, engine, dense):
+    run = Run(device, engine, 40, dense)
+    for seen in (40, 25, 1, 0, 33):
+        run.step(seen)
+    run.check()
+
+
+@pytest.mark.oclgrind
+@DENSE
+def test_counts_around_the_group_size(device, dense):
+    """Of the device engine; a field of width 1 has as many elements as rows."""
+    group = device.group_size
+    for count in (1, group - 1, group, group + 1):
+        run = Run(device, DeviceAdam, count, dense, seed=count)
+        run.step(count)
+        run.step(count)
+        run.check(f"{count} rows")
+
+
+@ENGINES
+@DENSE
+def test_columns_and_fields_that_are_not_used_stay(device, engine, dense):
+    run = Run(device, engine, 20, dense)
+    before = run.rows["positions"].download()
+    run.step(15, {**WIDTHS, "sh_rest": 3, "positions": 0})
+    run.check()
+    assert np.array_equal(run.rows["positions"].download(), before)
+
+
+def test_both_engines_agree_to_rounding(device):
+    runs = [Run(device, engine, 30) for engine in (DeviceAdam, NumpyAdam)]
+    for run in runs:
+        for _ in range(3):
+            run.step(20)
+    (m, v), (other_m, other_v) = (run.engine.download(30) for run in runs)
+    tolerance = 8 * np.finfo(device.real).eps
+    for name in WIDTHS:
+        assert np.allclose(v[name], other_v[name], rtol=tolerance, atol=0), name
+        # m and the parameter may pass through zero: relative to their largest
+        for own, other in ((m[name], other_m[name]),
+                           (runs[0].rows[name].download(), runs[1].rows[name].download())):
+            assert np.abs(own - other).max() <= tolerance * np.abs(other).max(), name
+
+
+@ENGINES
+def test_a_tiny_gradient_moves_as_far_as_a_large_one(device, engine):
+    """Adam's step does not depend on the gradient's scale, down to epsilon."""
+    for scale in (1e-8, 1e8):
+        run = Run(device, engine, 10)
+        run.step(10, scale=scale)
+        run.check(f"scale {scale}")
+
+
+@ENGINES
+def test_moments_follow_their_rows(device, engine):
+    run = Run(device, engine, 20)
+    run.step(20)
+    source = np.array([3, 0, 19, 7, 7, 2], np.uint32)
+    old = run.engine.download(20)
+    run.engine.regrow(device.upload(source), 4, 9)
+    for before, after in zip(old, run.engine.download(9)):
+        for name in WIDTHS:
+            assert np.array_equal(after[name][:4], before[name][source[:4]]), name
+            assert not after[name][4:].any(), name
+
+
+@ENGINES
+def test_moments_are_saved_taken_over_and_forgotten(device, engine):
+    run, other = (Run(device, engine, 6, seed=seed) for seed in (0, 1))
+    run.step(6)
+    saved = run.engine.download(6)
+    other.engine.upload(*saved)
+    for before, after in zip(saved, other.engine.download(6)):
+        assert all(np.array_equal(before[name], after[name]) for name in WIDTHS)
+    other.engine.reset("opacity_logits")
+    m, v = other.engine.download(6)
+    assert not m["opacity_logits"].any() and not v["opacity_logits"].any()
+    assert m["positions"].any() and v["positions"].any()

@@ -1,0 +1,164 @@
+"""Blending and its adjoint by themselves: splats in, images and sums by splat out."""
+
+import numpy as np
+import pytest
+
+from clsplat.render.bin import bin_splats
+from clsplat.render.blend import blend, blend_adjoint, blend_defines
+from tests import cases
+from tests.checks import close
+from tests.kernels.chain import SUM_NAMES, grads_of_sums, pack_splats, precision_of
+from tests.reference import blend as reference
+
+BACKGROUND = np.array([0.25, 0.5, 0.875])
+
+
+class Blended:
+    """Splats blended on a device: image, transmittance, depth, and the adjoint."""
+
+    def __init__(self, device, rows, size, background=BACKGROUND, with_depth=True, smooth=False):
+        self.device, self.with_depth = device, with_depth
+        self.defines = blend_defines(device, with_depth, smooth)
+        self.background = device.upload(np.asarray(background, float))
+        self.splats = device.upload(rows)
+        self.pairs = bin_splats(device, self.splats, *size)
+        self.blended = blend(device, self.splats, self.pairs, *size, self.background, self.defines)
+        self.image = self.blended.image.download()
+        self.transmittance = self.blended.transmittance.download()
+        self.last = self.blended.last.download()
+        self.depth = self.blended.depth.download()
+
+    def adjoint(self, grad_image, grad_depth=None):
+        grad_depth = np.zeros((1, 1)) if grad_depth is None else grad_depth
+        return blend_adjoint(
+            self.device, self.splats, self.pairs, self.blended, self.background,
+            self.device.upload(grad_image), self.device.upload(grad_depth), self.defines).download()
+
+
+def check(device, splats, order, size, what, with_depth=True, smooth=False):
+    """Image and gradients by splat against the reference; returns the Blended."""
+    width, height = size
+    fragile = reference.fragile_pixels(splats, order, width, height)
+    rng = np.random.default_rng(4)
+    grad_image = np.where(fragile, 0, rng.normal(size=(3, height, width)))
+    grad_depth = np.where(fragile, 0, rng.normal(size=(height, width))) if with_depth else None
+    image, transmittance, depth = reference.blend(
+        splats, order, width, height, BACKGROUND, smooth, with_depth)
+    expected = reference.blend_adjoint(
+        splats, order, width, height, BACKGROUND, grad_image, grad_depth, smooth)
+
+    precision = precision_of(device)
+    actual = Blended(device, pack_splats(splats, order), size, BACKGROUND, with_depth, smooth)
+    close(np.where(fragile, image, actual.image), image, precision, f"{what}: image")
+    close(np.where(fragile, transmittance, actual.transmittance), transmittance, precision,
+          f"{what}: transmittance")
+    if with_depth:
+        close(np.where(fragile, depth, actual.depth), depth, precision, f"{what}: depth")
+    grads = grads_of_sums(actual.adjoint(grad_image, grad_depth), splats["conics"][order])
+    for name in SUM_NAMES:
+        close(grads[name], expected[name][order], precision, f"{what}: gradient of {name}")
+    assert fragile.mean() < 0.05, f"{what}: too little is compared"
+    return actual
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
+def test_image_and_gradients(device, size):
+    check(device, *cases.splats(40, *size), size, f"{size}")
+
+
+@pytest.mark.parametrize("with_depth, smooth", [(False, False), (True, True)])
+def test_without_depth_and_with_a_smooth_cutoff(device, with_depth, smooth):
+    check(device, *cases.splats(60, 48, 40, seed=1), (48, 40), "plain", with_depth, smooth)
+
+
+@pytest.mark.oclgrind
+def test_a_deep_faint_stack_crosses_batches_and_buckets(device):
+    """All of more than 256 splats of one tile are blended, in two batches and many buckets."""
+    splats, order = cases.splats(330, 17, 16, seed=2, opacity=(0.005, 0.02), sigma=(8, 30))
+    actual = check(device, splats, order, (17, 16), "faint stack")
+    assert actual.last[8, 8] > 256 and actual.transmittance.min() > 2e-4
+
+
+@pytest.mark.parametrize("count", [31, 32, 33, 255, 256, 257])
+def test_lists_around_bucket_and_batch_sizes(device, count):
+    splats, order = cases.splats(count, 16, 16, seed=count, opacity=(0.006, 0.02), sigma=(9, 30))
+    splats["means"] = cases.single(8 + 0.2 * (splats["means"] - 8))
+    actual = check(device, splats, order, (16, 16), f"{count} splats")
+    assert actual.last.max() == count - 1
+
+
+def test_an_opaque_stack_ends_early(device):
+    """Every pixel of the first tile is opaque long before its list of 400 ends."""
+    splats, order = cases.splats(400, 20, 16, seed=3, opacity=(0.3, 0.9999), sigma=(6, 30))
+    actual = check(device, splats, order, (20, 16), "opaque stack")
+    assert 0 <= actual.last[:, :16].max() < 200 and actual.transmittance[:, :16].max() < 0.02
+
+
+def test_pixels_of_a_tile_end_at_different_depths(device):
+    """Opaque on the left, clear on the right: batches go on for the latter only."""
+    splats, order = cases.splats(300, 16, 16, seed=4, opacity=(0.2, 0.99), sigma=(0.7, 3))
+    splats["means"][:, 0] = cases.single(splats["means"][:, 0] * 0.4)
+    actual = check(device, splats, order, (16, 16), "half opaque")
+    assert actual.transmittance.max() > 0.9 and actual.transmittance.min() < 1e-3
+
+
+def test_alpha_is_clamped_at_its_limit(device):
+    """In the middle; further out the same splat is below the clamp and has a gradient."""
+    splats, order = cases.splats(2, 16, 16, seed=5, sigma=(8, 12))
+    splats["means"][:], splats["opacities"][:] = 8, cases.single([0.9999, 0.6])
+    actual = check(device, splats, order, (16, 16), "saturated")
+    assert np.allclose(actual.transmittance[8, 8], 0.01 * 0.4, rtol=0.02)
+
+
+def test_weights_and_transmittance_sum_to_one(device):
+    """White splats on white are white, however they overlap."""
+    for opacity in ((0.01, 0.1), (0.5, 1)):
+        splats, order = cases.splats(300, 48, 40, seed=6, opacity=opacity)
+        splats["colours"][:] = 1
+        actual = Blended(device, pack_splats(splats, order), (48, 40), np.ones(3))
+        assert np.allclose(actual.image, 1, atol=3e-6, rtol=0)
+
+
+def test_the_background_shows_through(device):
+    rows = pack_splats(*cases.splats(60, 48, 40, seed=7))
+    black, coloured = (Blended(device, rows, (48, 40), b) for b in (np.zeros(3), BACKGROUND))
+    expected = black.image + BACKGROUND[:, None, None] * coloured.transmittance
+    close(coloured.image, expected, precision_of(device), "background")
+    assert np.array_equal(black.depth, coloured.depth)
+
+
+def test_nothing_leaves_the_background(device):
+    actual = Blended(device, np.zeros((0, 12)), (33, 17))
+    assert (actual.image == BACKGROUND[:, None, None]).all()
+    assert (actual.transmittance == 1).all() and (actual.last == -1).all()
+    assert (actual.depth == 0).all()
+    assert actual.adjoint(np.ones((3, 17, 33)), np.ones((17, 33))).shape == (0, 10)
+
+
+def test_no_cotangent_no_gradient(device):
+    actual = Blended(device, pack_splats(*cases.splats(60, 48, 40, seed=8)), (48, 40))
+    assert not actual.adjoint(np.zeros((3, 40, 48)), np.zeros((40, 48))).any()
+
+
+def test_small_tiles_give_the_same_image(group_device, monkeypatch):
+    splats, order = cases.splats(200, 61, 37, seed=9, opacity=(0.05, 0.95))
+    rows, precision = pack_splats(splats, order), precision_of(group_device)
+    large = Blended(group_device, rows, (61, 37))
+    monkeypatch.setattr(group_device, "tile", 8)
+    small = Blended(group_device, rows, (61, 37))
+    assert np.array_equal(large.image, small.image)
+    assert np.array_equal(large.depth, small.depth)
+    check(group_device, splats, order, (61, 37), "tiles of 8")
+    cotangent = np.random.default_rng(9).normal(size=(3, 37, 61)), np.ones((37, 61))
+    sums = small.adjoint(*cotangent)
+    monkeypatch.undo()
+    close(sums, large.adjoint(*cotangent), precision, "sums")
+
+
+def test_the_same_bytes_every_time(device):
+    rows = pack_splats(*cases.splats(300, 61, 37, seed=10))
+    cotangent = np.random.default_rng(10).normal(size=(3, 37, 61)), np.ones((37, 61))
+    first, second = (Blended(device, rows, (61, 37)) for _ in range(2))
+    assert np.array_equal(first.image, second.image)
+    assert np.array_equal(first.adjoint(*cotangent), second.adjoint(*cotangent))

@@ -1,0 +1,110 @@
+"""L1 and SSIM against a photo, and the gradient, on images around the sizes of tiles and strips."""
+
+import numpy as np
+import pytest
+
+from clsplat.loss import image_loss as module
+from clsplat.loss.image_loss import image_loss, loss_value
+from tests import cases
+from tests.checks import close
+from tests.kernels.chain import precision_of
+from tests.reference.image_loss import image_loss as reference
+
+# one pixel, less than the window, tile and strip borders and one beside them
+SIZES = ((1, 1), (7, 5), (15, 17), (16, 16), (17, 15), (32, 11), (61, 37), (48, 40))
+WEIGHT = 0.2
+
+
+@pytest.fixture(autouse=True)
+def short_strips(monkeypatch):
+    monkeypatch.setattr(module, "STRIP", 16)
+
+
+def a_pair(width, height, seed=0):
+    """A render float64[3, H, W] and a photo uint8[3, H, W]."""
+    render, photo = cases.images(width, height, seed)
+    return render, np.round(photo * 255).astype(np.uint8)
+
+
+def check(device, render, photo, what, weight=WEIGHT):
+    precision = precision_of(device)
+    sums, grad = image_loss(device, device.upload(render), device.upload(photo), weight)
+    expected, expected_grad, l1, ssim = reference(render, photo / 255, weight)
+    # |x - y| has a kink: where the two are as good as equal, its sign is a matter of rounding
+    undecided = np.abs(render - photo / 255) < 1e-6
+    close(np.array(loss_value(sums, render.size, weight)), [expected, l1, ssim], precision, what)
+    close(np.where(undecided, 0, grad.download()), np.where(undecided, 0, expected_grad),
+          precision, f"{what}: gradient")
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_value_and_gradient(device, size):
+    check(device, *a_pair(*size), f"{size}")
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_each_part_alone(device, weight):
+    check(device, *a_pair(33, 21, 1), f"weight {weight}", weight)
+
+
+def test_strips_of_the_default_height(device, monkeypatch):
+    monkeypatch.undo()
+    assert module.STRIP > 16
+    check(device, *a_pair(20, module.STRIP + 3, 2), "a tall image")
+
+
+def test_equal_images_have_no_loss(device):
+    _, photo = a_pair(37, 29, 3)
+    sums, grad = image_loss(device, device.upload(photo / 255), device.upload(photo), WEIGHT)
+    loss, l1, ssim = loss_value(sums, photo.size, WEIGHT)
+    assert abs(loss) < 1e-6 and l1 < 1e-7 and abs(ssim - 1) < 1e-6
+    # what is left is rounding; with the sign of a difference at each pixel at most 1 / size
+    assert np.abs(grad.download()).max() < 1.01 * (1 - WEIGHT) / photo.size + 1e-6
+
+
+FLAT = [(render, photo) for render in (0.0, 1.0, 1e-20, 0.7, 30.0) for photo in (0, 255)]
+
+
+def flat_pair(render_value, photo_value):
+    return (np.full((3, 19, 23), cases.single(render_value)),
+            np.full((3, 19, 23), photo_value, np.uint8))
+
+
+def test_black_saturated_and_far_too_bright_images(double_device):
+    for values in FLAT:
+        check(double_device, *flat_pair(*values), f"{values}")
+
+
+def test_flat_images_in_single_precision(float_device):
+    """Of a flat patch's variance, E[x^2] - E[x]^2, rounding leaves up to a thousandth of C2."""
+    for values in FLAT[:-2]:
+        render, photo = flat_pair(*values)
+        sums, grad = image_loss(
+            float_device, float_device.upload(render), float_device.upload(photo), WEIGHT)
+        expected, expected_grad, *_ = reference(render, photo / 255, WEIGHT)
+        assert abs(loss_value(sums, render.size, WEIGHT)[0] - expected) < 1e-3, values
+        assert np.abs(grad.download() - expected_grad).max() * render.size < 0.05, values
+
+
+def test_a_pixel_that_is_not_finite_stays_in_its_window(device):
+    """Its gradient reaches 2 x 5 pixels, of its own channel."""
+    render, photo = a_pair(48, 40, 4)
+    render[1, 20, 24] = np.nan
+    _, grad = image_loss(device, device.upload(render), device.upload(photo), WEIGHT)
+    bad = ~np.isfinite(grad.download())
+    assert bad[1, 20, 24] and not bad[[0, 2]].any()
+    lines, columns = np.nonzero(bad[1])
+    assert np.abs(lines - 20).max() <= 10 and np.abs(columns - 24).max() <= 10
+
+
+def test_small_tiles_give_the_same(group_device, monkeypatch):
+    monkeypatch.setattr(group_device, "tile", 8)
+    check(group_device, *a_pair(37, 29, 5), "tiles of 8")
+
+
+def test_the_same_bytes_every_time(device):
+    render, photo = (device.upload(values) for values in a_pair(61, 37, 6))
+    first, second = (image_loss(device, render, photo, WEIGHT) for _ in range(2))
+    assert np.array_equal(first[0].download(), second[0].download())
+    assert np.array_equal(first[1].download(), second[1].download())

@@ -1,0 +1,143 @@
+"""The whole chain of rendering: gaussians to image and back."""
+
+import numpy as np
+import pytest
+
+from tests import cases
+from tests.checks import close
+from tests.kernels.chain import (
+    agrees_with_reference,
+    camera_of,
+    close_gradients,
+    gradients_by_row,
+    precision_of,
+    render,
+    size_of,
+    small_scene,
+    upload_rows,
+)
+
+ANTIALIASED = ("plain", "needles", "grazing")
+
+
+@pytest.mark.parametrize(
+    "name, antialiased",
+    [(name, False) for name in cases.SCENES] + [(name, True) for name in ANTIALIASED])
+def test_image_and_gradients(device, name, antialiased):
+    agrees_with_reference(device, name, antialiased)
+
+
+@pytest.mark.oclgrind
+def test_a_small_scene(device):
+    agrees_with_reference(device, "degree_1", False, count=12)
+
+
+def cotangents(case, seed=0):
+    width, height = size_of(case)
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(3, height, width)), rng.normal(size=(height, width))
+
+
+def back(device, renderer, rows, frame, case):
+    return renderer.adjoint(rows, frame, *map(device.upload, cotangents(case)))
+
+
+@pytest.mark.parametrize("antialiased, seeds", [(False, range(20)), (True, range(20, 24))])
+def test_adjoint_is_the_transposed_derivative(double_device, antialiased, seeds):
+    """<J v, w> = <v, J^T w>, with J v by central differences of fourth order."""
+    for seed in seeds:
+        case = small_scene(seed, count=16, width=30, height=20)
+        case["rows"]["opacity_logits"] -= 1  # no pixel may end early: that is a step
+        rng = np.random.default_rng(seed)
+        renderer, rows, frame = render(
+            double_device, case, with_depth=True, smooth_cutoff=True, antialiased=antialiased)
+        assert frame.blended.transmittance.download().min() > 2e-4
+        gradients = gradients_by_row(back(double_device, renderer, rows, frame, case), case)
+        direction = {name: rng.normal(size=values.shape) * (np.abs(values) + 0.1)
+                     for name, values in case["rows"].items()}
+        step = 1e-6
+        near, far = (weighted(renderer, case, direction, k * step)
+                     - weighted(renderer, case, direction, -k * step) for k in (1, 2))
+        by_difference = (8 * near - far) / (12 * step)
+        terms = np.concatenate([(gradients[n] * direction[n]).ravel() for n in direction])
+        size = max(abs(by_difference), np.sqrt(np.sum(terms**2)))
+        assert abs(by_difference - terms.sum()) < 1e-6 * size, (
+            f"seed {seed}: the difference quotient is {by_difference:.12g}, the adjoint gives "
+            f"{terms.sum():.12g}")
+
+
+def weighted(renderer, case, direction, distance):
+    """The rendering of the rows moved along a direction, weighted by the cotangents."""
+    rows = upload_rows(renderer.device, {
+        name: values + distance * direction[name] for name, values in case["rows"].items()})
+    frame = renderer.render(
+        rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"], with_depth=True)
+    by_image, by_depth = cotangents(case)
+    return (np.sum(frame.image.download() * by_image)
+            + np.sum(frame.blended.depth.download() * by_depth))
+
+
+def rendered_bytes(device, case):
+    renderer, rows, frame = render(device, case, with_depth=True)
+    gradients = back(device, renderer, rows, frame, case)
+    return (frame.image.download(), frame.blended.depth.download(), gradients.means.download(),
+            *gradients_by_row(gradients, case).values())
+
+
+def assert_same(first, second):
+    assert all(np.array_equal(a, b) for a, b in zip(first, second))
+
+
+def test_the_same_bytes_every_time_and_for_every_group_size(device, monkeypatch):
+    case = cases.gaussians("degree_1", count=150)
+    first = rendered_bytes(device, case)
+    assert_same(first, rendered_bytes(device, case))
+    for group in (32, 64):
+        monkeypatch.setattr(device, "group_size", group)
+        assert_same(first, rendered_bytes(device, case))
+
+
+def test_the_order_of_storage_does_not_matter(device):
+    case = cases.gaussians("degree_1", count=80)
+    order = np.random.default_rng(5).permutation(80)
+    shuffled = {**case, "rows": {name: v[order] for name, v in case["rows"].items()}}
+    assert len(np.unique(case["rows"]["positions"][:, 2])) == 80
+    first, second = rendered_bytes(device, case), rendered_bytes(device, shuffled)
+    assert_same(first[:3], second[:3])
+    assert_same([values[order] for values in first[3:]], second[3:])
+
+
+def test_equal_depths_keep_the_order_of_storage(device):
+    """Two coincident gaussians: the one stored first is in front."""
+    case = cases.gaussians("one")
+    case["rows"] = {name: np.repeat(values, 2, axis=0) for name, values in case["rows"].items()}
+    case["rows"]["opacity_logits"][:] = 2
+    case["rows"]["sh_constant"][:] = [[3, -1, -1], [-1, -1, 3]]
+    _, _, frame = render(device, case)
+    assert list(frame.visible.download()) == [0, 1]
+    case["rows"]["sh_rest"][:] = 0
+    image = render(device, case)[2].image.download()
+    x, y = np.unravel_index(np.argmax(image[0]), image[0].shape)
+    assert image[0][x, y] > 2 * image[2][x, y]
+
+
+def test_a_frame_without_depth_has_the_same_image_and_gradients(device):
+    case = small_scene(7)
+    with_depth, without = (render(device, case, with_depth=d) for d in (True, False))
+    assert np.array_equal(with_depth[2].image.download(), without[2].image.download())
+    weight, zero = device.upload(cotangents(case)[0]), device.upload(0 * cotangents(case)[1])
+    expected = with_depth[0].adjoint(*with_depth[1:], weight, zero)
+    actual = without[0].adjoint(*without[1:], weight)
+    close_gradients(gradients_by_row(actual, case), gradients_by_row(expected, case), case,
+                    precision_of(device), "without depth")
+    close(actual.means.download(), expected.means.download(), precision_of(device), "means")
+
+
+def test_gradients_are_linear_in_the_cotangent(double_device):
+    case = small_scene(8)
+    renderer, rows, frame = render(double_device, case)
+    first, second = cotangents(case)[0], cotangents(case, 1)[0]
+    a, b, both = (gradients_by_row(renderer.adjoint(rows, frame, double_device.upload(g)), case)
+                  for g in (first, second, 2 * first - second))
+    for name in both:
+        close(both[name], 2 * a[name] - b[name], "double", name)

@@ -1,0 +1,73 @@
+"""Numbers that no scene should hold, in each slot in turn: only the gaussian that has one suffers.
+
+The image and the gradients of all others stay finite; a gaussian whose own gradient is not finite
+is marked, so that the optimiser leaves it alone, and counted.
+"""
+
+import numpy as np
+import pytest
+
+from tests import cases
+from tests.kernels.chain import camera_of, render, renderer_of, size_of, small_scene, upload_rows
+
+POISONED, NO_ROW = 5, 2**32 - 1
+SLOTS = {
+    "positions": [(0,), (1,), (2,)], "log_scales": [(0,), (2,)],
+    "quaternions": [(0,), (3,)], "opacity_logits": [()],
+    "sh_constant": [(1,)], "sh_rest": [(0, 0), (2, 2)]}
+
+
+def scene():
+    return small_scene(3, count=16, width=33, height=17)
+
+
+def survives(device, case, what):
+    """Render and go back; returns the rows marked as not finite."""
+    width, height = size_of(case)
+    renderer, rows, frame = render(device, case)
+    visible, image = frame.visible.download(), frame.image.download()
+    assert np.isfinite(image).all(), f"{what}: the image is not finite"
+    gradients = renderer.adjoint(
+        rows, frame, device.upload(np.random.default_rng(0).normal(size=(3, height, width))))
+    active = gradients.rows.download()
+    marked = visible[active == NO_ROW]
+    assert set(marked) <= {POISONED}, f"{what}: gradients of {marked} are not finite"
+    assert np.array_equal(active[active != NO_ROW], visible[active != NO_ROW])
+    assert renderer.skipped.last() == len(marked), f"{what}: not counted"
+    for name, values in gradients.fields.items():
+        values = values.download()[active != NO_ROW]
+        if name == "sh_rest":
+            values = values[:, :case["degree"] * (case["degree"] + 2)]
+        assert np.isfinite(values).all(), f"{what}: gradient of {name} is not finite, not marked"
+    return marked
+
+
+@pytest.mark.parametrize("name", SLOTS)
+def test_poison_stays_with_its_gaussian(float_device, name):
+    case = scene()
+    for slot in SLOTS[name]:
+        for label, value in cases.POISON.items():
+            rows = cases.poisoned(case["rows"], name, (POISONED, *slot), value)
+            survives(float_device, {**case, "rows": rows}, f"{name}{list(slot)} = {label}")
+
+
+def test_a_healthy_scene_marks_nothing(device):
+    assert not len(survives(device, scene(), "healthy"))
+
+
+def test_a_cotangent_that_is_not_finite_marks_only_whom_it_reaches(device):
+    """One pixel of nan: gaussians that do not touch it keep their gradients."""
+    case = scene()
+    width, height = size_of(case)
+    renderer = renderer_of(device, case)
+    rows = upload_rows(device, case["rows"])
+    frame = renderer.render(rows, renderer.pack(camera_of(case)), width, height, case["degree"])
+    cotangent = np.ones((3, height, width))
+    before = renderer.adjoint(rows, frame, device.upload(cotangent)).fields["positions"].download()
+    cotangent[1, 0, 0] = np.nan
+    gradients = renderer.adjoint(rows, frame, device.upload(cotangent))
+    active = gradients.rows.download()
+    after = gradients.fields["positions"].download()[active != NO_ROW]
+    assert 0 < (active == NO_ROW).sum() < len(active)
+    assert renderer.skipped.last() == (active == NO_ROW).sum()
+    assert np.isfinite(after).all() and np.array_equal(after, before[active != NO_ROW])

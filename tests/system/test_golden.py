@@ -1,0 +1,52 @@
+"""Ten golden losses: the kernels train as a trainer of nothing but the float64 references."""
+
+import json
+
+import numpy as np
+
+from clsplat.camera import Camera
+from clsplat.gaussians import Gaussians
+from clsplat.loss.image_loss import loss_value
+from clsplat.options import TrainOptions
+from clsplat.render.pipeline import Renderer
+from clsplat.schedule.constant import Constant
+from clsplat.train.model import Model
+from clsplat.train.step import Step
+from tests.kernels.chain import precision_of
+from tests.system import golden
+
+RELATIVE = {"float": 1e-4, "double": 1e-8}
+
+
+def stored():
+    return json.loads(golden.STORED.read_text())["losses"]
+
+
+def test_the_reference_still_gives_them():
+    assert np.allclose(golden.losses(), stored(), rtol=1e-9, atol=0)
+
+
+def test_they_fall():
+    """Each view's loss; a trainer that does nothing would keep it."""
+    by_view = [stored()[view::3] for view in range(3)]
+    assert all(last < 0.97 * first for first, *_, last in by_view)
+
+
+def test_kernels_give_them(device):
+    rows, cameras, photos = golden.scene()
+    renderer = Renderer(device, golden.DEGREE, golden.NEAR, background=golden.BACKGROUND)
+    model = Model(device, Gaussians(rows, golden.DEGREE))
+    options = TrainOptions(iterations=golden.STEPS, sh_every=golden.SH_EVERY,
+                           sh_degree=golden.DEGREE, ssim_weight=golden.SSIM_WEIGHT)
+    step, schedule = Step(renderer, model, golden.EXTENT, options), Constant(options)
+    packed = [renderer.pack(Camera(
+        c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]), c["rotation"],
+        c["translation"])) for c in cameras]
+    planes = [device.upload(photo) for photo in photos]
+    losses = []
+    for iteration in range(1, golden.STEPS + 1):
+        view = iteration % 3
+        sums = step.take(iteration, schedule.plan(iteration), packed[view], planes[view])
+        losses.append(loss_value(sums, photos[view].size, options.ssim_weight)[0])
+    assert np.allclose(losses, stored(), rtol=RELATIVE[precision_of(device)], atol=0), (
+        f"{losses}\nexpected {stored()}")

@@ -1,0 +1,228 @@
+"""Training on the sample city: it learns, keeps its promises about growth, and records what it does."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import plyfile
+import pytest
+
+from clsplat.io.ply import read_ply
+from clsplat.io.run import RunFolder
+from clsplat.scene import Scene, View
+from clsplat.train import loop
+from clsplat.train.begin import initial_gaussians
+from tests.tiny_training import CITY, STILL, options_of, records, trained
+
+COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians"]
+
+
+def psnr_of(run):
+    return records(run, "eval")[-1]["psnr"]
+
+
+def test_it_learns(float_device, city, tmp_path):
+    """Measured: 22.3 dB; the photos' own mean colour gives 15."""
+    run = trained(tmp_path / "run", city, float_device, **STILL, iterations=200)
+    losses = [record["loss"] for record in records(run, "step")]
+    assert losses[0] > 0.25 and losses[1] < 0.5 * losses[0] and losses[2] < 0.9 * losses[1]
+    scores = records(run, "eval")[-1]
+    assert scores["psnr"] > 21.3 and scores["psnr_cc"] > 22.1
+    assert scores["ssim"] > 0.75 and scores["ssim_cc"] > 0.74
+    assert scores["views"] == 4
+
+
+def test_growth_helps(item_device, city, tmp_path):
+    """Where points are few: every fortieth of the city's."""
+    thin = replace(city, points=city.points[::40], colours=city.colours[::40])
+    runs = [trained(tmp_path / name, thin, item_device, iterations=300, reset_every=0, **changes)
+            for name, changes in (("still", {"densify_from": 1000}),
+                                  ("grown", {"densify_from": 50, "densify_until": 200}))]
+    still, grown = map(psnr_of, runs)
+    assert grown > still + 1, (still, grown)
+
+
+def test_growth_is_recorded_and_adds_up(item_device, city, tmp_path):
+    run = trained(tmp_path / "run", city, item_device)
+    rounds = records(run, "grow")
+    assert [record["iteration"] for record in rounds] == [41, 61, 81, 101]
+    count = len(city.points)
+    for record in rounds:
+        count += record["cloned"] + record["split"] - record["pruned"]
+        assert record["gaussians"] == count
+    assert all(sum(record[kind] for record in rounds) > 0 for kind in ("cloned", "split", "pruned"))
+    assert read_ply(run.path / "point_cloud.ply").count == count
+
+
+def test_max_gaussians_is_reached_and_never_passed(item_device, city, tmp_path):
+    cap = len(city.points) + 600
+    run = trained(tmp_path / "run", city, item_device, max_gaussians=cap, prune_opacity=0.0)
+    assert [record["gaussians"] for record in records(run, "grow")] == [cap] * 4
+    assert read_ply(run.path / "point_cloud.ply").count == cap
+
+
+def test_opacities_are_reset(item_device, city, tmp_path):
+    """One step after the reset behind step 50 nothing is opaque; without a reset much is."""
+    opacities = []
+    for every in (50, 0):
+        run = trained(tmp_path / str(every), city, item_device, iterations=52, reset_every=every)
+        logits = read_ply(run.path / "point_cloud.ply").opacity_logits
+        opacities.append(1 / (1 + np.exp(-logits)))
+    assert opacities[0].max() < 0.02 < 0.2 < opacities[1].max()
+
+
+def test_engines_and_optimizers_learn_alike(item_device, city, tmp_path):
+    scores = {(engine, optimizer): psnr_of(trained(
+        tmp_path / engine / optimizer, city, item_device, **STILL, iterations=100, engine=engine,
+        optimizer=optimizer))
+        for engine in ("device", "numpy") for optimizer in ("sparse", "dense")}
+    for optimizer in ("sparse", "dense"):
+        assert abs(scores["device", optimizer] - scores["numpy", optimizer]) < 0.1, scores
+    assert scores["device", "sparse"] != scores["device", "dense"]
+    assert min(scores.values()) > 19.5, scores
+
+
+def test_antialiased(item_device, city, tmp_path):
+    runs = [trained(tmp_path / str(mip), city, item_device, **STILL, iterations=100,
+                    antialiased=mip) for mip in (False, True)]
+    assert psnr_of(runs[1]) > 19.5 and psnr_of(runs[0]) != psnr_of(runs[1])
+    for run, mode in zip(runs, ("default", "mip")):
+        header = (run.path / "point_cloud.ply").read_bytes()[:300]
+        assert f"comment SplatRenderMode: {mode}\n".encode() in header
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_lower_degrees(item_device, city, tmp_path, degree):
+    run = trained(tmp_path / "run", city, item_device, sh_degree=degree, sh_every=10)
+    model = read_ply(run.path / "point_cloud.ply")
+    assert model.sh_degree == degree
+    assert degree == 0 or np.abs(model.sh_rest).max() > 0
+
+
+def test_harmonics_stay_at_zero_until_their_degree(item_device, city, tmp_path):
+    run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, sh_every=20)
+    rest = read_ply(run.path / "point_cloud.ply").sh_rest
+    assert rest[:, :3].any() and not rest[:, 3:].any()
+
+
+def test_a_trained_model_is_a_good_start(item_device, city, tmp_path):
+    first = trained(tmp_path / "first", city, item_device, **STILL, iterations=150)
+    again = trained(tmp_path / "again", city, item_device, **STILL, iterations=1,
+                    init=str(first.path / "point_cloud.ply"))
+    assert records(again, "step")[0]["loss"] < 0.5 * records(first, "step")[0]["loss"]
+
+
+def test_large_coordinates_cost_nothing(item_device, city, tmp_path):
+    """The same scene with its origin 5000 km away: same losses, and the model lies out there."""
+    far_away = np.array([5.123456e6, -4.9e6, 3e5])
+    far = Scene(city.name, tuple(View(v.name, v.camera.shifted(-city.offset - far_away), v.source)
+                                 for v in city.views),
+                city.points + city.offset + far_away, city.colours, path=city.path).recentred()
+    runs = [trained(tmp_path / name, scene, item_device, **STILL, iterations=100)
+            for name, scene in (("near", city), ("far", far))]
+    losses = [[record["loss"] for record in records(run, "step")] for run in runs]
+    assert np.allclose(*losses, rtol=2e-3)
+    assert abs(psnr_of(runs[0]) - psnr_of(runs[1])) < 0.05
+    places = [np.stack([plyfile.PlyData.read(run.path / "point_cloud.ply")["vertex"][axis]
+                        .astype(float) for axis in "xyz"], axis=1) for run in runs]
+    moved = places[1] - places[0] - far_away
+    assert np.median(np.abs(moved)) < 1e-4 and np.abs(moved).max() < 0.01 * city.extent
+    local = [read_ply(run.path / "point_cloud.ply").positions for run in runs]
+    assert np.median(np.abs(local[0] - local[1])) < 1e-4
+
+
+# --- evaluations and records
+
+
+def evaluated(run):
+    return [record["iteration"] for record in records(run, "eval")]
+
+
+@pytest.mark.parametrize("options, expected", [
+    ({}, [30]),
+    ({"eval_every": 10}, [10, 20, 30]),
+    ({"eval_at": (1, 17, 99)}, [1, 17, 30]),
+    ({"eval_every": 15, "eval_at": (15,)}, [15, 30]),
+    ({"test_every": 0, "eval_every": 10}, []),
+    ({"stop_at": 12}, []),
+])
+def test_evaluations(item_device, city, tmp_path, options, expected):
+    assert evaluated(trained(tmp_path / "run", city, item_device, **STILL, iterations=30,
+                             **options)) == expected
+
+
+def test_all_views_are_trained_on_where_none_is_held_out(item_device, city):
+    options = options_of(test_every=0)
+    made = loop.Training(city, options, item_device, None, None, initial_gaussians(city, options))
+    assert len(made.train_views) == len(city.views) == 32
+    epoch = [made.view_of(i) for i in range(1, 33)]
+    assert sorted(epoch) == list(range(32))
+    assert epoch != [made.view_of(i) for i in range(33, 65)] != list(range(32))
+
+
+def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):
+    def slow(*arguments):
+        time.sleep(0.5)
+        return {"views": 1, "psnr": 1.0, "ssim": 1.0, "psnr_cc": 1.0, "ssim_cc": 1.0, "per_view": []}
+
+    monkeypatch.setattr(loop, "evaluate_views", slow)
+    begin = time.perf_counter()
+    run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, eval_every=10,
+                  checkpoint_every=7)
+    total = time.perf_counter() - begin
+    last = records(run, "eval")[-1]
+    assert 0 < last["train_seconds"] <= last["wall_seconds"] - 1.49
+    assert 1.5 <= last["wall_seconds"] <= total
+
+
+def test_records_carry_what_reports_read(item_device, city, tmp_path):
+    run = trained(tmp_path / "run", city, item_device, eval_every=50)
+    every = run.records()
+    assert {record["event"] for record in every} == {"step", "grow", "eval"}
+    for record in every:
+        assert list(record)[:len(COMMON)] == COMMON
+        assert record["level"] == 1.0
+    for earlier, later in zip(every, every[1:]):
+        for key in ("iteration", "train_seconds", "wall_seconds"):
+            assert earlier[key] <= later[key]
+        assert later["train_seconds"] <= later["wall_seconds"]
+    own = {event: set(records(run, event)[-1]) - set(COMMON) for event in ("step", "grow", "eval")}
+    assert own == {"step": {"loss", "l1", "ssim", "memory_bytes", "skipped_rows"},
+                   "grow": {"cloned", "split", "pruned"},
+                   "eval": {"psnr", "ssim", "psnr_cc", "ssim_cc", "views"}}
+    assert [record["iteration"] for record in records(run, "step")] == [1, 100]
+    step = records(run, "step")[-1]
+    assert step["skipped_rows"] == 0 and step["memory_bytes"] > 1e6
+    assert step["loss"] == pytest.approx(0.8 * step["l1"] + 0.2 * (1 - step["ssim"]))
+
+
+def test_the_run_knows_how_it_was_made(item_device, city, tmp_path):
+    run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, seed=3)
+    options = run.read_options()
+    assert options["seed"] == 3 and options["iterations"] == 30
+    assert options["scene"] == str(CITY) and len(options["fingerprint"]) == 64
+    assert options["opencl_device"] == item_device.name and options["kernel_form"] == "item"
+    assert {"version", "commit", "extent", "offset"} <= set(options)
+
+
+def test_steps_are_scaled(item_device, city, tmp_path):
+    run = trained(tmp_path / "run", city, item_device, steps_scale=0.5)
+    assert [record["iteration"] for record in records(run, "grow")] == [21, 31, 41, 51]
+    assert evaluated(run) == [75]
+
+
+def test_progress_is_told(item_device, city, tmp_path):
+    class Progress:
+        told, messages = [], []
+
+        def __call__(self, **values):
+            self.told.append(values)
+
+        def message(self, text):
+            self.messages.append(text)
+
+    loop.train(city, options_of(iterations=60, **STILL), item_device,
+               RunFolder.create(tmp_path / "run"), Progress())
+    assert [values["iteration"] for values in Progress.told] == [1, 50]
+    assert set(Progress.told[0]) == {"iteration", "loss", "gaussians", "memory_bytes"}
+    assert len(Progress.messages) == 1 and "PSNR" in Progress.messages[0]

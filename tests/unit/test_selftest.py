@@ -1,0 +1,144 @@
+"""The self-test passes on a working device, and names what is broken on any other."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from clsplat import selftest
+from clsplat.densify.statistics import Statistics
+from clsplat.loss.image_loss import image_loss
+from clsplat.optimise.adam import DeviceAdam
+from clsplat.primitives.gather import compact, gather
+from clsplat.primitives.reduce import sum_columns
+from clsplat.primitives.scan import exclusive_scan
+from clsplat.primitives.sort import stable_sort
+from clsplat.render.pipeline import Renderer
+
+BACKGROUND_NOISE = itertools.count()
+
+
+def unsorted(device, keys):
+    return keys, stable_sort(device, keys)[1]
+
+
+def unstable(device, keys):
+    sorted_keys, order = stable_sort(device, keys)
+    equal = np.flatnonzero(np.diff(sorted_keys.download()) == 0)[0]
+    swapped = order.download()
+    swapped[[equal, equal + 1]] = swapped[[equal + 1, equal]]
+    return sorted_keys, device.upload(swapped)
+
+
+def without_last(device, values):
+    offsets, totals = exclusive_scan(device, values)
+    return offsets, totals.narrow(len(totals) - 1)
+
+
+def first_row_everywhere(device, rows, indices):
+    return gather(device, rows, device.zeros(len(indices), np.uint32))
+
+
+def one_too_few(device, flags, keys):
+    kept_keys, kept = compact(device, flags, keys)
+    return kept_keys.narrow(len(kept) - 1), kept.narrow(len(kept) - 1)
+
+
+def not_finite(device, rows):
+    return device.upload(np.full(rows.shape[1], np.nan))
+
+
+def loses_some(device, rows):
+    return sum_columns(device, rows.narrow(len(rows) - 1))
+
+
+class WithoutCorrection(DeviceAdam):
+    def step(self, rows, gradients, step, *rest):
+        super().step(rows, gradients, 1000, *rest)
+
+
+class InPixels(Statistics):
+    def accumulate(self, gradients, width, height):
+        super().accumulate(gradients, 2, 2)
+
+
+def other_value(device, *arguments):
+    sums, grad = image_loss(device, *arguments)
+    return device.upload(sums.download() * 1.001), grad
+
+
+def other_gradient(device, *arguments):
+    sums, grad = image_loss(device, *arguments)
+    return sums, device.upload(grad.download() * 1.1)
+
+
+def brighter(device, *arguments, background, **options):
+    return Renderer(device, *arguments, background=np.add(background, 1e-3), **options)
+
+
+def restless(device, *arguments, background, **options):
+    """Within the bound of single precision, but never the same twice."""
+    noise = 1e-7 * (1 + next(BACKGROUND_NOISE) % 2)
+    return Renderer(device, *arguments, background=np.add(background, noise), **options)
+
+
+class HalfTheTurn(Renderer):
+    def adjoint(self, *arguments):
+        gradients = super().adjoint(*arguments)
+        turned = gradients.fields["quaternions"]
+        turned.write(turned.download() / 2)
+        return gradients
+
+
+def failures(results):
+    return [name.split(",")[0] for name, passed, _ in results if not passed]
+
+
+@pytest.mark.parametrize("name, test", selftest.CHECKS)
+def test_a_working_device_passes(float_device, name, test):
+    error, bound, what = test(float_device)
+    assert error <= bound, f"{name}: {what} {error}"
+
+
+@pytest.mark.parametrize("part, broken, line", [
+    ("stable_sort", unsorted, "stable sort"),
+    ("stable_sort", unstable, "stable sort"),
+    ("exclusive_scan", without_last, "scan"),
+    ("gather", first_row_everywhere, "gather and scatter"),
+    ("compact", one_too_few, "compaction"),
+    ("sum_columns", not_finite, "sums"),
+    ("sum_columns", loses_some, "sums"),
+    ("DeviceAdam", WithoutCorrection, "Adam"),
+    ("Statistics", InPixels, "statistics"),
+    ("image_loss", other_value, "image loss"),
+    ("image_loss", other_gradient, "image loss adjoint"),
+    ("Renderer", brighter, "render"),
+    ("Renderer", HalfTheTurn, "render adjoint"),
+    ("Renderer", restless, "same bytes twice"),
+])
+def test_a_broken_part_fails_its_line_only(float_device, monkeypatch, part, broken, line):
+    monkeypatch.setattr(selftest, part, broken)
+    assert failures(selftest.check_form(float_device)) == [line]
+
+
+def test_what_a_driver_raises_is_one_line(float_device, monkeypatch):
+    def scan(device, values):
+        raise RuntimeError("clEnqueueNDRangeKernel failed:\n OUT_OF_RESOURCES")
+    monkeypatch.setattr(selftest, "exclusive_scan", scan)
+    name, passed, detail = selftest.check_form(float_device)[0]
+    assert name.startswith("scan") and not passed
+    assert detail == "RuntimeError: clEnqueueNDRangeKernel failed: OUT_OF_RESOURCES"
+
+
+def test_check_covers_both_forms(float_device, monkeypatch):
+    monkeypatch.setattr(selftest, "CHECKS", selftest.CHECKS[:1])
+    results = selftest.check(float_device)
+    assert [name for name, _, _ in results] == [
+        "scan, item form", "scan, group form", "render, both forms"]
+    assert all(passed for _, passed, _ in results), results
+
+    def differs(device, *arguments, background, **options):
+        background = np.add(background, 0.01 * (device.form == "group"))
+        return Renderer(device, *arguments, background=background, **options)
+    monkeypatch.setattr(selftest, "Renderer", differs)
+    assert failures(selftest.check(float_device)) == ["render"]

@@ -1,0 +1,16 @@
+"""From splats to the pairs of every tile, with its scan and sort."""
+
+from clsplat.render.bin import bin_splats
+
+from .measure import arguments, milliseconds, open_device, report
+from .workloads import CityFrame
+
+
+def main(argv):
+    options = arguments(argv, __doc__, gaussians=200_000)
+    device = open_device(options)
+    frame = CityFrame(device, options.gaussians).frame
+    times = milliseconds(
+        device, lambda: bin_splats(device, frame.splats, *frame.size), options.repeats)
+    report(options, device, "bin", "1024x768", times, splats=len(frame.splats),
+           pairs=frame.pairs.count)

@@ -1,0 +1,105 @@
+"""Forward, and forward with adjoint, of the aerial city; with --gsplat also gsplat's, in turn.
+
+The loss is the mean of squares of the image, as the anchor takes it.
+"""
+
+import time
+
+import numpy as np
+
+from clsplat.render.pipeline import Renderer
+
+from .measure import arguments, milliseconds, open_device, report
+from .workloads import CITY, city
+
+
+def main(argv):
+    options = arguments(argv, __doc__, gaussians=[n for n, _ in CITY], gsplat=False)
+    device = open_device(options)
+    for count, size in CITY:
+        if count not in options.gaussians:
+            continue
+        gaussians, cameras = city(count, size)
+        ours = Ours(device, gaussians, cameras)
+        repeats = options.repeats
+        report(options, device, "render", "forward", milliseconds(device, ours.forward, repeats),
+               gaussians=count, pairs=ours.frame.pairs.count, visible=len(ours.frame.visible))
+        report(options, device, "render", "forward + adjoint",
+               milliseconds(device, ours.both, repeats), gaussians=count)
+        if options.gsplat:
+            peer = Gsplat(gaussians, cameras)
+            for case in ("forward", "both"):
+                times = peer.milliseconds(getattr(peer, case), repeats)
+                name = "forward + adjoint" if case == "both" else case
+                report(options, device, "gsplat", name, times, gaussians=count)
+
+
+class Ours:
+    def __init__(self, device, gaussians, cameras):
+        self.device, self.turn = device, 0
+        self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
+        self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+        self.cameras = [(self.renderer.pack(c), c.width, c.height) for c in cameras]
+        # a stand-in of the gradient's size: what it holds does not change the work
+        width, height = cameras[0].width, cameras[0].height
+        self.grad = device.upload(np.full((3, height, width), 1 / (3 * height * width)))
+
+    def forward(self):
+        camera, width, height = self.cameras[self.turn % len(self.cameras)]
+        self.turn += 1
+        self.frame = self.renderer.render(self.rows, camera, width, height, degree=3)
+
+    def both(self):
+        self.forward()
+        self.renderer.adjoint(self.rows, self.frame, self.grad)
+
+
+class Gsplat:
+    """gsplat 1.5.3 on the same gaussians; needs CUDA, PyTorch and gsplat."""
+
+    def __init__(self, gaussians, cameras):
+        import gsplat
+        import torch
+
+        self.torch, self.rasterise, self.turn = torch, gsplat.rasterization, 0
+        rows = {name: torch.tensor(values, device="cuda") for name, values in gaussians.rows.items()}
+        self.parameters = [
+            rows["positions"], rows["quaternions"], rows["log_scales"].exp(),
+            rows["opacity_logits"].sigmoid(),
+            torch.cat([rows["sh_constant"][:, None], rows["sh_rest"]], 1)]
+        for parameter in self.parameters:
+            parameter.requires_grad_()
+        self.views = []
+        for c in cameras:
+            pose, calibration = np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32)
+            pose[:3, :3], pose[:3, 3] = c.rotation, c.translation
+            calibration[:2] = [[c.focal[0], 0, c.centre[0]], [0, c.focal[1], c.centre[1]]]
+            self.views.append((torch.tensor(pose, device="cuda")[None],
+                               torch.tensor(calibration, device="cuda")[None], c.width, c.height))
+
+    def _render(self):
+        pose, calibration, width, height = self.views[self.turn % len(self.views)]
+        self.turn += 1
+        return self.rasterise(*self.parameters, pose, calibration, width, height, sh_degree=3,
+                              packed=False)[0]
+
+    def forward(self):
+        with self.torch.no_grad():
+            self._render()
+
+    def both(self):
+        self._render().square().mean().backward()
+        for parameter in self.parameters:
+            parameter.grad = None
+
+    def milliseconds(self, function, repeats, warm_up=3):
+        for _ in range(warm_up):
+            function()
+        self.torch.cuda.synchronize()
+        times = []
+        for _ in range(repeats):
+            begin = time.perf_counter()
+            function()
+            self.torch.cuda.synchronize()
+            times.append((time.perf_counter() - begin) * 1e3)
+        return np.array(times)

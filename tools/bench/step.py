@@ -1,0 +1,52 @@
+"""A whole training step on a real scene: forward, loss, adjoint, Adam, statistics.
+
+Default: caliterra at full resolution, its initial gaussians and 100 000, all harmonics active, every
+training view once. Peak memory is that of this process, so ask for one count a process to read it.
+"""
+
+import resource
+
+import numpy as np
+
+from clsplat.options import TrainOptions
+from clsplat.io.scenes import read_scene
+from clsplat.render.pipeline import Renderer
+from clsplat.schedule import scaled_steps
+from clsplat.schedule.plan import Plan
+from clsplat.train.model import Model
+from clsplat.train.photos import Photos
+from clsplat.train.step import Step
+
+from .measure import arguments, milliseconds, open_device, report
+from .workloads import scene_gaussians
+
+PLAN = Plan(level=1.0, degree=3, gathers=True, grows=False, resets_opacity=False,
+            prunes_large=False)
+
+
+def main(argv):
+    options = arguments(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
+                        gaussians=[0, 100_000], optimizer=TrainOptions.optimizer,
+                        profile=False)
+    device = open_device(options)
+    scene = read_scene(options.scene).reduced(options.downscale)
+    views, _ = scene.split(8)
+    photos = Photos(device, views)
+    for count in options.gaussians:
+        renderer = Renderer(device, 3, scene.near_plane)
+        model = Model(device, scene_gaussians(scene, count), dense=options.optimizer == "dense")
+        step = Step(renderer, model, scene.extent, scaled_steps(TrainOptions()))
+        cameras = [renderer.pack(view.camera) for view in views]
+        taken = [0]
+
+        def one():
+            index = taken[0] % len(views)
+            taken[0] += 1
+            step.take(taken[0], PLAN, cameras[index], photos[index])
+
+        times = milliseconds(device, one, len(views), warm_up=len(views))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        width, height = views[0].camera.width, views[0].camera.height
+        report(options, device, "step", f"{scene.name} {width}x{height}", times,
+               gaussians=model.count, optimizer=options.optimizer, peak_mib=int(peak),
+               device_mib=device.memory_bytes >> 20, last_ms=round(float(np.median(times[-8:])), 3))

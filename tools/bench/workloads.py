@@ -1,0 +1,89 @@
+"""Inputs that the benchmarks share: an aerial city of gaussians, and initial gaussians of a scene."""
+
+import numpy as np
+
+from clsplat.camera import Camera
+from clsplat.gaussians import Gaussians
+from clsplat.render.pipeline import Renderer
+
+CITY = ((200_000, (1024, 768)), (1_000_000, (1920, 1080)), (4_000_000, (1920, 1080)))
+
+
+def city(count, size, views=8, side=200.0, seed=0):
+    """(Gaussians of degree 3, [Camera]): `count` gaussians on the faces of 220 boxes and the ground
+    of a city `side` metres wide, seen by a ring of oblique cameras of `size` (width, height).
+
+    The scene of ../shared/anchors/city_scene.py, drawn in the same order, so that figures compare.
+    """
+    rng = np.random.default_rng(seed)
+    centre = rng.uniform(-side / 2, side / 2, (220, 2))
+    half = rng.uniform(3, 9, (220, 2))
+    height = rng.gamma(3.0, 5.0, 220) + 3
+    on_boxes = int(count * 0.55)
+    box, face = rng.integers(0, 220, on_boxes), rng.integers(0, 5, on_boxes)
+    uv = rng.uniform(-1, 1, (on_boxes, 2))
+    across = np.where(face == 0, 1, np.where(face == 1, -1, uv[:, 0]))
+    along = np.where(face == 2, 1, np.where(face == 3, -1, uv[:, 1]))
+    up = np.where(face == 4, height[box], rng.uniform(0, 1, on_boxes) * height[box])
+    walls = np.stack([centre[box, 0] + across * half[box, 0],
+                      centre[box, 1] + along * half[box, 1], up], 1)
+    ground = np.stack([*rng.uniform(-side / 2, side / 2, (2, count - on_boxes)),
+                       rng.normal(0, 0.15, count - on_boxes)], 1)
+    spacing = np.sqrt(side * side * 2.2 / count)
+    scales = spacing * np.exp(rng.normal(-0.4, 0.7, (count, 3)))
+    scales[:, 2] *= 0.3
+    quaternions = rng.normal(size=(count, 4))
+    opacity = rng.beta(1.2, 1.6, count)
+    harmonics = rng.normal(0, 0.05, (count, 16, 3))
+    harmonics[:, 0] = rng.uniform(-1.2, 1.2, (count, 3))
+    rows = {"positions": np.concatenate([walls, ground]), "sh_constant": harmonics[:, 0],
+            "sh_rest": harmonics[:, 1:], "opacity_logits": np.log(opacity / (1 - opacity)),
+            "log_scales": np.log(scales), "quaternions": quaternions}
+    rows = {name: np.ascontiguousarray(values, np.float32) for name, values in rows.items()}
+    return Gaussians(rows, 3), [ring_camera(2 * np.pi * i / views, size) for i in range(views)]
+
+
+class CityFrame:
+    """The city's first view at 1024 x 768, rendered: real sizes for the single families.
+
+    renderer; camera: packed; rows: field name -> real[N, ...]; frame: `render.pipeline.Frame`.
+    """
+
+    def __init__(self, device, count):
+        gaussians, cameras = city(count, (1024, 768))
+        self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
+        self.camera = self.renderer.pack(cameras[0])
+        self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+        self.frame = self.renderer.render(self.rows, self.camera, 1024, 768, degree=3)
+
+    def gradients(self):
+        """`render.pipeline.Gradients` of a loss that has the same gradient in every value."""
+        image = self.frame.image
+        grad = image.device.upload(np.full(image.shape, 1 / np.prod(image.shape)))
+        return self.renderer.adjoint(self.rows, self.frame, grad)
+
+
+def ring_camera(angle, size):
+    """A camera 85 m up on a ring of 90 m, looking at the city's middle."""
+    width, height = size
+    eye = np.array([90 * np.cos(angle), 90 * np.sin(angle), 85.0])
+    forward = np.array([10 * np.sin(3 * angle), 10 * np.cos(2 * angle), 0]) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    focal = 0.9 * width
+    return Camera(width, height, (focal, focal), (width / 2, height / 2), rotation, -rotation @ eye)
+
+
+def scene_gaussians(scene, count=0, seed=0):
+    """Initial gaussians of a scene; `count` more than its points are made by jittering these."""
+    points, colours = scene.points, scene.colours
+    if count:
+        rng = np.random.default_rng(seed)
+        base = Gaussians.from_points(points, colours)
+        chosen = rng.integers(0, len(points), count - len(points))
+        moved = points[chosen] + rng.normal(size=(len(chosen), 3)) * np.exp(base.log_scales[chosen])
+        points = np.concatenate([points, moved])
+        colours = np.concatenate([colours, colours[chosen]])
+    return Gaussians.from_points(points, colours)
