@@ -45,14 +45,14 @@ void blend(int width, int height, int tiles_x, __global const real *restrict bac
     const real16 x = IOTA + (real)(x0 + 0.5);
     const real first_y = y0 + 0.5;
     real16 t[TILE], red[TILE], green[TILE], blue[TILE]; // t < 0: the pixel has ended, |t| remains
-    mask16 latest[TILE];
+    mask16 latest[TILE]; // the last pair a pixel can have seen; beyond it nothing reaches it
 #if WITH_DEPTH
     real16 z[TILE];
 #endif
     for (int r = 0; r < rows; r++) {
         t[r] = select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns));
         red[r] = green[r] = blue[r] = 0;
-        latest[r] = -1;
+        latest[r] = (int)end - 1;
 #if WITH_DEPTH
         z[r] = 0;
 #endif
@@ -72,24 +72,26 @@ void blend(int width, int height, int tiles_x, __global const real *restrict bac
                 continue;
             const real dy = first_y + r - mean_y;
             const real16 power = power_x + dy * (c * dy - shear);
-            mask16 live = TO_MASK(power >= cut) & TO_MASK(t[r] > 0);
-            if (!any(live))
+            const mask16 live = TO_MASK(power >= cut) & TO_MASK(t[r] > 0);
+            if (!any16(live))
                 continue;
-            const real16 alpha = cut_alpha(opacity * exp_power(power));
-            const real16 next = t[r] - alpha * t[r];
+            const real16 alpha = select((real16)0, cut_alpha(opacity * exp_power(power)), live);
+            real16 w = alpha * t[r], next = t[r] - w;
             const mask16 ends = live & TO_MASK(next < (real)TRANSMITTANCE_MIN);
-            live &= ~ends;
-            const real16 w = select((real16)0, alpha * t[r], live);
+            if (any16(ends)) {
+                w = select(w, (real16)0, ends);
+                next = select(next, -t[r], ends);
+                latest[r] = select(latest[r], (mask16)i - 1, ends);
+                if (!any16(TO_MASK(next > 0)))
+                    open_rows &= ~(1 << r);
+            }
             red[r] += w * splat[SPLAT_COLOUR];
             green[r] += w * splat[SPLAT_COLOUR + 1];
             blue[r] += w * splat[SPLAT_COLOUR + 2];
 #if WITH_DEPTH
             z[r] += w * splat[SPLAT_DEPTH];
 #endif
-            latest[r] = select(latest[r], (mask16)i, live);
-            t[r] = select(select(t[r], next, live), -t[r], ends);
-            if (any(ends) && !any(TO_MASK(t[r] > 0)))
-                open_rows &= ~(1 << r);
+            t[r] = next;
         }
     }
     const long plane = (long)width * height;
@@ -170,7 +172,7 @@ void blend_adjoint(int width, int height, int tiles_x, __global const real *rest
             const real dy = first_y + r - mean_y;
             const real16 power = power_x + dy * (c * dy - shear);
             const mask16 live = TO_MASK(power >= cut) & TO_MASK(latest[r] >= (mask16)i);
-            if (!any(live))
+            if (!any16(live))
                 continue;
             const real16 e = exp_power(power), raw = opacity * e;
             const real16 alpha = select((real16)0, cut_alpha(raw), live);
@@ -197,14 +199,9 @@ void blend_adjoint(int width, int height, int tiles_x, __global const real *rest
             s_y += grad_power * dy;
             s_yy += grad_power * (dy * dy);
         }
-        sum[SUM_COLOUR] = sum16(s_red);
-        sum[SUM_COLOUR + 1] = sum16(s_green);
-        sum[SUM_COLOUR + 2] = sum16(s_blue);
-        sum[SUM_OPACITY] = sum16(s_opacity);
-        sum[SUM_X] = sum16(s_p * dx);
-        sum[SUM_Y] = sum16(s_y);
-        sum[SUM_XX] = sum16(s_p * dx * dx);
-        sum[SUM_XY] = sum16(s_y * dx);
+        // in the order of splat.h
+        vstore8(sum16_each(s_red, s_green, s_blue, s_opacity, s_p * dx, s_y, s_p * dx * dx,
+                           s_y * dx), 0, sum);
         sum[SUM_YY] = sum16(s_yy);
 #if WITH_DEPTH
         sum[SUM_DEPTH] = sum16(s_z);

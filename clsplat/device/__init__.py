@@ -2,11 +2,11 @@
 
 The only package that imports pyopencl. Start with `choose_device("auto")`; allocate with
 `device.empty`, `device.upload`; describe a kernel once with `Kernel(...)` and run it with
-`device.launch(KERNEL, size, name=value, ...)`. One in-order queue; the host waits only on `download`.
+`device.launch(KERNEL, size, name=value, ...)`. One in-order queue; the host waits only on
+`download`.
 """
 
 import clsplat.device.runtimes  # noqa: F401  (before anything imports pyopencl)
-
 from clsplat.device.array import Array
 from clsplat.device.device import Device
 from clsplat.device.find import choose_device, list_devices, open_device

@@ -24,7 +24,8 @@ _NATIVE_EXP = """
 __kernel void probe(__global float *x) {
     x[get_local_id(0)] = native_exp(-0.18f * (float)get_local_id(0));
 }"""
-_PLAIN = "__kernel void probe(__global float *x) { x[get_local_id(0)] = exp(1.0f) + get_local_id(0); }"
+_PLAIN = """
+__kernel void probe(__global float *x) { x[get_local_id(0)] = exp(1.0f) + get_local_id(0); }"""
 
 
 def _run(context, handle, source, expected):

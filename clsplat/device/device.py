@@ -14,7 +14,6 @@ from clsplat.device.kernel import SCALARS
 from clsplat.device.source import kernel_folder, kernel_source
 from clsplat.errors import DeviceError
 
-
 RUNS_A_CORE = 4  # of the item form: enough for cores that are not equally busy
 
 

@@ -8,8 +8,9 @@ from clsplat.device.capabilities import probe_capabilities, probe_working
 from clsplat.device.device import Device
 from clsplat.errors import DeviceError
 
-NO_DEVICE = ("no working OpenCL device; install one: `pip install 'clsplat[cpu]'` (any x86-64 CPU), "
-             "`apt-get install pocl-opencl-icd`, or your GPU vendor's OpenCL driver")
+NO_DEVICE = (
+    "no working OpenCL device; install one: `pip install 'clsplat[cpu]'` (any x86-64 CPU), "
+    "`apt-get install pocl-opencl-icd`, or your GPU vendor's OpenCL driver")
 
 
 @dataclass
@@ -94,8 +95,8 @@ def _cure(entry):
     if entry.works:
         return ""
     if "Portable Computing" in entry.platform and "target CPU" in entry.reason:
-        return ("PyPI's PoCL is too old for this CPU: `pip uninstall pocl-binary-distribution`, then "
-                "`apt-get install pocl-opencl-icd` or `pip install 'clsplat[cpu]'`")
+        return ("PyPI's PoCL is too old for this CPU: `pip uninstall pocl-binary-distribution`, "
+                "then `apt-get install pocl-opencl-icd` or `pip install 'clsplat[cpu]'`")
     return "update or reinstall this device's driver"
 
 

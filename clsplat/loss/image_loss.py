@@ -39,6 +39,6 @@ def image_loss(device, image, photo, ssim_weight):
 
 
 def loss_value(sums, values, ssim_weight):
-    """(loss, mean |x - y|, mean SSIM) from the sums of `image_loss` over that many values; waits."""
+    """(loss, mean |x - y|, mean SSIM) from the sums of `image_loss` over so many values; waits."""
     l1, ssim = (float(v) / values for v in sums.download())
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim

@@ -1,8 +1,9 @@
 """Adam on the rows of the gaussians: one definition, two engines (cl/adam.cl).
 
-`DeviceAdam` is one fused kernel a field. `NumpyAdam` is the readable reference and keeps the moments
-in host memory, for models whose moments do not fit the device. Both update, by default, only the
-rows that the view saw ("sparse"); "dense" decays and moves every row at every step, as Adam does.
+`DeviceAdam` is one fused kernel a field. `NumpyAdam` is the readable reference and keeps the
+moments in host memory, for models whose moments do not fit the device. Both update, by default,
+only the rows that the view saw ("sparse"); "dense" decays and moves every row at every step, as
+Adam does.
 """
 
 import numpy as np
@@ -66,7 +67,7 @@ class DeviceAdam:
                 device.launch_each(ROWS, len(seen) * columns, count=len(seen), rows=seen, **values)
 
     def regrow(self, source, kept, capacity):
-        """Follow the rows: the first `kept` of `source` uint[M] are old rows, the rest start new."""
+        """Follow the rows: the first `kept` of `source` uint[M] are old, the rest start new."""
         for moments in (self.m, self.v):
             for name, old in moments.items():
                 new = self.device.zeros((capacity, *old.shape[1:]))

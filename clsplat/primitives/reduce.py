@@ -2,8 +2,8 @@
 
 from clsplat.device import Kernel
 
-SUM_COLUMNS = Kernel("reduce.cl", "sum_columns", count="uint", width="uint", rows=("real", "N", "W"),
-                     totals=("real", "W"))
+SUM_COLUMNS = Kernel("reduce.cl", "sum_columns", count="uint", width="uint",
+                     rows=("real", "N", "W"), totals=("real", "W"))
 
 
 def sum_columns(device, rows):

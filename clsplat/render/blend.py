@@ -48,7 +48,8 @@ class Blended:
 
 
 def blend_defines(device, with_depth, smooth_cutoff):
-    return (("TILE", device.tile), ("BUCKET", BUCKET), ("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff)))
+    return (("TILE", device.tile), ("BUCKET", BUCKET), ("WITH_DEPTH", int(with_depth)),
+            ("SMOOTH_CUTOFF", int(smooth_cutoff)))
 
 
 def blend(device, splats, pairs, width, height, background, defines):

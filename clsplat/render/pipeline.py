@@ -52,7 +52,8 @@ class Renderer:
     """Renders gaussians of one SH degree with one set of build-time choices.
 
     antialiased: scale opacity by the area that the low-pass adds (Yu et al. 2024, Mip-Splatting).
-    near: world units. background: three numbers. smooth_cutoff: tests only (cl/include/footprint.h).
+    near: world units. background: three numbers. smooth_cutoff: tests only
+    (cl/include/footprint.h).
     """
 
     def __init__(self, device, sh_degree, near, antialiased=False, background=(0.0, 0.0, 0.0),

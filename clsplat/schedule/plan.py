@@ -22,7 +22,7 @@ STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densi
 
 
 def scaled_steps(options):
-    """TrainOptions with every step count multiplied by `steps_scale` and `densify_until` filled in."""
+    """TrainOptions with every step count times `steps_scale` and `densify_until` filled in."""
     until = options.densify_until or options.iterations // 2
     scaled = {name: getattr(options, name) for name in STEP_COUNTS} | {"densify_until": until}
     scaled = {name: max(1, round(value * options.steps_scale)) if value else 0

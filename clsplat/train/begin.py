@@ -24,7 +24,8 @@ def initial_gaussians(scene, options):
         gaussians = Gaussians.from_points(points, colours, options.sh_degree)
     else:
         if not Path(options.init).is_file():
-            raise InputError(f"{options.init}: no such file; --init wants sfm, random or a PLY file")
+            raise InputError(
+                f"{options.init}: no such file; --init wants sfm, random or a PLY file")
         gaussians = of_degree(read_ply(options.init, scene.offset), options.sh_degree)
     if options.max_gaussians and gaussians.count > options.max_gaussians:
         raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "

@@ -44,8 +44,8 @@ def resume(scene, options, device, run, progress=None):
     """Go on from the run's checkpoint, as if it had never stopped."""
     record = run.read_options()
     if record.get("fingerprint") != fingerprint(scene):
-        raise InputError(f"{run.path}: this run was trained on another scene, {record.get('scene')}; "
-                         "give that one, or another --output")
+        raise InputError(f"{run.path}: this run was trained on another scene, "
+                         f"{record.get('scene')}; give that one, or another --output")
     arrays, state = run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
         raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "

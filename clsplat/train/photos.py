@@ -34,7 +34,8 @@ class Photos:
     def __init__(self, device, views, budget_bytes=None):
         self.device, self.views = device, views
         total = sum(3 * view.camera.width * view.camera.height for view in views)
-        budget = DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None else budget_bytes
+        budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
+                  else budget_bytes)
         self.resident = total <= budget
         self._arrays = [device.upload(p) for p in decoded(views)] if self.resident else []
         self._ahead = {}

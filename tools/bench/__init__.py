@@ -2,7 +2,8 @@
 
 Each prints a table, or with --json JSON lines: family, case, form, device, driver, median and
 quartiles in milliseconds, and what the case counts. Times are wall times of work that has finished
-on the device, after warm-up. Run them with `clsplat bench FAMILY` or `python -m tools.bench FAMILY`.
+on the device, after warm-up. Run them with `clsplat bench FAMILY`, or from a checkout with
+`python -m tools.bench FAMILY`.
 """
 
 from pathlib import Path

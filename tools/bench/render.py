@@ -62,7 +62,8 @@ class Gsplat:
         import torch
 
         self.torch, self.rasterise, self.turn = torch, gsplat.rasterization, 0
-        rows = {name: torch.tensor(values, device="cuda") for name, values in gaussians.rows.items()}
+        rows = {name: torch.tensor(values, device="cuda")
+                for name, values in gaussians.rows.items()}
         self.parameters = [
             rows["positions"], rows["quaternions"], rows["log_scales"].exp(),
             rows["opacity_logits"].sigmoid(),

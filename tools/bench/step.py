@@ -1,15 +1,17 @@
 """A whole training step on a real scene: forward, loss, adjoint, Adam, statistics.
 
-Default: caliterra at full resolution, its initial gaussians and 100 000, all harmonics active, every
-training view once. Peak memory is that of this process, so ask for one count a process to read it.
+Default: caliterra at full resolution, its initial gaussians and 100 000, all harmonics active,
+every training view once. Peak memory is that of this process, so ask for one count a process to
+read it.
 """
 
+import itertools
 import resource
 
 import numpy as np
 
-from clsplat.options import TrainOptions
 from clsplat.io.scenes import read_scene
+from clsplat.options import TrainOptions
 from clsplat.render.pipeline import Renderer
 from clsplat.schedule import scaled_steps
 from clsplat.schedule.plan import Plan
@@ -37,12 +39,12 @@ def main(argv):
         model = Model(device, scene_gaussians(scene, count), dense=options.optimizer == "dense")
         step = Step(renderer, model, scene.extent, scaled_steps(TrainOptions()))
         cameras = [renderer.pack(view.camera) for view in views]
-        taken = [0]
+        numbers = itertools.count(1)
 
-        def one():
-            index = taken[0] % len(views)
-            taken[0] += 1
-            step.take(taken[0], PLAN, cameras[index], photos[index])
+        def one(step=step, cameras=cameras, numbers=numbers):
+            number = next(numbers)
+            index = (number - 1) % len(views)
+            step.take(number, PLAN, cameras[index], photos[index])
 
         times = milliseconds(device, one, len(views), warm_up=len(views))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

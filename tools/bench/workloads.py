@@ -1,4 +1,4 @@
-"""Inputs that the benchmarks share: an aerial city of gaussians, and initial gaussians of a scene."""
+"""What the benchmarks work on: an aerial city of gaussians, and initial gaussians of a scene."""
 
 import numpy as np
 
@@ -83,7 +83,7 @@ def scene_gaussians(scene, count=0, seed=0):
         rng = np.random.default_rng(seed)
         base = Gaussians.from_points(points, colours)
         chosen = rng.integers(0, len(points), count - len(points))
-        moved = points[chosen] + rng.normal(size=(len(chosen), 3)) * np.exp(base.log_scales[chosen])
+        moved = points[chosen] + rng.normal(size=(len(chosen), 3)) * 0.5 * np.exp(base.log_scales[chosen])
         points = np.concatenate([points, moved])
         colours = np.concatenate([colours, colours[chosen]])
     return Gaussians.from_points(points, colours)
