@@ -17,6 +17,7 @@
 #error "ANTIALIASED must be 0 or 1"
 #endif
 #define AREA_RATIO_MIN 2.5e-5 // of sharp to filtered footprint, so that its root has a gradient
+#define GRADIENT_MAX 1e18 // larger counts as not finite: Adam squares it
 #define NO_ROW UINT_MAX
 
 typedef struct {
@@ -270,9 +271,9 @@ __kernel void project_adjoint(
         vstore2(grad_mean, v, grad_means);
         grad_opacity_logits[v] = grad_logit;
 
-        const real3 all = grad_position + grad_constant + grad_log_scale;
-        const bool finite =
-            isfinite(all.x + all.y + all.z + grad_logit + dot(grad_quaternion, (real4)(1)));
+        const real3 size = fabs(grad_position) + fabs(grad_constant) + fabs(grad_log_scale);
+        const bool finite = size.x + size.y + size.z + fabs(grad_logit) +
+                            dot(fabs(grad_quaternion), (real4)(1)) < (real)GRADIENT_MAX;
         active[v] = finite ? row : NO_ROW;
         if (!finite)
             atomic_inc(skipped);

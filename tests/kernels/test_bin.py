@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clsplat.errors import DeviceError
 from clsplat.render.bin import BUCKET, bin_splats
 from tests import cases
 from tests.kernels.chain import pack_splats
@@ -108,3 +109,9 @@ def test_buckets_cover_each_tile_in_order(group_device):
     assert (buckets[len(expected):] == len(lengths)).all()
     assert np.array_equal(found.pairs.bucket_offsets.download(),
                           np.cumsum(-(-lengths // BUCKET)) - -(-lengths // BUCKET))
+
+
+def test_more_pairs_than_slots_are_refused(device, monkeypatch):
+    monkeypatch.setattr("clsplat.render.bin.PAIR_LIMIT", 20)
+    with pytest.raises(DeviceError, match=r"pairs of tile and splat in one 61 x 37 image.*\(-r\)"):
+        bin_splats(device, device.upload(rows_of(130, 61, 37)), 61, 37)

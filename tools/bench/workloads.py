@@ -83,7 +83,8 @@ def scene_gaussians(scene, count=0, seed=0):
         rng = np.random.default_rng(seed)
         base = Gaussians.from_points(points, colours)
         chosen = rng.integers(0, len(points), count - len(points))
-        moved = points[chosen] + rng.normal(size=(len(chosen), 3)) * 0.5 * np.exp(base.log_scales[chosen])
+        jitter = rng.normal(size=(len(chosen), 3)) * 0.5 * np.exp(base.log_scales[chosen])
+        moved = points[chosen] + jitter
         points = np.concatenate([points, moved])
         colours = np.concatenate([colours, colours[chosen]])
     return Gaussians.from_points(points, colours)
