@@ -44,15 +44,15 @@ def plan_growth(gradient, rows, extent, options, prune_large, rng):
     splits = np.flatnonzero(grows & (largest > options.split_size * extent))
     clones = np.flatnonzero(grows & (largest <= options.split_size * extent))
 
-    faint = opacity < options.prune_opacity
-    too_large = largest > options.prune_size * extent if prune_large else np.zeros(count, bool)
-    keeps = ~(faint | too_large)
+    # written to drop what is not a number, too
+    visible = opacity >= options.prune_opacity
+    limit = options.prune_size * extent if prune_large else np.finfo(float).max
+    keeps = visible & (largest <= limit)
     children = np.repeat(splits, CHILDREN)
-    child_too_large = prune_large & (largest / SPLIT_SHRINK > options.prune_size * extent)
     # drawn for every child, so that pruning one does not move another
     offsets = _rotated(rows["quaternions"][children],
                        rng.standard_normal((len(children), 3)) * scales[children])
-    child_keeps = ~(faint | child_too_large)[children]
+    child_keeps = (visible & (largest / SPLIT_SHRINK <= limit))[children]
 
     stays = keeps.copy()
     stays[splits] = False

@@ -7,7 +7,7 @@ from clsplat.errors import DeviceError
 from clsplat.render.bin import BUCKET, bin_splats
 from tests import cases
 from tests.kernels.chain import pack_splats
-from tests.reference.tiles import tiles_of
+from tests.reference.bin import tiles_of
 
 
 def rows_of(count, width, height, seed=0, sigma=(0.3, 40)):

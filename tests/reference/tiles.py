@@ -1,1 +1,0 @@
-from tests.reference.bin import tiles_of  # noqa: F401
