@@ -25,7 +25,7 @@ __kernel void count_pairs(uint count, int tiles_x, int tiles_y, __global const r
 }
 
 __kernel void emit_pairs(uint count, int tiles_x, int tiles_y, __global const real *restrict splats,
-                         __global const uint *restrict counts, __global const uint *restrict offsets,
+                         __global uint *restrict counts, __global const uint *restrict offsets,
                          __global uint *restrict pair_tiles, __global uint *restrict pair_splats)
 {
     FOR_EACH(v, count) {
@@ -41,7 +41,9 @@ __kernel void emit_pairs(uint count, int tiles_x, int tiles_y, __global const re
                 pair_splats[slot] = v;
             }
         }
-        // should the compiler ever round the two walks differently: no slot stays unwritten
+        // should a compiler ever round the two walks differently: no slot stays unwritten, and
+        // only those emitted are summed
+        counts[v] = slot - offsets[v];
         for (; slot < end; slot++) {
             pair_tiles[slot] = tiles_x * tiles_y;
             pair_splats[slot] = v;

@@ -76,8 +76,8 @@ inline real2 mean_pixel(__global const real *camera, real3 p)
     return vload2(0, camera + CAMERA_FOCAL) * p.xy / p.z + vload2(0, camera + CAMERA_CENTRE);
 }
 
-// Channels of a colour that are drawn; others are black and have no gradient: negative ones, and those
-// so bright (or not finite) that they would overflow the gradients of all gaussians on their pixels.
+// Channels of a colour that are drawn; others are black and have no gradient: negative ones, and
+// those so bright (or not finite) that they would overflow the gradients of all gaussians behind.
 #define COLOUR_MAX 1e6
 #define drawn(COLOUR) (((COLOUR) > (real3)(0)) & ((COLOUR) < (real3)(COLOUR_MAX)))
 

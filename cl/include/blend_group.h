@@ -38,9 +38,7 @@ void blend(int width, int height, int tiles_x, __global const real *restrict bac
             colour[lane] = vload4(2, splat);
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        const int still_open = open;
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (!still_open) // read by all after a barrier: the group leaves together
+        if (!open) // read by all after a barrier: the group leaves together
             break;
         const int batch = min((uint)PIXELS, end - base);
         for (int j = 0; j < batch; j++) {

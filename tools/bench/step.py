@@ -8,8 +8,6 @@ read it.
 import itertools
 import resource
 
-import numpy as np
-
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.render.pipeline import Renderer
@@ -28,8 +26,7 @@ PLAN = Plan(level=1.0, degree=3, gathers=True, grows=False, resets_opacity=False
 
 def main(argv):
     options = arguments(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
-                        gaussians=[0, 100_000], optimizer=TrainOptions.optimizer,
-                        profile=False)
+                        gaussians=[0, 100_000], optimizer=TrainOptions.optimizer)
     device = open_device(options)
     scene = read_scene(options.scene).reduced(options.downscale)
     views, _ = scene.split(8)
@@ -51,4 +48,4 @@ def main(argv):
         width, height = views[0].camera.width, views[0].camera.height
         report(options, device, "step", f"{scene.name} {width}x{height}", times,
                gaussians=model.count, optimizer=options.optimizer, peak_mib=int(peak),
-               device_mib=device.memory_bytes >> 20, last_ms=round(float(np.median(times[-8:])), 3))
+               device_mib=device.memory_bytes >> 20)
