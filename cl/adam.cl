@@ -14,41 +14,41 @@
 #define ONE_MINUS_BETA2 0.001
 #define EPSILON 1e-15 // Kerbl et al. (2023)
 
-inline void update(real g, real rate, real correction, __global real *parameter, __global real *m,
-                   __global real *v)
-{
-    const real new_m = *m + (real)ONE_MINUS_BETA1 * (g - *m);
-    const real new_v = *v + (real)ONE_MINUS_BETA2 * (g * g - *v);
-    *m = new_m;
-    *v = new_v;
-    *parameter -= rate * new_m / (sqrt(new_v) * correction + (real)EPSILON);
-}
-
-inline void update16(real16 g, real rate, real correction, __global real *parameter,
-                     __global real *m, __global real *v)
-{
-    const real16 old_m = vload16(0, m), old_v = vload16(0, v);
-    const real16 new_m = old_m + (real)ONE_MINUS_BETA1 * (g - old_m);
-    const real16 new_v = old_v + (real)ONE_MINUS_BETA2 * (g * g - old_v);
-    vstore16(new_m, 0, m);
-    vstore16(new_v, 0, v);
-    vstore16(vload16(0, parameter) - rate * new_m / (sqrt(new_v) * correction + (real)EPSILON), 0,
-             parameter);
-}
+// `count` neighbouring elements at once; TYPE is real or a vector of it.
+#define DEFINE_UPDATE(NAME, TYPE, LOAD, STORE)                                                     \
+    inline void NAME(TYPE g, real rate, real correction, __global real *parameter,                 \
+                     __global real *m, __global real *v)                                           \
+    {                                                                                              \
+        const TYPE old_m = LOAD(0, m), old_v = LOAD(0, v);                                         \
+        const TYPE new_m = old_m + (real)ONE_MINUS_BETA1 * (g - old_m);                             \
+        const TYPE new_v = old_v + (real)ONE_MINUS_BETA2 * (g * g - old_v);                         \
+        STORE(new_m, 0, m);                                                                        \
+        STORE(new_v, 0, v);                                                                        \
+        STORE(LOAD(0, parameter) - rate * new_m / (sqrt(new_v) * correction + (real)EPSILON), 0,   \
+              parameter);                                                                          \
+    }
+#define LOAD_ONE(OFFSET, P) (*(P))
+#define STORE_ONE(VALUE, OFFSET, P) (*(P) = (VALUE))
+DEFINE_UPDATE(update1, real, LOAD_ONE, STORE_ONE)
+DEFINE_UPDATE(update4, real4, vload4, vstore4)
+DEFINE_UPDATE(update16, real16, vload16, vstore16)
 
 // Columns [begin, end) of the row of gradients at `from` and of the parameters at `to`; without a
-// gradient (has false) it counts as zero.
+// gradient (has is false) it counts as zero.
+#define UPDATE(WIDTH, TYPE, LOAD)                                                                  \
+    for (; column + WIDTH <= end; column += WIDTH)                                                 \
+        update##WIDTH(has ? LOAD(0, from + column) : (TYPE)(0), rate, correction,                  \
+                      parameter + to + column, m + to + column, v + to + column);
 inline void update_columns(uint begin, uint end, bool has, __global const real *from, ulong to,
                            real rate, real correction, __global real *parameter, __global real *m,
                            __global real *v)
 {
     uint column = begin;
-    for (; column + 16 <= end; column += 16)
-        update16(has ? vload16(0, from + column) : (real16)(0), rate, correction,
-                 parameter + to + column, m + to + column, v + to + column);
-    for (; column < end; column++)
-        update(has ? from[column] : 0, rate, correction, parameter + to + column, m + to + column,
-               v + to + column);
+#if FORM_ITEM
+    UPDATE(16, real16, vload16)
+    UPDATE(4, real4, vload4)
+#endif
+    UPDATE(1, real, LOAD_ONE)
 }
 
 // A work-item's share of a row: all of it (item form), or one column.

@@ -33,12 +33,12 @@ class RunFolder:
     def __init__(self, path):
         """Use `create` or `open`."""
         self.path = Path(path)
-        self._metrics_whole = False
+        self._metrics_whole = self._replaces = False
 
     @classmethod
     def create(cls, path, overwrite=False):
-        """A new run in a folder, made if needed, that holds none; overwrite: removes the files of
-        the run it holds, and nothing else."""
+        """A new run in a folder, made if needed, that holds none; overwrite: the first write,
+        `write_options`, removes the files of the run it holds, and nothing else."""
         run = cls(path)
         try:
             run.path.mkdir(parents=True, exist_ok=True)
@@ -46,7 +46,7 @@ class RunFolder:
             if held and not overwrite:
                 raise InputError(f"{run.path}: already holds a run ({held[0]}); continue it with "
                                  "--resume, replace it with --overwrite, or choose another folder")
-            run._remove_files()
+            run._replaces = True
             probe = run.path / (OPTIONS + PARTIAL)
             probe.touch()
             probe.unlink()
@@ -78,6 +78,9 @@ class RunFolder:
     def write_options(self, record):
         """Write what the run was started with: a dict for JSON, with `scene` a path, made
         absolute here; `version` and, in a checkout, `commit` of clsplat are added."""
+        if self._replaces:
+            self._remove_files()
+            self._replaces = False
         record = {**record, "version": clsplat.__version__, "commit": _commit()}
         if "scene" in record:
             record["scene"] = str(Path(record["scene"]).resolve())

@@ -167,6 +167,13 @@ def test_output_that_is_a_run(healthy, finished):
     assert content(finished) == before
 
 
+def test_overwriting_waits_until_all_is_in_order(healthy, finished):
+    before = content(finished)
+    refused("train", healthy, "-o", finished, *TRAIN, "--overwrite", "--max-gaussians", "5",
+            naming=("--max-gaussians 5",))
+    assert content(finished) == before
+
+
 @pytest.mark.parametrize("words, naming", [
     (("--init", "nowhere.ply"), ("nowhere.ply", "no such file")),
     (("--max-gaussians", "5"), ("--max-gaussians 5", "30", "allow")),

@@ -1,4 +1,4 @@
-"""Training on the sample city: it learns, keeps its promises about growth, and records what it does."""
+"""Training on the sample city: it learns, grows as promised, and records what it does."""
 
 import time
 from dataclasses import replace
@@ -33,6 +33,7 @@ def test_it_learns(float_device, city, tmp_path):
     assert scores["views"] == 4
 
 
+@pytest.mark.slow
 def test_growth_helps(item_device, city, tmp_path):
     """To fit the photos, where points are few: every fortieth of the city's."""
     thin = replace(city, points=city.points[::40], colours=city.colours[::40])
@@ -72,6 +73,7 @@ def test_opacities_are_reset(item_device, city, tmp_path):
     assert opacities[0].max() < 0.02 and opacities[1].max() > 0.2
 
 
+@pytest.mark.slow
 def test_engines_and_optimizers_learn_alike(item_device, city, tmp_path):
     scores = {(engine, optimizer): psnr_of(trained(
         tmp_path / engine / optimizer, city, item_device, **STILL, iterations=100, engine=engine,
@@ -106,6 +108,7 @@ def test_harmonics_stay_at_zero_until_their_degree(item_device, city, tmp_path):
     assert rest[:, :3].any() and not rest[:, 3:].any()
 
 
+@pytest.mark.slow
 def test_a_trained_model_is_a_good_start(item_device, city, tmp_path):
     first = trained(tmp_path / "first", city, item_device, **STILL, iterations=150)
     again = trained(tmp_path / "again", city, item_device, **STILL, iterations=1,
@@ -164,7 +167,7 @@ def test_all_views_are_trained_on_where_none_is_held_out(item_device, city):
 def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):
     def slow(*arguments):
         time.sleep(0.5)
-        return {"views": 1, "psnr": 1.0, "ssim": 1.0, "psnr_cc": 1.0, "ssim_cc": 1.0, "per_view": []}
+        return {"views": 1, "psnr": 1, "ssim": 1, "psnr_cc": 1, "ssim_cc": 1, "per_view": []}
 
     monkeypatch.setattr(loop, "evaluate_views", slow)
     begin = time.perf_counter()

@@ -9,7 +9,8 @@ from tests.reference.project import rotations
 
 EXTENT = 10.0
 OPTIONS = TrainOptions(grow_threshold=1.0)
-SMALL, LARGE, HUGE, GIANT = 0.05, 0.2, 1.1, 2.0  # splits above 0.1, pruned above 1.0; HUGE / 1.6 fits
+# splits above 0.1, pruned above 1.0; HUGE / 1.6 is below
+SMALL, LARGE, HUGE, GIANT = 0.05, 0.2, 1.1, 2.0
 FAINT, SOLID = 0.004, 0.5
 STILL, MOVING = 0.5, 1.0  # mean screen gradients below and at the threshold
 

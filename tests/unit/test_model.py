@@ -123,6 +123,6 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
     for name in before:
         moved, again = (rows[name] - before[name] for rows, _, _ in results)
         assert np.abs(moved).max() > 0, name
-        for own, other in ((moved, again), *((own[name], other[name])
-                                             for own, other in zip(results[0][1:], results[1][1:]))):
+        moments = ((own[name], other[name]) for own, other in zip(results[0][1:], results[1][1:]))
+        for own, other in ((moved, again), *moments):
             assert np.abs(own - other).max() <= 1e-9 * np.abs(other).max(), name

@@ -55,7 +55,10 @@ def test_create_open_overwrite(run):
     (run.path / "checkpoint.npz.part").write_bytes(b"left by a kill")
     refused(lambda: RunFolder.create(run.path), "--resume", "--overwrite")
     assert RunFolder.open(run.path).has_checkpoint
-    RunFolder.create(run.path, overwrite=True)
+    new = RunFolder.create(run.path, overwrite=True)
+    assert RunFolder.open(run.path).has_checkpoint  # what comes next may still refuse its input
+    new.write_options({})
+    (run.path / "options.json").unlink()
     left = sorted(p.relative_to(run.path).as_posix() for p in run.path.rglob("*"))
     assert left == ["mine.txt", "renders", "renders/note.txt"]
 
