@@ -3,9 +3,11 @@
 //   loss = (1 - w) mean |x - y| + w (1 - mean SSIM(x, y))        (Kerbl et al. 2023, section 5.1)
 //
 // SSIM (Wang et al. 2004): 11-tap Gaussian window, sigma 1.5, zero padding, per channel.
-// image: real[3, H, W], the render x; photo: uchar[3, H, W], y = photo / 255; maps: real[3, 3, H, W],
+// image: real[3, H, W], the render x; photo: uchar[3, H, W], y = photo / 255; maps: real[M, 3, H, W],
 // per channel the gradients of SSIM by the window means of x, x^2 and x y; partials: real[items, 2],
-// sums of |x - y| and of SSIM, one row a work-item or group, added up in order by reduce.cl.
+// sums of |x - y| and of SSIM, one row a work-item or group, added up in order by reduce.cl. A launch
+// does the M channels from `first_channel` on: all three on a GPU, one on a CPU, whose cache then
+// holds the maps between the two kernels.
 //
 // `image_loss` writes maps and partials; `image_loss_adjoint` convolves the maps (the window is its
 // own adjoint) to grad_image: real[3, H, W]. Item form: a work-item slides down a strip of 16

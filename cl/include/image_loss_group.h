@@ -22,13 +22,14 @@ inline real group_sum(real value, __local real *scratch)
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void image_loss(int width, int height, int strip, __global const real *restrict image,
-                __global const uchar *restrict photo, __global real *restrict maps,
-                __global real *restrict partials)
+void image_loss(int width, int height, int strip, int first_channel,
+                __global const real *restrict image, __global const uchar *restrict photo,
+                __global real *restrict maps, __global real *restrict partials)
 {
     __local real xs[WIDE * WIDE], ys[WIDE * WIDE], rows[MEANS][WIDE * TILE], scratch[GROUP];
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
-    const int group = get_group_id(0), lane = get_local_id(0), channel = group / (across * down);
+    const int group = get_group_id(0), lane = get_local_id(0);
+    const int place = group / (across * down), channel = first_channel + place;
     const int x0 = group % across * TILE, y0 = group / across % down * TILE;
     const long plane = (long)width * height;
     for (int i = lane; i < WIDE * WIDE; i += GROUP) {
@@ -64,31 +65,35 @@ void image_loss(int width, int height, int strip, __global const real *restrict 
         const int centre = (lane / TILE + RADIUS) * WIDE + lane % TILE + RADIUS;
         l1 = fabs(xs[centre] - ys[centre]);
         for (int m = 0; m < 3; m++)
-            maps[(channel * 3 + m) * plane + (long)y * width + x] = by[m];
+            maps[(place * 3 + m) * plane + (long)y * width + x] = by[m];
     }
     l1 = group_sum(l1, scratch);
     value = group_sum(value, scratch);
     if (lane == 0) {
-        partials[2 * group] = l1;
-        partials[2 * group + 1] = value;
+        const int own = first_channel * across * down + group;
+        partials[2 * own] = l1;
+        partials[2 * own + 1] = value;
     }
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void image_loss_adjoint(int width, int height, int strip, real l1_scale, real ssim_scale,
+void image_loss_adjoint(int width, int height, int strip, int first_channel, real l1_scale,
+                        real ssim_scale,
                         __global const real *restrict image, __global const uchar *restrict photo,
                         __global const real *restrict maps, __global real *restrict grad_image)
 {
     __local real wide[3][WIDE * WIDE], rows[3][WIDE * TILE];
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
-    const int group = get_group_id(0), lane = get_local_id(0), channel = group / (across * down);
+    const int group = get_group_id(0), lane = get_local_id(0);
+    const int place = group / (across * down), channel = first_channel + place;
     const int x0 = group % across * TILE, y0 = group / across % down * TILE;
     const long plane = (long)width * height;
     for (int i = lane; i < WIDE * WIDE; i += GROUP) {
         const int x = x0 - RADIUS + i % WIDE, y = y0 - RADIUS + i / WIDE;
         const bool inside = x >= 0 && y >= 0 && x < width && y < height;
         for (int m = 0; m < 3; m++)
-            wide[m][i] = inside ? maps[(channel * 3 + m) * plane + (long)y * width + x] : 0;
+            wide[m][i] =
+                inside ? maps[(place * 3 + m) * plane + (long)y * width + x] : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int i = lane; i < WIDE * TILE; i += GROUP) {

@@ -29,12 +29,13 @@ inline real16 photo16(__global const uchar *values)
     TAP(0) TAP(1) TAP(2) TAP(3) TAP(4) TAP(5) TAP(6) TAP(7) TAP(8) TAP(9) TAP(10)
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void image_loss(int width, int height, int strip, __global const real *restrict image,
-                __global const uchar *restrict photo, __global real *restrict maps,
-                __global real *restrict partials)
+void image_loss(int width, int height, int strip, int first_channel,
+                __global const real *restrict image, __global const uchar *restrict photo,
+                __global real *restrict maps, __global real *restrict partials)
 {
     const int across = (width + 15) / 16, down = (height + strip - 1) / strip;
-    const int item = get_global_id(0), channel = item / (across * down);
+    const int item = get_global_id(0);
+    const int place = item / (across * down), channel = first_channel + place;
     const int x0 = item % across * 16, y0 = item / across % down * strip;
     const long plane = (long)width * height;
     const int columns = min(16, width - x0), y_end = min(y0 + strip, height);
@@ -96,7 +97,7 @@ void image_loss(int width, int height, int strip, __global const real *restrict 
         const long pixel = (long)out * width + x0;
         if (columns == 16) {
             for (int m = 0; m < 3; m++)
-                vstore16(by[m], 0, maps + (channel * 3 + m) * plane + pixel);
+                vstore16(by[m], 0, maps + (place * 3 + m) * plane + pixel);
             total += sum16(value);
             l1 += sum16(fabs(vload16(0, image + channel * plane + pixel) -
                              photo16(photo + channel * plane + pixel)));
@@ -107,24 +108,27 @@ void image_loss(int width, int height, int strip, __global const real *restrict 
             vstore16(value, 0, values[3]);
             for (int i = 0; i < columns; i++) {
                 for (int m = 0; m < 3; m++)
-                    maps[(channel * 3 + m) * plane + pixel + i] = values[m][i];
+                    maps[(place * 3 + m) * plane + pixel + i] = values[m][i];
                 total += values[3][i];
                 l1 += fabs(image[channel * plane + pixel + i] -
                            photo[channel * plane + pixel + i] * (real)(1.0 / 255));
             }
         }
     }
-    partials[2 * item] = l1;
-    partials[2 * item + 1] = total;
+    const int own = first_channel * across * down + item;
+    partials[2 * own] = l1;
+    partials[2 * own + 1] = total;
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void image_loss_adjoint(int width, int height, int strip, real l1_scale, real ssim_scale,
+void image_loss_adjoint(int width, int height, int strip, int first_channel, real l1_scale,
+                        real ssim_scale,
                         __global const real *restrict image, __global const uchar *restrict photo,
                         __global const real *restrict maps, __global real *restrict grad_image)
 {
     const int across = (width + 15) / 16, down = (height + strip - 1) / strip;
-    const int item = get_global_id(0), channel = item / (across * down);
+    const int item = get_global_id(0);
+    const int place = item / (across * down), channel = first_channel + place;
     const int x0 = item % across * 16, y0 = item / across % down * strip;
     const long plane = (long)width * height;
     const int columns = min(16, width - x0), y_end = min(y0 + strip, height);
@@ -133,7 +137,7 @@ void image_loss_adjoint(int width, int height, int strip, real l1_scale, real ss
     for (int y = y0 - RADIUS; y < y_end + RADIUS; y++) {
         real16 s0 = 0, s1 = 0, s2 = 0;
         if (y >= 0 && y < height) {
-            __global const real *row = maps + channel * 3 * plane + (long)y * width;
+            __global const real *row = maps + place * 3 * plane + (long)y * width;
 #define CONVOLVE(K)                                                                                \
     s0 += WINDOW[K] * LOAD(0, K);                                                                  \
     s1 += WINDOW[K] * LOAD(1, K);                                                                  \

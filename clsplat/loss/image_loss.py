@@ -3,11 +3,11 @@
 from clsplat.device import Kernel
 from clsplat.primitives.reduce import sum_columns
 
-STRIP = 64  # rows a work-item of the item form slides down
+STRIP = 128  # rows a work-item of the item form slides down
 
-_SIZE = dict(width="int", height="int", strip="int")
+_SIZE = dict(width="int", height="int", strip="int", first_channel="int")
 _IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", 3, "H", "W"),
-               maps=("real", 3, 3, "H", "W"))
+               maps=("real", "M", 3, "H", "W"))
 VALUE = Kernel("image_loss.cl", "image_loss", **_SIZE, **_IMAGES, partials=("real", "P", 2))
 ADJOINT = Kernel("image_loss.cl", "image_loss_adjoint", **_SIZE, l1_scale="real",
                  ssim_scale="real", **_IMAGES, grad_image=("real", 3, "H", "W"))
@@ -23,18 +23,22 @@ def image_loss(device, image, photo, ssim_weight):
     _, height, width = image.shape
     values = 3 * height * width
     if device.form == "item":
-        group, items = 1, 3 * -(-width // 16) * -(-height // STRIP)
+        channels, group, items = 1, 1, -(-width // 16) * -(-height // STRIP)
     else:
-        group, items = device.tile**2, 3 * -(-width // device.tile) * -(-height // device.tile)
+        channels, group = 3, device.tile**2
+        items = -(-width // device.tile) * -(-height // device.tile)
     defines = (("TILE", device.tile), ("GROUP", device.tile**2))
-    size = dict(width=width, height=height, strip=STRIP)
-    maps, partials = device.empty((3, 3, height, width)), device.empty((items, 2))
+    maps = device.empty((channels, 3, height, width))
+    partials = device.empty((3 * items, 2))
     grad_image = device.empty((3, height, width))
-    device.launch(VALUE, items * group, group, defines, **size, image=image, photo=photo,
-                  maps=maps, partials=partials)
-    device.launch(ADJOINT, items * group, group, defines, **size,
-                  l1_scale=(1 - ssim_weight) / values, ssim_scale=-ssim_weight / values,
-                  image=image, photo=photo, maps=maps, grad_image=grad_image)
+    for first_channel in range(0, 3, channels):
+        shared = dict(width=width, height=height, strip=STRIP, first_channel=first_channel,
+                       image=image, photo=photo, maps=maps)
+        device.launch(VALUE, channels * items * group, group, defines, **shared,
+                      partials=partials)
+        device.launch(ADJOINT, channels * items * group, group, defines, **shared,
+                      l1_scale=(1 - ssim_weight) / values, ssim_scale=-ssim_weight / values,
+                      grad_image=grad_image)
     return sum_columns(device, partials), grad_image
 
 
