@@ -1,18 +1,21 @@
-// Pairs of tile and splat. Splats are in depth order and a splat's pairs are contiguous (its slots),
-// so a stable sort of the pairs by tile leaves every tile's pairs in depth order.
+// Pairs of tile and splat. Splats stay in the order of the gaussians' rows, where reading and writing
+// them is cheap; `order`, uint[V], lists them front to back, and pairs are emitted in that order. So a
+// stable sort of the pairs by tile leaves every tile's pairs in depth order, and a splat's pairs are
+// contiguous (its slots).
 //
-// counts: uint[V], tiles a splat touches; offsets: their exclusive scan; pair_tiles, pair_splats:
-// uint[P] in emission order (a pair's index there is its slot). One writer a slot: deterministic.
+// counts: uint[V], tiles the v-th splat from the front touches; offsets: their exclusive scan;
+// pair_tiles, pair_splats: uint[P] in emission order (a pair's index there is its slot). One writer a
+// slot: deterministic.
 #include "real.h"
 #include "each.h"
 #include "splat.h"
 #include "tiles.h"
 
-__kernel void count_pairs(uint count, int tiles_x, int tiles_y, __global const real *restrict splats,
-                          __global uint *restrict counts)
+__kernel void count_pairs(uint count, int tiles_x, int tiles_y, __global const uint *restrict order,
+                          __global const real *restrict splats, __global uint *restrict counts)
 {
     FOR_EACH(v, count) {
-        const Ellipse e = ellipse_of(splats + (ulong)v * SPLAT_REALS);
+        const Ellipse e = ellipse_of(splats + (ulong)order[v] * SPLAT_REALS);
         int row, row_end, column, column_end;
         uint touched = 0;
         tile_rows(e, tiles_y, &row, &row_end);
@@ -24,12 +27,13 @@ __kernel void count_pairs(uint count, int tiles_x, int tiles_y, __global const r
     }
 }
 
-__kernel void emit_pairs(uint count, int tiles_x, int tiles_y, __global const real *restrict splats,
-                         __global uint *restrict counts, __global const uint *restrict offsets,
+__kernel void emit_pairs(uint count, int tiles_x, int tiles_y, __global const uint *restrict order,
+                         __global const real *restrict splats, __global uint *restrict counts,
+                         __global const uint *restrict offsets,
                          __global uint *restrict pair_tiles, __global uint *restrict pair_splats)
 {
     FOR_EACH(v, count) {
-        const Ellipse e = ellipse_of(splats + (ulong)v * SPLAT_REALS);
+        const Ellipse e = ellipse_of(splats + (ulong)order[v] * SPLAT_REALS);
         uint slot = offsets[v];
         const uint end = slot + counts[v];
         int row, row_end, column, column_end;
@@ -38,7 +42,7 @@ __kernel void emit_pairs(uint count, int tiles_x, int tiles_y, __global const re
             tile_columns(e, row, tiles_x, &column, &column_end);
             for (; column < column_end && slot < end; column++, slot++) {
                 pair_tiles[slot] = row * tiles_x + column;
-                pair_splats[slot] = v;
+                pair_splats[slot] = order[v];
             }
         }
         // should a compiler ever round the two walks differently: no slot stays unwritten, and
@@ -46,7 +50,7 @@ __kernel void emit_pairs(uint count, int tiles_x, int tiles_y, __global const re
         counts[v] = slot - offsets[v];
         for (; slot < end; slot++) {
             pair_tiles[slot] = tiles_x * tiles_y;
-            pair_splats[slot] = v;
+            pair_splats[slot] = order[v];
         }
     }
 }

@@ -30,10 +30,11 @@
 #include "blend_group.h"
 #endif
 
-// Sums of each splat over its pairs, in slot order: totals[v, :] from sums[offsets[v] + ..., :].
+// Sums of each splat over its pairs, in slot order: totals[order[v], :] from sums[offsets[v] + ..., :].
 // Item form: an element is a splat. Group form: it is a splat's column.
 #if FORM_ITEM
-__kernel void sum_pairs(uint count, __global const uint *restrict counts,
+__kernel void sum_pairs(uint count, __global const uint *restrict order,
+                        __global const uint *restrict counts,
                         __global const uint *restrict offsets, __global const real *restrict sums,
                         __global real *restrict totals)
 {
@@ -44,11 +45,12 @@ __kernel void sum_pairs(uint count, __global const uint *restrict counts,
             for (int column = 0; column < SUMS; column++)
                 total[column] += sums[i + column];
         for (int column = 0; column < SUMS; column++)
-            totals[v * SUMS + column] = total[column];
+            totals[(ulong)order[v] * SUMS + column] = total[column];
     }
 }
 #else
-__kernel void sum_pairs(uint count, __global const uint *restrict counts,
+__kernel void sum_pairs(uint count, __global const uint *restrict order,
+                        __global const uint *restrict counts,
                         __global const uint *restrict offsets, __global const real *restrict sums,
                         __global real *restrict totals)
 {
@@ -57,7 +59,7 @@ __kernel void sum_pairs(uint count, __global const uint *restrict counts,
         real total = 0;
         for (ulong slot = begin; slot < end; slot++)
             total += sums[slot * SUMS + i % SUMS];
-        totals[i] = total;
+        totals[(ulong)order[v] * SUMS + i % SUMS] = total;
     }
 }
 #endif

@@ -5,7 +5,7 @@
 // its digits for needles, where A C - B^2 cancels.
 //
 // Parameters are real[N, ...] rows; splats real[V, SPLAT_REALS] and all gradients real[V, ...] are
-// rows of visible gaussians in depth order; rows[v] is the gaussian of splat v.
+// rows of visible gaussians; rows[v], ascending, is the gaussian of splat v.
 #include "real.h"
 #include "each.h"
 #include "camera.h"

@@ -62,8 +62,8 @@ class TrainOptions:
     ssim_weight: float = option(0.2, "Method", "share of D-SSIM in the loss", minimum=0.0,
                                 maximum=1.0)
     antialiased: bool = option(False, "Method", "scale opacity by the area the low-pass adds")
-    optimizer: str = option("sparse", "Method", "Adam on the rows seen in a view, or on all",
-                            choices=("sparse", "dense"))
+    optimizer: str = option("dense", "Method", "Adam on all rows, or on those seen in the view",
+                            choices=("dense", "sparse"))
     engine: str = option("auto", "Method", "where Adam runs: its moments on the device, or in "
                          "host memory by numpy", choices=("auto", "device", "numpy"))
     near: float = option(0.0, "Method", "near plane, world units (0: 1/500 of the scene extent)",

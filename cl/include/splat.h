@@ -1,4 +1,4 @@
-// A splat: the screen footprint of a gaussian, 12 reals a row, written by project.cl in depth order.
+// A splat: the screen footprint of a gaussian, 12 reals a row, written by project.cl.
 enum {
     SPLAT_MEAN = 0, // pixels
     SPLAT_OPACITY = 2,

@@ -14,9 +14,9 @@ BUCKET = 32  # pairs a bucket of the group form's adjoint
 PAIR_LIMIT = 2**32 - 1  # slots are 32-bit
 
 COUNT = Kernel("bin.cl", "count_pairs", count="uint", tiles_x="int", tiles_y="int",
-               splats=("real", "V", SPLAT_REALS), counts=("uint", "V"))
+               order=("uint", "V"), splats=("real", "V", SPLAT_REALS), counts=("uint", "V"))
 EMIT = Kernel("bin.cl", "emit_pairs", count="uint", tiles_x="int", tiles_y="int",
-              splats=("real", "V", SPLAT_REALS), counts=("uint", "V"), offsets=("uint", "V"),
+              order=("uint", "V"), splats=("real", "V", SPLAT_REALS), counts=("uint", "V"), offsets=("uint", "V"),
               pair_tiles=("uint", "P"), pair_splats=("uint", "P"))
 RANGES = Kernel("bin.cl", "find_ranges", count="uint", tiles="uint", sorted_tiles=("uint", "P"),
                 slots=("uint", "P"), pair_splats=("uint", "P"), ranges=("uint", "T", 2),
@@ -29,12 +29,14 @@ FILL_BUCKETS = Kernel("bin.cl", "fill_buckets", tiles="uint", counts=("uint", "T
 
 @dataclass(eq=False)
 class Pairs:
-    """The pairs of a frame. counts, offsets: uint[V], a splat's slots; ranges: uint[T, 2] into
+    """The pairs of a frame. order: uint[V], the splats front to back; counts, offsets: uint[V], the
+    slots of each in that order; ranges: uint[T, 2] into
     sorted_splats and slots: uint[P]; the group form also has bucket_offsets uint[T] and
     bucket_tiles uint[B], where B is an upper bound and spare entries hold T."""
 
     tiles_x: int
     tiles_y: int
+    order: Array
     counts: Array
     offsets: Array
     ranges: Array
@@ -48,8 +50,9 @@ class Pairs:
         return len(self.slots)
 
 
-def bin_splats(device, splats, width, height):
-    """Pairs of the splats real[V, 12] (depth order) with the tiles of a width x height image.
+def bin_splats(device, splats, order, width, height):
+    """Pairs of the splats real[V, 12] with the tiles of a width x height image; order: uint[V],
+    the splats front to back.
 
     Waits for the device once, for the number of pairs. Raises DeviceError past 2^32 pairs.
     """
@@ -57,7 +60,7 @@ def bin_splats(device, splats, width, height):
     tiles_x, tiles_y = -(-width // tile), -(-height // tile)
     tiles = tiles_x * tiles_y
     defines = (("TILE", tile), ("BUCKET", BUCKET))
-    shape = dict(tiles_x=tiles_x, tiles_y=tiles_y)
+    shape = dict(tiles_x=tiles_x, tiles_y=tiles_y, order=order)
     counts = device.empty(count, np.uint32)
     device.launch_each(COUNT, count, defines, count=count, **shape, splats=splats, counts=counts)
     offsets, totals = exclusive_scan(device, counts)
@@ -76,7 +79,7 @@ def bin_splats(device, splats, width, height):
     device.launch_each(RANGES, pair_count, defines, count=pair_count, tiles=tiles,
                   sorted_tiles=sorted_tiles, slots=slots, pair_splats=pair_splats, ranges=ranges,
                   sorted_splats=sorted_splats)
-    pairs = Pairs(tiles_x, tiles_y, counts, offsets, ranges, sorted_splats, slots)
+    pairs = Pairs(tiles_x, tiles_y, order, counts, offsets, ranges, sorted_splats, slots)
     if device.form == "group":
         _add_buckets(device, pairs, tiles, defines)
     return pairs

@@ -29,7 +29,7 @@ ADJOINT = {
                     slots=("uint", "P"), bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"),
                     **_SPLATS, image=("real", 3, "H", "W"), depth=("real", "D", "E"),
                     last=("int", "H", "W"), **_GRADS, **_CHECKPOINTS, sums=("real", "P", "S"))}
-SUM_PAIRS = Kernel("blend.cl", "sum_pairs", count="uint", counts=("uint", "V"),
+SUM_PAIRS = Kernel("blend.cl", "sum_pairs", count="uint", order=("uint", "V"), counts=("uint", "V"),
                    offsets=("uint", "V"), sums=("real", "P", "S"), totals=("real", "V", "S"))
 
 
@@ -96,6 +96,6 @@ def blend_adjoint(device, splats, pairs, blended, background, grad_image, grad_d
                       depth_checkpoints=blended.depth_checkpoints)
     totals = device.empty((len(splats), columns))
     elements = len(splats) if device.form == "item" else len(splats) * columns
-    device.launch_each(SUM_PAIRS, elements, defines, count=len(splats), counts=pairs.counts,
+    device.launch_each(SUM_PAIRS, elements, defines, count=len(splats), order=pairs.order, counts=pairs.counts,
                        offsets=pairs.offsets, sums=sums, totals=totals)
     return totals

@@ -14,8 +14,8 @@ from clsplat.render.project import cull, pack_camera, project, project_adjoint
 
 @dataclass(eq=False)
 class Frame:
-    """What a render leaves for its adjoint. visible: uint[V], rows of the gaussians in depth
-    order; splats: real[V, 12]."""
+    """What a render leaves for its adjoint. visible: uint[V], rows of the gaussians seen,
+    ascending; splats: real[V, 12], in that order."""
 
     camera: Array
     degree: int
@@ -73,10 +73,10 @@ class Renderer:
         """Render rows (field name -> real[N, ...]) with a packed camera; returns a Frame."""
         device = self.device
         flags, depth_keys = cull(device, rows, camera, self._project_defines)
-        kept_keys, kept = compact(device, flags, depth_keys)
-        _, visible = stable_sort(device, kept_keys, values=kept)
+        visible_keys, visible = compact(device, flags, depth_keys)
+        _, order = stable_sort(device, visible_keys)
         splats = project(device, rows, visible, camera, degree, self._project_defines)
-        pairs = bin_splats(device, splats, width, height)
+        pairs = bin_splats(device, splats, order, width, height)
         blended = blend(device, splats, pairs, width, height, self.background,
                         blend_defines(device, with_depth, self.smooth_cutoff))
         return Frame(camera, degree, visible, splats, pairs, blended, with_depth)

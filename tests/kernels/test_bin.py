@@ -17,7 +17,7 @@ def rows_of(count, width, height, seed=0, sigma=(0.3, 40)):
 
 class Binned:
     def __init__(self, device, rows, width, height):
-        pairs = bin_splats(device, device.upload(rows), width, height)
+        pairs = bin_splats(device, device.upload(rows), front_to_back(device, rows), width, height)
         self.pairs, self.counts = pairs, pairs.counts.download()
         self.offsets, self.slots = pairs.offsets.download(), pairs.slots.download()
         self.ranges = pairs.ranges.download().astype(int)
@@ -26,6 +26,11 @@ class Binned:
         for tile, (begin, end) in enumerate(self.ranges):
             for v in self.splats[begin:end]:
                 self.tiles[v].add((tile % pairs.tiles_x, tile // pairs.tiles_x))
+
+
+def front_to_back(device, rows):
+    """The order of rows that already are in depth order."""
+    return device.upload(np.arange(len(rows), dtype=np.uint32))
 
 
 def true_tiles(device, row, tiles_x, tiles_y):
@@ -114,4 +119,5 @@ def test_buckets_cover_each_tile_in_order(group_device):
 def test_more_pairs_than_slots_are_refused(device, monkeypatch):
     monkeypatch.setattr("clsplat.render.bin.PAIR_LIMIT", 20)
     with pytest.raises(DeviceError, match=r"pairs of tile and splat in one 61 x 37 image.*\(-r\)"):
-        bin_splats(device, device.upload(rows_of(130, 61, 37)), 61, 37)
+        rows = rows_of(130, 61, 37)
+        bin_splats(device, device.upload(rows), front_to_back(device, rows), 61, 37)

@@ -21,7 +21,8 @@ class Blended:
         self.defines = blend_defines(device, with_depth, smooth)
         self.background = device.upload(np.asarray(background, float))
         self.splats = device.upload(rows)
-        self.pairs = bin_splats(device, self.splats, *size)
+        self.pairs = bin_splats(
+            device, self.splats, device.upload(np.arange(len(self.splats), dtype=np.uint32)), *size)
         self.blended = blend(device, self.splats, self.pairs, *size, self.background, self.defines)
         self.image = self.blended.image.download()
         self.transmittance = self.blended.transmittance.download()

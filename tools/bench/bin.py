@@ -11,6 +11,6 @@ def main(argv):
     device = open_device(options)
     frame = CityFrame(device, options.gaussians).frame
     times = milliseconds(
-        device, lambda: bin_splats(device, frame.splats, *frame.size), options.repeats)
+        device, lambda: bin_splats(device, frame.splats, frame.pairs.order, *frame.size), options.repeats)
     report(options, device, "bin", "1024x768", times, splats=len(frame.splats),
            pairs=frame.pairs.count)
