@@ -1,9 +1,9 @@
 """Adam on the rows of the gaussians: one definition, two engines (cl/adam.cl).
 
 `DeviceAdam` is one fused kernel a field. `NumpyAdam` is the readable reference and keeps the
-moments in host memory, for models whose moments do not fit the device. Both update, by default,
-only the rows that the view saw ("sparse"); "dense" decays and moves every row at every step, as
-Adam does.
+moments in host memory, for models whose moments do not fit the device. Both are dense, moving and
+decaying every row at every step as Adam does, or sparse: only the rows that the view saw. Dense
+learns faster (on our sets 0.5 to 1 dB ahead after 1000 steps) and costs about the same.
 """
 
 import numpy as np

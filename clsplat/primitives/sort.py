@@ -18,8 +18,8 @@ LARGEST_DIGIT = {"item": 13, "group": 8}
 def stable_sort(device, keys, bits=32, values=None):
     """(sorted keys, values in that order), both uint[N]; equal keys keep their order.
 
-    bits: the keys' significant bits; higher ones must be zero. values: uint[N] to carry along; without
-    them the permutation itself: result[i] = keys[permutation[i]].
+    bits: the keys' significant bits; higher ones must be zero. values: uint[N] to carry along;
+    without them the permutation itself: result[i] = keys[permutation[i]].
     """
     count = len(keys)
     passes = max(1, -(-bits // LARGEST_DIGIT[device.form]))

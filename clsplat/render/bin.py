@@ -16,8 +16,8 @@ PAIR_LIMIT = 2**32 - 1  # slots are 32-bit
 COUNT = Kernel("bin.cl", "count_pairs", count="uint", tiles_x="int", tiles_y="int",
                order=("uint", "V"), splats=("real", "V", SPLAT_REALS), counts=("uint", "V"))
 EMIT = Kernel("bin.cl", "emit_pairs", count="uint", tiles_x="int", tiles_y="int",
-              order=("uint", "V"), splats=("real", "V", SPLAT_REALS), counts=("uint", "V"), offsets=("uint", "V"),
-              pair_tiles=("uint", "P"), pair_splats=("uint", "P"))
+              order=("uint", "V"), splats=("real", "V", SPLAT_REALS), counts=("uint", "V"),
+              offsets=("uint", "V"), pair_tiles=("uint", "P"), pair_splats=("uint", "P"))
 RANGES = Kernel("bin.cl", "find_ranges", count="uint", tiles="uint", sorted_tiles=("uint", "P"),
                 slots=("uint", "P"), pair_splats=("uint", "P"), ranges=("uint", "T", 2),
                 sorted_splats=("uint", "P"))

@@ -96,6 +96,6 @@ def blend_adjoint(device, splats, pairs, blended, background, grad_image, grad_d
                       depth_checkpoints=blended.depth_checkpoints)
     totals = device.empty((len(splats), columns))
     elements = len(splats) if device.form == "item" else len(splats) * columns
-    device.launch_each(SUM_PAIRS, elements, defines, count=len(splats), order=pairs.order, counts=pairs.counts,
-                       offsets=pairs.offsets, sums=sums, totals=totals)
+    device.launch_each(SUM_PAIRS, elements, defines, count=len(splats), order=pairs.order,
+                       counts=pairs.counts, offsets=pairs.offsets, sums=sums, totals=totals)
     return totals

@@ -103,7 +103,7 @@ def test_help_has_each_group_once_with_defaults():
     ("iterations = 0", "'iterations' wants at least 1, got 0"),
     ("sh_degree = 4", "'sh_degree' wants from 0 to 3, got 4"),
     ("ssim-weight = nan", "'ssim_weight' wants from 0.0 to 1.0"),
-    ("optimizer = 'sgd'", "'optimizer' wants one of sparse, dense"),
+    ("optimizer = 'sgd'", "'optimizer' wants one of dense, sparse"),
     ("background = [1, 1]", "'background' wants three numbers"),
     ("iterations = ", "not valid TOML"),
 ])

@@ -7,8 +7,8 @@ from scipy.special import factorial, lpmv
 
 from tests import cases
 from tests.checks import adjoint_agrees
-from tests.reference.project import harmonics, project, project_adjoint
 from tests.reference.bin import tiles_of
+from tests.reference.project import harmonics, project, project_adjoint
 
 OUTPUTS = ("means", "conics", "opacities", "colours", "depths")
 

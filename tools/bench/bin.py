@@ -10,7 +10,8 @@ def main(argv):
     options = arguments(argv, __doc__, gaussians=200_000)
     device = open_device(options)
     frame = CityFrame(device, options.gaussians).frame
+    order = frame.pairs.order
     times = milliseconds(
-        device, lambda: bin_splats(device, frame.splats, frame.pairs.order, *frame.size), options.repeats)
+        device, lambda: bin_splats(device, frame.splats, order, *frame.size), options.repeats)
     report(options, device, "bin", "1024x768", times, splats=len(frame.splats),
            pairs=frame.pairs.count)
