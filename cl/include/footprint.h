@@ -4,7 +4,7 @@
 typedef real16 vreal;
 typedef mask16 vmask;
 #define TO_MASK convert_mask16
-#define TO_INTS convert_int16
+#define AS_INTS as_int16
 #define AS_VREAL as_float16
 #else
 typedef real vreal;
@@ -14,7 +14,7 @@ typedef long vmask;
 typedef int vmask;
 #endif
 #define TO_MASK (vmask)
-#define TO_INTS (int)
+#define AS_INTS as_int
 #define AS_VREAL as_float
 #endif
 
@@ -28,9 +28,10 @@ inline vreal exp_power(vreal x)
 #elif HAVE_NATIVE_EXP && !FORM_ITEM
     return native_exp(x);
 #else
+    // adding 1.5 2^23 rounds to an integer and leaves it in the low bits
     const vreal t = max(x, (vreal)-87) * (vreal)1.4426950408889634;
-    const vreal n = rint(t);
-    const vreal f = t - n;
+    const vreal shifted = t + (vreal)12582912;
+    const vreal f = t - (shifted - (vreal)12582912);
     vreal p = 0.00015343758673529777;
     p = mad(p, f, (vreal)0.001340530186465684);
     p = mad(p, f, (vreal)0.009618545002468079);
@@ -38,7 +39,7 @@ inline vreal exp_power(vreal x)
     p = mad(p, f, (vreal)0.24022645717156282);
     p = mad(p, f, (vreal)0.6931472143763362);
     p = mad(p, f, (vreal)1.0000000008587457);
-    return p * AS_VREAL((TO_INTS(n) + 127) << 23);
+    return p * AS_VREAL((AS_INTS(shifted) + 127) << 23);
 #endif
 }
 

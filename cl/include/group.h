@@ -3,6 +3,13 @@
 #error "GROUP, the work-group size, must be defined"
 #endif
 
+// Every i below count once, by all items of the group together; to be followed by a block. The trip
+// count is the same for all items: some compilers cannot tell a loop that diverges from a barrier.
+#define FOR_GROUP(i, count)                                                                        \
+    for (uint i##_base = 0, i = get_local_id(0); i##_base < (count);                               \
+         i##_base += GROUP, i = i##_base + get_local_id(0))                                        \
+        if (i < (count))
+
 // Exclusive prefix sum of `value` over the group; *total gets the sum. scratch: GROUP elements.
 #define DEFINE_GROUP_SCAN(NAME, TYPE)                                                             \
     inline TYPE NAME(TYPE value, __local TYPE *scratch, TYPE *total)                               \

@@ -32,15 +32,15 @@ void image_loss(int width, int height, int strip, int first_channel,
     const int place = group / (across * down), channel = first_channel + place;
     const int x0 = group % across * TILE, y0 = group / across % down * TILE;
     const long plane = (long)width * height;
-    for (int i = lane; i < WIDE * WIDE; i += GROUP) {
-        const int x = x0 - RADIUS + i % WIDE, y = y0 - RADIUS + i / WIDE;
+    FOR_GROUP(i, WIDE * WIDE) {
+        const int x = x0 - RADIUS + (int)i % WIDE, y = y0 - RADIUS + (int)i / WIDE;
         const bool inside = x >= 0 && y >= 0 && x < width && y < height;
         const long pixel = channel * plane + (long)y * width + x;
         xs[i] = inside ? image[pixel] : 0;
         ys[i] = inside ? photo[pixel] * (real)(1.0 / 255) : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int i = lane; i < WIDE * TILE; i += GROUP) {
+    FOR_GROUP(i, WIDE * TILE) {
         const int from = i / TILE * WIDE + i % TILE;
         real sums[MEANS] = {0, 0, 0, 0};
         for (int k = 0; k < TAPS; k++) {
@@ -88,15 +88,15 @@ void image_loss_adjoint(int width, int height, int strip, int first_channel, rea
     const int place = group / (across * down), channel = first_channel + place;
     const int x0 = group % across * TILE, y0 = group / across % down * TILE;
     const long plane = (long)width * height;
-    for (int i = lane; i < WIDE * WIDE; i += GROUP) {
-        const int x = x0 - RADIUS + i % WIDE, y = y0 - RADIUS + i / WIDE;
+    FOR_GROUP(i, WIDE * WIDE) {
+        const int x = x0 - RADIUS + (int)i % WIDE, y = y0 - RADIUS + (int)i / WIDE;
         const bool inside = x >= 0 && y >= 0 && x < width && y < height;
         for (int m = 0; m < 3; m++)
             wide[m][i] =
                 inside ? maps[(place * 3 + m) * plane + (long)y * width + x] : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int i = lane; i < WIDE * TILE; i += GROUP) {
+    FOR_GROUP(i, WIDE * TILE) {
         const int from = i / TILE * WIDE + i % TILE;
         for (int m = 0; m < 3; m++) {
             real sum = 0;
