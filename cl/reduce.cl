@@ -2,6 +2,7 @@
 // One work-group of GROUP items a column: each sums every GROUP-th row, then a fixed tree adds them.
 #include "real.h"
 #include "group.h"
+DEFINE_GROUP_SUM(group_sum, real)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void sum_columns(uint count, uint width, __global const real *restrict rows,
@@ -12,13 +13,7 @@ void sum_columns(uint count, uint width, __global const real *restrict rows,
     real sum = 0;
     for (ulong i = lane; i < count; i += GROUP)
         sum += rows[i * width + column];
-    scratch[lane] = sum;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint stride = GROUP / 2; stride > 0; stride >>= 1) {
-        if (lane < stride)
-            scratch[lane] += scratch[lane + stride];
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
+    const real total = group_sum(sum, scratch);
     if (lane == 0)
-        totals[column] = scratch[0];
+        totals[column] = total;
 }

@@ -1,4 +1,4 @@
-"""Trains scenes with several seeds and prints colour-corrected PSNR, to set beside another trainer's.
+"""Trains scenes with several seeds and prints colour-corrected PSNR, beside another trainer's.
 
 Usage: python -m tools.parity OUT SCENE [SCENE ...] [-- FLAGS OF clsplat train]
 

@@ -49,24 +49,19 @@ void blend(int width, int height, int tiles_x, __global const real *restrict bac
 #endif
                 bucket++;
             }
-            if (done)
-                continue;
             const real4 s = shape[j], k = conic[j];
             const real dx = x - s.x, dy = y - s.y;
             const real power = -0.5 * (k.x * dx * dx + k.z * dy * dy) - k.y * dx * dy;
-            if (power < -0.5 * s.w)
-                continue;
-            const real alpha = cut_alpha(s.z * exp_power(power));
-            const real next = t - alpha * t;
-            if (next < (real)TRANSMITTANCE_MIN) {
-                done = true;
-                continue;
+            if (!done && power >= -0.5 * s.w) {
+                const real w = cut_alpha(s.z * exp_power(power)) * t, next = t - w;
+                done = next < (real)TRANSMITTANCE_MIN;
+                if (!done) {
+                    c += w * colour[j].xyz;
+                    z += w * colour[j].w;
+                    t = next;
+                    latest = base + j;
+                }
             }
-            const real w = alpha * t;
-            c += w * colour[j].xyz;
-            z += w * colour[j].w;
-            t = next;
-            latest = base + j;
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }

@@ -4,7 +4,7 @@
 #endif
 
 // Every i below count once, by all items of the group together; to be followed by a block. The trip
-// count is the same for all items: some compilers cannot tell a loop that diverges from a barrier.
+// count is the same for all items: PoCL 5.0 miscompiles loops between barriers where it is not.
 #define FOR_GROUP(i, count)                                                                        \
     for (uint i##_base = 0, i = get_local_id(0); i##_base < (count);                               \
          i##_base += GROUP, i = i##_base + get_local_id(0))                                        \
@@ -28,4 +28,21 @@
         *total = scratch[GROUP - 1];                                                               \
         barrier(CLK_LOCAL_MEM_FENCE);                                                              \
         return sum - value;                                                                        \
+    }
+
+// Sum over the group in a fixed tree, for every item.
+#define DEFINE_GROUP_SUM(NAME, TYPE)                                                              \
+    inline TYPE NAME(TYPE value, __local TYPE *scratch)                                            \
+    {                                                                                              \
+        const uint lane = get_local_id(0);                                                         \
+        scratch[lane] = value;                                                                     \
+        barrier(CLK_LOCAL_MEM_FENCE);                                                              \
+        for (uint stride = GROUP / 2; stride > 0; stride >>= 1) {                                  \
+            if (lane < stride)                                                                     \
+                scratch[lane] += scratch[lane + stride];                                           \
+            barrier(CLK_LOCAL_MEM_FENCE);                                                          \
+        }                                                                                          \
+        const TYPE total = scratch[0];                                                             \
+        barrier(CLK_LOCAL_MEM_FENCE);                                                              \
+        return total;                                                                              \
     }

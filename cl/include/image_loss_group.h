@@ -1,25 +1,10 @@
 // Group form of image_loss.cl (see there): a group owns a TILE x TILE tile of one channel.
 #include "group.h"
+DEFINE_GROUP_SUM(group_sum, real)
 #define WIDE (TILE + 2 * RADIUS)
 #if GROUP != TILE * TILE
 #error "image_loss needs GROUP = TILE * TILE"
 #endif
-
-// Sum over the group in a fixed tree; the result is valid in lane 0.
-inline real group_sum(real value, __local real *scratch)
-{
-    const uint lane = get_local_id(0);
-    scratch[lane] = value;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint stride = GROUP / 2; stride > 0; stride >>= 1) {
-        if (lane < stride)
-            scratch[lane] += scratch[lane + stride];
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-    const real total = scratch[0];
-    barrier(CLK_LOCAL_MEM_FENCE);
-    return total;
-}
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void image_loss(int width, int height, int strip, int first_channel,
@@ -55,24 +40,22 @@ void image_loss(int width, int height, int strip, int first_channel,
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     const int x = x0 + lane % TILE, y = y0 + lane / TILE;
-    real value = 0, l1 = 0;
-    if (x < width && y < height) {
-        real mean[MEANS] = {0, 0, 0, 0}, by[3];
-        for (int k = 0; k < TAPS; k++)
-            for (int m = 0; m < MEANS; m++)
-                mean[m] += WINDOW[k] * rows[m][(lane / TILE + k) * TILE + lane % TILE];
-        value = ssim(mean[0], mean[1], mean[2], mean[3], &by[0], &by[1], &by[2]);
-        const int centre = (lane / TILE + RADIUS) * WIDE + lane % TILE + RADIUS;
-        l1 = fabs(xs[centre] - ys[centre]);
+    const bool inside = x < width && y < height;
+    real mean[MEANS] = {0, 0, 0, 0}, by[3];
+    for (int k = 0; k < TAPS; k++)
+        for (int m = 0; m < MEANS; m++)
+            mean[m] += WINDOW[k] * rows[m][(lane / TILE + k) * TILE + lane % TILE];
+    const real value = ssim(mean[0], mean[1], mean[2], mean[3], &by[0], &by[1], &by[2]);
+    const int centre = (lane / TILE + RADIUS) * WIDE + lane % TILE + RADIUS;
+    if (inside)
         for (int m = 0; m < 3; m++)
             maps[(place * 3 + m) * plane + (long)y * width + x] = by[m];
-    }
-    l1 = group_sum(l1, scratch);
-    value = group_sum(value, scratch);
+    const real l1_sum = group_sum(inside ? fabs(xs[centre] - ys[centre]) : 0, scratch);
+    const real ssim_sum = group_sum(inside ? value : 0, scratch);
     if (lane == 0) {
         const int own = first_channel * across * down + group;
-        partials[2 * own] = l1;
-        partials[2 * own + 1] = value;
+        partials[2 * own] = l1_sum;
+        partials[2 * own + 1] = ssim_sum;
     }
 }
 

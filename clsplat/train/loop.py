@@ -180,7 +180,6 @@ class Training:
         if not self.test_views:
             return
         self.pause()
-        self._clock = time.perf_counter()
         result = evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree,
                                 self.test_views)
         self.unpause()
