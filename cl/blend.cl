@@ -1,6 +1,6 @@
 // Front-to-back alpha blending of each tile's splats, and the adjoint (Kerbl et al. 2023).
 //
-//   alpha = min(0.999, opacity exp(power)),  power = -1/2 d^T K d,  skipped below 1/255
+//   alpha = min(0.99, opacity exp(power)),  power = -1/2 d^T K d,  skipped below 1/255
 //   C = sum_i alpha_i T_i c_i + T background,  T_i = prod_{j<i} (1 - alpha_j),  ends before T < 1e-4
 //
 // splats: real[V, SPLAT_REALS]; ranges: uint[tiles, 2] into sorted_splats and slots: uint[P];

@@ -27,7 +27,7 @@ POISON = {
     "exp_underflow": float(np.float32(-103.9)),
     "alpha_min": float(np.float32(1 / 255)),
     "logit_alpha_min": float(np.float32(np.log(1 / 254))),
-    "alpha_max": float(np.float32(0.999)),
+    "alpha_max": float(np.float32(0.99)),
     "transmittance_min": float(np.float32(1e-4)),
     "large": 1e6,
     "-large": -1e6,

@@ -10,8 +10,7 @@ enum {
     SPLAT_REALS = 12
 };
 #define ALPHA_MIN (1.0 / 255.0) // fainter contributions are skipped
-// as gsplat: with the 0.99 of Kerbl et al. (2023) one of our sets ended 0.3 dB lower
-#define ALPHA_MAX 0.999
+#define ALPHA_MAX 0.99
 #define TRANSMITTANCE_MIN 1e-4 // a pixel ends before it would fall below this
 
 // Sums over a splat's pixels that the blend adjoint leaves, one row a pair.

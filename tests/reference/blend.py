@@ -7,7 +7,7 @@ Splats are a dict: means[N, 2] and conics[N, 3] (pixels), opacities[N], colours[
 import numpy as np
 
 ALPHA_MIN = 1 / 255
-ALPHA_MAX = 0.999
+ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 1e-4
 
 
@@ -61,7 +61,7 @@ def blend_adjoint(splats, order, width, height, background, grad_image, grad_dep
 
 
 def fragile_pixels(splats, order, width, height, tolerance=1e-4):
-    """bool[H, W]: pixels where some comparison (alpha with 1/255 or .999, T with 1e-4) is decided
+    """bool[H, W]: pixels where some comparison (alpha with 1/255 or .99, T with 1e-4) is decided
     by less than `tolerance`, relative. Lower precision may decide otherwise there, so tests give
     these pixels no cotangent and do not compare them."""
     fragile = np.zeros(height * width, bool)

@@ -103,23 +103,23 @@ def test_falloff_by_hand():
 def test_alpha_is_clamped_and_the_clamp_blocks_the_gradient():
     splats, order = on_one_pixel([1.0], [[1, 1, 1]])
     image, transmittance, _ = blend(splats, order, 1, 1, BACKGROUND)
-    np.testing.assert_allclose(transmittance, [[0.001]])
-    np.testing.assert_allclose(image[:, 0, 0], 0.999 + 0.001 * BACKGROUND)
+    np.testing.assert_allclose(transmittance, [[0.01]])
+    np.testing.assert_allclose(image[:, 0, 0], 0.99 + 0.01 * BACKGROUND)
     grads = blend_adjoint(splats, order, 1, 1, BACKGROUND, np.ones((3, 1, 1)))
     assert grads["opacities"] == 0 and not grads["conics"].any()
-    np.testing.assert_allclose(grads["colours"], 0.999)
+    np.testing.assert_allclose(grads["colours"], 0.99)
 
 
 def test_pixel_stops_before_the_splat_that_would_pass_the_limit():
-    """T: 1, 0.001, then 0.0002, then the third would leave 0.00002 and is not drawn."""
+    """T: 1, 0.01, then 0.0002, then the third would leave 0.00002 and is not drawn."""
     colours = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]
-    splats, order = on_one_pixel([1.0, 0.8, 0.9, 0.1], colours)
+    splats, order = on_one_pixel([1.0, 0.98, 0.9, 0.1], colours)
     image, transmittance, _ = blend(splats, order, 1, 1, np.zeros(3))
-    np.testing.assert_allclose(image[:, 0, 0], [0.999, 0.001 * 0.8, 0])
+    np.testing.assert_allclose(image[:, 0, 0], [0.99, 0.01 * 0.98, 0])
     np.testing.assert_allclose(transmittance, [[0.0002]])
     grads = blend_adjoint(splats, order, 1, 1, np.zeros(3), np.ones((3, 1, 1)))
     assert not grads["colours"][2:].any() and not grads["opacities"][2:].any()
-    np.testing.assert_allclose(grads["opacities"][1], 0.001)
+    np.testing.assert_allclose(grads["opacities"][1], 0.01)
 
 
 def test_faint_splats_are_skipped():
