@@ -63,9 +63,3 @@ class Array:
         if self.nbytes:
             cl.enqueue_fill_buffer(
                 self.device.queue, self.buffer, self.dtype.type(value), 0, self.nbytes)
-
-    def copy_to(self, other, rows):
-        """Copy the first `rows` rows into `other`, on the device."""
-        size = rows * (self.nbytes // max(len(self), 1))
-        if size:
-            cl.enqueue_copy(self.device.queue, other.buffer, self.buffer, byte_count=size)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from clsplat.device import Kernel
+from clsplat.device import Device, Kernel
 from clsplat.errors import DeviceError, ShapeError
 from clsplat.primitives.gather import GATHER
+from clsplat.primitives.scan import exclusive_scan
 
 TYPES = {name: kind for name, kind in GATHER.arguments.items()}
 
@@ -72,3 +73,14 @@ def test_arrays_check_what_is_written_and_narrowed(float_device):
                   lambda: rows.write(np.ones((2, 2))), lambda: rows.reshaped(5, 3)):
         with pytest.raises(ShapeError):
             wrong()
+
+
+def test_profiling_times_every_launch(float_device):
+    device = Device(float_device.handle, profiling=True)
+    values = device.upload(np.arange(1000, dtype=np.uint32))
+    with device.profile() as times:
+        exclusive_scan(device, values)
+    assert set(times) == {"scan_reduce", "scan_totals", "scan_apply"}
+    assert all(len(t) == 1 and 0 < t[0] < 1 for t in times.values())
+    with pytest.raises(DeviceError, match="without profiling"), float_device.profile():
+        pass

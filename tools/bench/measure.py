@@ -27,8 +27,8 @@ def arguments(argv, description, **defaults):
     return parser.parse_args(argv)
 
 
-def open_device(options):
-    return choose_device(options.device, form=options.form)
+def open_device(options, **more):
+    return choose_device(options.device, form=options.form, **more)
 
 
 def milliseconds(device, function, repeats, warm_up=3):

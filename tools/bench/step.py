@@ -3,6 +3,7 @@
 Default: caliterra at full resolution, its initial gaussians and 100 000, all harmonics active,
 every training view once. Peak memory is that of this process, so ask for one count a process to
 read it.
+--profile adds each kernel's mean time a step, by the device's clock.
 """
 
 import itertools
@@ -26,8 +27,8 @@ PLAN = Plan(level=1.0, degree=3, gathers=True, grows=False, resets_opacity=False
 
 def main(argv):
     options = arguments(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
-                        gaussians=[0, 100_000], optimizer=TrainOptions.optimizer)
-    device = open_device(options)
+                        gaussians=[0, 100_000], optimizer=TrainOptions.optimizer, profile=False)
+    device = open_device(options, profiling=options.profile)
     scene = read_scene(options.scene).reduced(options.downscale)
     views, _ = scene.split(8)
     photos = Photos(device, views)
@@ -49,3 +50,10 @@ def main(argv):
         report(options, device, "step", f"{scene.name} {width}x{height}", times,
                gaussians=model.count, optimizer=options.optimizer, peak_mib=int(peak),
                device_mib=device.memory_bytes >> 20)
+        if options.profile:
+            with device.profile() as times_by_kernel:
+                for _ in views:
+                    one()
+            for kernel, seconds in sorted(times_by_kernel.items(), key=lambda kv: -sum(kv[1])):
+                mean = sum(seconds) / len(views) * 1e3
+                print(f"  {kernel:20} {mean:8.3f} ms in {len(seconds) // len(views)} launches")
