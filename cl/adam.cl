@@ -20,8 +20,8 @@
                      __global real *m, __global real *v)                                           \
     {                                                                                              \
         const TYPE old_m = LOAD(0, m), old_v = LOAD(0, v);                                         \
-        const TYPE new_m = old_m + (real)ONE_MINUS_BETA1 * (g - old_m);                             \
-        const TYPE new_v = old_v + (real)ONE_MINUS_BETA2 * (g * g - old_v);                         \
+        const TYPE new_m = old_m + (real)ONE_MINUS_BETA1 * (g - old_m);                            \
+        const TYPE new_v = old_v + (real)ONE_MINUS_BETA2 * (g * g - old_v);                        \
         STORE(new_m, 0, m);                                                                        \
         STORE(new_v, 0, v);                                                                        \
         STORE(LOAD(0, parameter) - rate * new_m / (sqrt(new_v) * correction + (real)EPSILON), 0,   \

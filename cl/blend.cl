@@ -4,7 +4,7 @@
 //   C = sum_i alpha_i T_i c_i + T background,  T_i = prod_{j<i} (1 - alpha_j),  ends before T < 1e-4
 //
 // splats: real[V, SPLAT_REALS]; ranges: uint[tiles, 2] into sorted_splats and slots: uint[P];
-// image: real[3, H, W]; transmittance, depth: real[H, W]; last: int[H, W], the last pair blended.
+// image: real[3, H, W]; transmittance, depth: real[H, W]; last: int[H, W]: no later pair was blended.
 // The adjoint writes every pair's sums (splat.h) at the pair's slot, one writer each: no atomics.
 // WITH_DEPTH adds the channel sum_i alpha_i T_i z_i; otherwise `depth` is not touched.
 //
@@ -30,7 +30,8 @@
 #include "blend_group.h"
 #endif
 
-// Sums of each splat over its pairs, in slot order: totals[order[v], :] from sums[offsets[v] + ..., :].
+// Sums of each splat over its pairs, in slot order: totals[order[v], :] from the rows of `sums` that
+// begin at offsets[v].
 // Item form: an element is a splat. Group form: it is a splat's column.
 #if FORM_ITEM
 __kernel void sum_pairs(uint count, __global const uint *restrict order,

@@ -1,8 +1,8 @@
 // Stable radix sort of (uint key, uint value) by one digit of DIGIT_BITS bits; called once a digit,
 // least significant first. Count digits a chunk, scan the table digit-major (scan.cl), scatter.
 //
-// keys, values: uint[N]; table: uint[digits * chunks], entry [digit * chunks + chunk]. Values are
-// the positions themselves where `first` is 1 (the first pass of a sort that returns a permutation).
+// keys, values: uint[N]; table: uint[digits * chunks], entry [digit * chunks + chunk]. In the first
+// pass (`first` is 1) the values are the positions themselves, so that a permutation results.
 // Item form: a work-item walks its chunk in order. Group form: a group sorts its chunk of
 // GROUP * PER_ITEM keys by the digit in local memory (two bits a round), so that writes come in
 // runs. Integer only, one writer a slot: deterministic.

@@ -1,4 +1,4 @@
-// Work-group scan in a fixed order. Every item of the group must call it (it has barriers).
+// Work-group scan and sum in a fixed order. Every item of the group must call it (it has barriers).
 #ifndef GROUP
 #error "GROUP, the work-group size, must be defined"
 #endif

@@ -33,7 +33,7 @@ def image_loss(device, image, photo, ssim_weight):
     grad_image = device.empty((3, height, width))
     for first_channel in range(0, 3, channels):
         shared = dict(width=width, height=height, strip=STRIP, first_channel=first_channel,
-                       image=image, photo=photo, maps=maps)
+                      image=image, photo=photo, maps=maps)
         device.launch(VALUE, channels * items * group, group, defines, **shared,
                       partials=partials)
         device.launch(ADJOINT, channels * items * group, group, defines, **shared,

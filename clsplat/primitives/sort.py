@@ -11,15 +11,15 @@ SCATTER = Kernel("sort.cl", "sort_scatter", count="uint", chunk="uint", chunks="
                  first="uint", keys=("uint", "N"), values=("uint", "N"), table=("uint", "T"),
                  sorted_keys=("uint", "N"), sorted_values=("uint", "N"))
 
-# Bits a pass: a CPU's chunk keeps its counters in the first cache, a group in local memory
+# Bits a pass: a CPU's chunk keeps its counters in cache, a group in local memory
 LARGEST_DIGIT = {"item": 13, "group": 8}
 
 
-def stable_sort(device, keys, bits=32, values=None):
-    """(sorted keys, values in that order), both uint[N]; equal keys keep their order.
+def stable_sort(device, keys, bits=32):
+    """(sorted keys, permutation), both uint[N]: sorted[i] = keys[permutation[i]]; equal keys keep
+    their order.
 
-    bits: the keys' significant bits; higher ones must be zero. values: uint[N] to carry along;
-    without them the permutation itself: result[i] = keys[permutation[i]].
+    bits: the keys' significant bits; higher ones must be zero.
     """
     count = len(keys)
     passes = max(1, -(-bits // LARGEST_DIGIT[device.form]))
@@ -28,8 +28,7 @@ def stable_sort(device, keys, bits=32, values=None):
     chunks = max(1, -(-count // chunk))
     group = 1 if device.form == "item" else device.scan_group
     defines = (*group_defines(device), ("DIGIT_BITS", digit_bits))
-    first = values is None
-    values = keys if first else values  # any array of the right size: not read in the first pass
+    values = keys  # any array of the right size: the first pass does not read it
     table = device.empty(chunks << digit_bits, np.uint32)
     for index in range(passes):
         sorted_keys, sorted_values = (device.empty(count, np.uint32) for _ in range(2))
@@ -37,7 +36,7 @@ def stable_sort(device, keys, bits=32, values=None):
         device.launch(COUNT, chunks * group, group, defines, **sizes, keys=keys, table=table)
         places, _ = exclusive_scan(device, table)
         device.launch(SCATTER, chunks * group, group, defines, **sizes,
-                      first=int(first and index == 0), keys=keys, values=values, table=places,
+                      first=int(index == 0), keys=keys, values=values, table=places,
                       sorted_keys=sorted_keys, sorted_values=sorted_values)
         keys, values = sorted_keys, sorted_values
     return keys, values

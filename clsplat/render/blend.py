@@ -35,9 +35,9 @@ SUM_PAIRS = Kernel("blend.cl", "sum_pairs", count="uint", order=("uint", "V"), c
 
 @dataclass(eq=False)
 class Blended:
-    """image real[3, H, W], transmittance real[H, W], last int[H, W] (index of the last pair
-    blended, -1 for none), depth real[H, W] or a token of 1 x 1 where it was not asked for; and the
-    group form's checkpoints."""
+    """image real[3, H, W], transmittance real[H, W], last int[H, W] (no pair of a later index was
+    blended; -1 for none at all), depth real[H, W] or a token of 1 x 1 where it was not asked for;
+    and the group form's checkpoints."""
 
     image: Array
     transmittance: Array
