@@ -6,7 +6,8 @@
 // splats: real[V, SPLAT_REALS]; ranges: uint[tiles, 2] into sorted_splats and slots: uint[P];
 // image: real[3, H, W]; transmittance, depth: real[H, W]; last: int[H, W]: no later pair was blended.
 // The adjoint writes every pair's sums (splat.h) at the pair's slot, one writer each: no atomics.
-// WITH_DEPTH adds the channel sum_i alpha_i T_i z_i; otherwise `depth` is not touched.
+// WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by the
+// final transmittance, so that a loss may read their ratio; otherwise these arrays are not touched.
 //
 // Item form (CPUs): a work-item owns a tile; a row of 16 pixels is one vector; the tile's state
 // lives in private memory; rows a splat's ellipse does not reach, or that are opaque, are skipped.

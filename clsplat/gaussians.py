@@ -17,7 +17,8 @@ class Field:
     """One stored parameter of every gaussian.
 
     shape: the shape of a row for a given SH degree; ply: the names of its PLY columns, in row
-    order; rate: its initial learning rate (Kerbl et al. 2023; positions: times scene extent).
+    order; rate: its initial learning rate (Kerbl et al. 2023; positions: times scene extent), 0
+    for what is not learned but only carried along.
     """
 
     name: str
@@ -37,7 +38,7 @@ def _numbered(prefix, count):
     return tuple(f"{prefix}_{i}" for i in range(count))
 
 
-FIELDS = (
+LEARNED = (
     Field("positions", 1.6e-4, ("x", "y", "z"), (3,)),
     Field("sh_constant", 2.5e-3, _numbered("f_dc", 3), (3,)),
     # PLY stores these channel by channel: row [band, channel] is column channel * bands + band
@@ -46,13 +47,20 @@ FIELDS = (
     Field("log_scales", 5e-3, _numbered("scale", 3), (3,)),
     Field("quaternions", 1e-3, _numbered("rot", 4), (4,)),
 )
+# the sphere that a gaussian must not leave (constrain/sphere.py); models without one lack these
+SPHERE = (
+    Field("anchors", 0.0, ("anchor_x", "anchor_y", "anchor_z"), (3,)),
+    Field("max_offsets", 0.0, ("max_offset",), ()),
+)
+FIELDS = LEARNED + SPHERE
 
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
     """Rows of gaussians in host memory.
 
-    rows: field name -> float32[N, *row shape]; sh_degree: 0 to 3. Quaternions are wxyz and need
+    rows: field name -> float32[N, *row shape], all LEARNED fields and perhaps those of SPHERE;
+    sh_degree: 0 to 3. Quaternions are wxyz and need
     not have unit length; scales and opacities are stored as their logarithm and logit.
     """
 
@@ -96,6 +104,33 @@ def neighbour_distance(points, neighbours=3):
     Coincident points are counted once, so that duplicates neither shrink each other to nothing nor
     hide the distance to the rest.
     """
+    distance, inverse, least = _distances(points, neighbours)
+    return np.maximum(np.sqrt((distance**2).mean(axis=1)), least)[inverse]
+
+
+def mean_neighbour_distance(points, neighbours):
+    """Mean distance float64[N] of each point to its `neighbours` nearest others, world units.
+
+    As `neighbour_distance` otherwise. Raises InputError for fewer distinct points than that and 1.
+    """
+    distance, inverse, least = _distances(points, neighbours)
+    if distance.shape[1] < neighbours:
+        raise InputError(
+            f"the sparse model has {len(distance)} distinct points, --sphere-neighbours "
+            f"{neighbours} needs at least {neighbours + 1}; use a smaller number or --no-sphere")
+    return np.maximum(distance.mean(axis=1), least)[inverse]
+
+
+def mean_inverse_distance(points):
+    """Mean over points of 1 / distance to the nearest other, 1 / world unit (Xue et al. 2026,
+    eq. 8); coincident points, also those that differ by rounding only, are left out."""
+    distance, _, least = _distances(points, 1)
+    return float((1 / distance[distance > least]).mean())
+
+
+def _distances(points, neighbours):
+    """(float64[M, k] distances of the M distinct points to their nearest others, nearest first;
+    int[N], which of them each point is; the distance below which two are coincident)."""
     distinct, inverse = np.unique(points, axis=0, return_inverse=True)
     if len(distinct) < 2:
         raise InputError(
@@ -104,5 +139,4 @@ def neighbour_distance(points, neighbours=3):
     size = float(np.linalg.norm(np.ptp(distinct, axis=0)))
     k = min(neighbours, len(distinct) - 1)
     distance = cKDTree(distinct).query(distinct, k=k + 1)[0][:, 1:]
-    rms = np.sqrt((distance**2).mean(axis=1))
-    return np.maximum(rms, MINIMUM_DISTANCE * size)[inverse.reshape(-1)]
+    return distance, inverse.reshape(-1), MINIMUM_DISTANCE * size

@@ -17,15 +17,20 @@ except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
 
-def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, wish=None):
+def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, wish=None,
+           only=None):
     """A field of `TrainOptions`: its default and what the command line says about it.
 
     choices, minimum, maximum: of a value, or of each element of a tuple; wish: what a refusal says
-    is wanted, where these and the type do not say it well.
+    is wanted, where these and the type do not say it well; only: the schedules it means something
+    to (None: all).
     """
     return field(default=default, metadata={
         "group": group, "help": text, "short": short, "choices": choices,
-        "minimum": minimum, "maximum": maximum, "wish": wish})
+        "minimum": minimum, "maximum": maximum, "wish": wish, "only": only})
+
+
+SIG = ("sig",)
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,8 @@ class TrainOptions:
     seed: int = option(0, "Run", "same seed and device, same bytes", minimum=0)
     stop_at: int = option(0, "Run", "stop after this step; the schedule stays that of -n (0: off)",
                           minimum=0)
+    time_budget: str = option("", "Run", "instead of -n: seconds, or 90s, 10m, 2h; the schedule is "
+                              "laid over the time that steps take here")
     checkpoint_every: int = option(1000, "Run", "steps between checkpoints (0: only at the end)",
                                    minimum=0)
     eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps; repeatable",
@@ -54,8 +61,15 @@ class TrainOptions:
         (0.0, 0.0, 0.0), "Scene", "background colour, three numbers from 0 to 1",
         minimum=0.0, maximum=1.0, wish="three numbers from 0 to 1")
 
-    schedule: str = option("constant", "Method", "how resolution and growth are decided",
-                           choices=("constant",))
+    schedule: str = option("sig", "Method", "how resolution and growth are decided: sig follows "
+                           "the scene's frequency; constant is 3DGS",
+                           choices=("sig", "constant", "dash", "taming"))
+    preset: str = option("ours", "Method", "choices of the SIG paper, of its released code, or ours",
+                         choices=("ours", "paper", "release"), only=SIG)
+    size: str = option("S", "Method", "growth threshold of the paper's small or large model",
+                       choices=("S", "L"))
+    exposure: str = option("auto", "Method", "learn a colour transform a photo; auto: where photos "
+                           "drift in brightness", choices=("auto", "on", "off"))
     sh_degree: int = option(3, "Method", "highest degree of the spherical harmonics", minimum=0,
                             maximum=3)
     sh_every: int = option(1000, "Method", "steps between degrees", minimum=1)
@@ -69,11 +83,51 @@ class TrainOptions:
     near: float = option(0.0, "Method", "near plane, world units (0: 1/500 of the scene extent)",
                          minimum=0.0)
 
+    opacity_rate: float = option(5e-2, "Method", "learning rate of the opacity logits", minimum=0.0)
+
+    levels: tuple[float, ...] = option(
+        (), "Levels", "down-sampling factors, coarse to fine, ending at 1; repeatable (none given: "
+        "5 4 3 2 1 without those too small to matter)", minimum=1.0, only=SIG,
+        wish="factors of at least 1, coarse to fine")
+    frequency: str = option("robust", "Levels", "which scene frequency decides", only=SIG,
+                            choices=("robust", "paper", "release"))
+    convergence: str = option("robust", "Levels", "test of its convergence", only=SIG,
+                              choices=("robust", "paper", "release"))
+    convergence_rate: float = option(1e-4, "Levels", "converged when the frequency grows by less a "
+                                     "step than this share of it", minimum=0.0, only=SIG)
+    convergence_hits: int = option(2, "Levels", "tests in a row that must agree", minimum=1,
+                                   only=SIG)
+    level_share: float = option(0.5, "Levels", "share of the run that the lower levels may take "
+                                "together (1: no deadlines)", minimum=0.0, maximum=1.0, only=SIG)
+    rounds: int = option(12, "Levels", "at most so many rounds of growth a level (0: grow as "
+                         "constant does)", minimum=0, only=SIG)
+
+    sphere: bool = option(True, "Sphere", "remove gaussians that leave the sphere around their "
+                          "anchor", only=SIG)
+    sphere_neighbours: int = option(15, "Sphere", "its radius: mean distance of a point to so many "
+                                    "others", minimum=1, only=SIG)
+    sphere_reach: float = option(15.0, "Sphere", "... times this", minimum=0.0, only=SIG)
+    sphere_shrink: float = option(0.7, "Sphere", "radius of split children, share of the parent's",
+                                  minimum=0.0, only=SIG)
+    sphere_rule: str = option("paper", "Sphere", "anchor of split children: the parent's (paper) or "
+                              "their own place (release)", choices=("paper", "release"), only=SIG)
+    sphere_columns: bool = option(False, "Sphere", "also write anchors and radii to the PLY",
+                                  only=SIG)
+
+    reproject: str = option("auto", "Regularisation", "while growing, compare each photo with an "
+                            "adjacent one through the rendered depth",
+                            choices=("auto", "on", "off"), only=SIG)
+    reproject_weight: float = option(0.1, "Regularisation", "its weight, which decays to a tenth",
+                                     minimum=0.0, only=SIG)
+
+    taming_budget: float = option(15.0, "Growth", "gaussians at the end, times those at the start",
+                                  minimum=1.0, only=("taming",))
     max_gaussians: int = option(0, "Growth", "never more gaussians than this (0: no limit)",
                                 minimum=0)
     densify_from: int = option(500, "Growth", "first step that may grow", minimum=0)
     densify_until: int = option(0, "Growth", "last step that may grow (0: half of -n)", minimum=0)
-    densify_every: int = option(100, "Growth", "steps between rounds of growth", minimum=1)
+    densify_every: int = option(0, "Growth", "steps between rounds of growth (0: 100, and under "
+                                "sig up to 200 where the levels are long)", minimum=0)
     grow_threshold: float = option(2e-4, "Growth", "mean screen gradient that grows, NDC units",
                                    minimum=0.0)
     split_size: float = option(0.01, "Growth", "larger ones split, smaller ones clone; x extent",
@@ -82,12 +136,49 @@ class TrainOptions:
                                   maximum=1.0)
     prune_size: float = option(0.1, "Growth", "larger gaussians are removed once opacities were "
                                "reset; x extent", minimum=0.0)
-    reset_every: int = option(3000, "Growth", "steps between opacity resets (0: never)", minimum=0)
+    reset_every: int = option(0, "Growth", "steps between opacity resets (0: never)", minimum=0)
 
     device: str = option("auto", "Device", "auto, cpu, gpu, a number of `clsplat devices`, or part "
                          "of a name")
     form: str = option("auto", "Device", "kernel form: item suits CPUs, group suits GPUs",
                        choices=("auto", "item", "group"))
+
+
+# what a choice sets besides itself, unless the user says otherwise; later ones win
+CHOICES = {
+    "schedule": {
+        "constant": {"reset_every": 3000, "exposure": "off"},
+        # 3DGS's rates of 2024, which both authors used
+        "dash": {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.025},
+        "taming": {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.025},
+    },
+    "preset": {
+        "paper": {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
+                  "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0,
+                  "densify_every": 200, "reproject": "on", "exposure": "off"},
+        "release": {"levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release",
+                    "convergence": "release", "convergence_hits": 5, "level_share": 1.0,
+                    "densify_every": 200, "sphere_neighbours": 8, "sphere_shrink": 0.8,
+                    "sphere_rule": "release", "reproject": "off", "exposure": "off",
+                    "optimizer": "sparse", "prune_size": 0.05, "ssim_weight": 0.33,
+                    "grow_threshold": 1.25e-4, "opacity_rate": 0.02},
+    },
+    "size": {"L": {"grow_threshold": 1.25e-4}},
+}
+UNITS = {"s": 1, "m": 60, "h": 3600}
+
+
+def seconds_of(text):
+    """The seconds of `--time-budget`: a number, or one with the unit s, m or h."""
+    try:
+        unit = UNITS[text[-1]] if text[-1] in UNITS else None
+        seconds = float(text if unit is None else text[:-1]) * (unit or 1)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds < math.inf:
+        raise InputError(f"--time-budget: wants seconds, or a number with s, m or h such as 90s, "
+                         f"10m or 2h; got {text!r}")
+    return seconds
 
 
 def from_toml(path):
@@ -142,6 +233,35 @@ def _checked_one(kind, meta, value):
 
 
 def resolve(file_values, flag_values):
-    """TrainOptions from a TOML file's values overridden by the command line's."""
-    values = {**file_values, **flag_values}
-    return TrainOptions(**{k: checked("command line", k, v) for k, v in values.items()})
+    """TrainOptions from a TOML file's values overridden by the command line's.
+
+    Unless given, an option has the value that the given schedule, preset and size choose for it.
+    Raises InputError for options that contradict each other.
+    """
+    given = {k: checked("command line", k, v) for k, v in {**file_values, **flag_values}.items()}
+    chosen = TrainOptions(**given)
+    values = {}
+    for choice, table in CHOICES.items():
+        values |= table.get(getattr(chosen, choice), {})
+    options = TrainOptions(**{**values, **given})
+    _check_agreement(options, given)
+    return options
+
+
+def _check_agreement(options, given):
+    for known in dataclasses.fields(TrainOptions):
+        only = known.metadata["only"]
+        if only and options.schedule not in only and given.get(
+                known.name, known.default) != known.default:
+            raise InputError(
+                f"--{known.name.replace('_', '-')}: means nothing to --schedule {options.schedule}; "
+                f"leave it out, or use --schedule {' or '.join(only)}")
+    levels = options.levels
+    if levels and (levels[-1] != 1 or any(a <= b for a, b in zip(levels, levels[1:]))):
+        raise InputError(f"--levels {','.join(f'{v:g}' for v in levels)}: wants factors that fall "
+                         "and end at 1, such as 4,2,1")
+    if options.time_budget:
+        seconds_of(options.time_budget)
+        if options.iterations != TrainOptions.iterations:
+            raise InputError("--time-budget: decides the number of steps, as -n does; "
+                             "leave one of them out")

@@ -28,7 +28,8 @@ class Scene:
 
     points: float64[N, 3]; colours: uint8[N, 3]; offset: float64[3], what was subtracted from the
     original world coordinates (`original = local + offset`); kept so that exports restore it;
-    path: where it was read from.
+    path: where it was read from; observations: int32[M, 2], rows (point, view) that say which view
+    the sparse model saw a point in, each once, sorted; None where the file does not tell.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Scene:
     colours: np.ndarray
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
     path: Path = Path()
+    observations: np.ndarray | None = None
 
     @property
     def extent(self):

@@ -10,7 +10,7 @@ from scipy.ndimage import correlate1d
 from clsplat.camera import Camera
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Device
-from clsplat.gaussians import FIELDS, SH_C0
+from clsplat.gaussians import LEARNED, SH_C0
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.optimise.adam import NO_ROW, DeviceAdam, adam_update
 from clsplat.primitives.gather import compact, gather, scatter
@@ -109,14 +109,14 @@ def sums(device):
 def adam(device):
     """Two steps on varying rows; one row's gradient is marked as not finite."""
     rng = np.random.default_rng(5)
-    expected = {f.name: rng.normal(size=(50, f.width(1))).astype(np.float32) for f in FIELDS}
-    rows = {f.name: device.upload(expected[f.name].reshape(50, *f.row_shape(1))) for f in FIELDS}
-    engine, rates = DeviceAdam(device, rows), {f.name: f.rate for f in FIELDS}
+    expected = {f.name: rng.normal(size=(50, f.width(1))).astype(np.float32) for f in LEARNED}
+    rows = {f.name: device.upload(expected[f.name].reshape(50, *f.row_shape(1))) for f in LEARNED}
+    engine, rates = DeviceAdam(device, rows), {f.name: f.rate for f in LEARNED}
     moments = {name: np.zeros((2, *values.shape), np.float32) for name, values in expected.items()}
     for step in (1, 2):
         seen = rng.permutation(50)[:40].astype(np.uint32)
         fields = {}
-        for f in FIELDS:
+        for f in LEARNED:
             gradient = rng.normal(size=(40, f.width(1))).astype(np.float32)
             fields[f.name] = device.upload(gradient.reshape(40, *f.row_shape(1)))
             expected[f.name][seen[1:]], *moments[f.name][:, seen[1:]] = adam_update(
@@ -124,7 +124,7 @@ def adam(device):
                 f.rate)
         seen[0] = NO_ROW
         gradients = Gradients(fields, device.zeros((40, 2)), device.upload(seen))
-        engine.step(rows, gradients, step, rates, {f.name: f.width(1) for f in FIELDS})
+        engine.step(rows, gradients, step, rates, {f.name: f.width(1) for f in LEARNED})
     error = max(_relative(rows[name].download().reshape(50, -1), values)
                 for name, values in expected.items())
     return error, 1e-6, "relative error"

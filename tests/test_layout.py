@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 TOP_LEVEL = {"setup.cfg", "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md",
-             "CONTRIBUTING.md", "clsplat", "cl", "tools", "tests", "data_samples"}
+             "CONTRIBUTING.md", "clsplat", "cl", "tools", "tests", "data_samples", "docs"}
 BUILD_OUTPUTS = {"out", "build", "dist", "clsplat.egg-info", "__pycache__"}
 
 # a module imports from its own package and from the lines above its own
@@ -24,9 +24,12 @@ LAYERS = (
     {"primitives"},
     {"camera", "options"},
     {"gaussians", "scene"},
-    {"io"},
-    {"render", "loss", "optimise", "densify", "schedule", "synth"},
+    {"drift", "neighbours", "io"},
+    {"render", "schedule", "synth", "frequency", "constrain"},
+    {"loss", "optimise", "regularise"},
+    {"densify"},
     {"evaluate"},
+    {"report"},
     {"train"},
     {"selftest"},
     {"bench"},
@@ -36,7 +39,8 @@ LAYERS = (
 LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
 
 # tested without OpenCL, though they stand above the device layer
-NO_DEVICE = {"camera", "options", "gaussians", "scene", "schedule", "synth"}
+NO_DEVICE = {"camera", "options", "gaussians", "scene", "drift", "neighbours", "schedule",
+             "constrain", "synth", "report"}
 
 # package -> the only folders that may import it
 WALLS = {
@@ -45,6 +49,7 @@ WALLS = {
     "OpenImageIO": ("clsplat/io/",),
     "click": ("clsplat/cli/",),
     "skimage": ("clsplat/io/", "clsplat/evaluate/"),
+    "matplotlib": ("clsplat/report/", "tools/"),
     "tests": (),  # the wheel carries clsplat/ and tools/bench/, not the tests
 }
 

@@ -11,7 +11,8 @@ from clsplat.train.loop import train
 CITY = Path(__file__).resolve().parents[1] / "data_samples" / "city"
 
 # everything that happens in a real run, within 150 steps of 40 x 30 pixels
-EVENTFUL = {"iterations": 150, "downscale": 8.0, "densify_from": 20, "densify_every": 20,
+EVENTFUL = {"schedule": "constant", "iterations": 150, "downscale": 8.0, "densify_from": 20,
+            "densify_every": 20,
             "densify_until": 120, "reset_every": 50, "grow_threshold": 5e-4, "sh_every": 30,
             "prune_opacity": 0.009, "checkpoint_every": 0}
 # what a test of something else needs: no growth, few steps

@@ -106,13 +106,15 @@ void blend_adjoint(int width, int height, int tiles_x, uint tiles,
                    __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
                    __global const uint *restrict slots, __global const uint *restrict bucket_offsets,
                    __global const uint *restrict bucket_tiles, __global const real *restrict splats,
-                   __global const real *restrict image, __global const real *restrict depth,
+                   __global const real *restrict image,
+                   __global const real *restrict transmittance, __global const real *restrict depth,
                    __global const int *restrict last, __global const real *restrict grad_image,
                    __global const real *restrict grad_depth,
+                   __global const real *restrict grad_transmittance,
                    __global const real *restrict checkpoints,
                    __global const real *restrict depth_checkpoints, __global real *restrict sums)
 {
-    __local real4 grads[PIXELS]; // colour cotangent; .w = cotangent . whole colour of the pixel
+    __local real4 grads[PIXELS]; // colour cotangent; .w = cotangent . all that the pixel holds
     __local real grads_z[PIXELS];
     __local int lasts[PIXELS];
     __local real2 passed[2][BUCKET];
@@ -143,7 +145,7 @@ void blend_adjoint(int width, int height, int tiles_x, uint tiles,
             g = (real4)(cotangent, dot(cotangent, colour));
 #if WITH_DEPTH
             gz = grad_depth[pixel];
-            g.w += gz * depth[pixel];
+            g.w += gz * depth[pixel] + grad_transmittance[pixel] * transmittance[pixel];
 #endif
             latest = last[pixel];
         }

@@ -118,7 +118,7 @@ void blend_adjoint(int width, int height, int tiles_x, __global const real *rest
                    __global const uint *restrict slots, __global const real *restrict splats,
                    __global const real *restrict transmittance, __global const int *restrict last,
                    __global const real *restrict grad_image, __global const real *restrict grad_depth,
-                   __global real *restrict sums)
+                   __global const real *restrict grad_transmittance, __global real *restrict sums)
 {
     const int tile = get_global_id(0), x0 = tile % tiles_x * TILE, y0 = tile / tiles_x * TILE;
     const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
@@ -143,6 +143,7 @@ void blend_adjoint(int width, int height, int tiles_x, __global const real *rest
                             grad_blue[r] * background[2]);
 #if WITH_DEPTH
         grad_z[r] = load_row(grad_depth + pixel, columns);
+        behind[r] += t[r] * load_row(grad_transmittance + pixel, columns);
 #endif
         int indices[16];
         for (int i = 0; i < 16; i++) {

@@ -15,7 +15,8 @@ def evaluate(run, device, images):
     """Compare the held-out views of RUN with their photos.
 
     PSNR (dB) and SSIM are means over views, plain and after a quadratic fit of each render's
-    colours to its photo.
+    colours to its photo. Where RUN's scene is a synthetic city, floaters are the share of
+    opacity that lies more than so many pixels from the true surface.
     """
     from clsplat.device import choose_device
     from clsplat.evaluate.views import evaluate_run
@@ -33,4 +34,8 @@ def summary(result):
     lines = [f"{views:<20}{'PSNR':>8}{'SSIM':>8}"]
     for label, suffix in (("plain", ""), ("colour-corrected", "_cc")):
         lines.append(f"{label:<20}{result['psnr' + suffix]:>8.2f}{result['ssim' + suffix]:>8.4f}")
+    if "floaters" in result:
+        lines.append(f"{'pixels off':<20}{'> 1':>8}{'> 3':>8}{'> 10':>8}")
+        shares = (result[key] for key in ("floaters", "floaters_3", "floaters_10"))
+        lines.append(f"{'floaters':<20}" + "".join(f"{share:>8.2%}" for share in shares))
     return "\n".join(lines)

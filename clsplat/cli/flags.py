@@ -1,12 +1,28 @@
 """The flags of `clsplat train`, derived from the table of options."""
 
 import dataclasses
+from typing import get_args
 
 import click
 from click.core import ParameterSource
 
 from clsplat.cli.sections import SectionedOption
 from clsplat.options import TrainOptions
+
+
+class Numbers(click.ParamType):
+    """Numbers of one kind, separated by commas."""
+
+    name = "LIST"
+
+    def __init__(self, kind):
+        self.kind = kind
+
+    def convert(self, value, param, ctx):
+        try:
+            return tuple(self.kind(word) for word in value.split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not a list of numbers such as 4,2,1", param, ctx)
 
 
 def training_flags(command):
@@ -35,7 +51,8 @@ def _flag(option):
     elif meta["choices"]:
         settings["type"] = click.Choice(meta["choices"])
     elif default == ():
-        settings.update(type=int, multiple=True, show_default=False)
+        settings.update(type=Numbers(get_args(option.type)[0]), multiple=True, show_default=False,
+                        callback=lambda ctx, param, lists: sum(lists, ()))
     elif isinstance(default, tuple):
         settings.update(type=type(default[0]), nargs=len(default))
     else:

@@ -7,6 +7,7 @@ import click
 
 from clsplat import __version__
 from clsplat.cli.bench import bench
+from clsplat.cli.compare import compare
 from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
 from clsplat.cli.evaluate import evaluate
@@ -69,7 +70,7 @@ def main(ctx):
         click.echo(ctx.get_help())
 
 
-main.add_section("Train", train, evaluate, render, export)
+main.add_section("Train", train, evaluate, compare, render, export)
 main.add_section("Data", synth)
 main.add_section("Machine", devices, bench, completion)
 

@@ -20,14 +20,14 @@ class _LogLines(tqdm):
 
 
 class Progress:
-    """Shows iteration, it/s, loss, gaussians, memory and time left; a context manager.
+    """Shows iteration, it/s, loss, level, gaussians, memory and time left; a context manager.
 
-    total: the iteration at which this run stops. The clock starts at the first call, so that
-    loading and the first compilation do not count as speed.
+    stop_at: the iteration at which this run stops before its end, or 0. The clock starts at the
+    first call, so that loading and the first compilation do not count as speed.
     """
 
-    def __init__(self, total, file=None):
-        self._total = total
+    def __init__(self, stop_at=0, file=None):
+        self._stop_at = stop_at
         self._file = sys.stderr if file is None else file
         self._bar = None
 
@@ -38,12 +38,13 @@ class Progress:
         if self._bar is not None:
             self._bar.close()
 
-    def __call__(self, iteration, loss, gaussians, memory_bytes):
+    def __call__(self, iteration, total, loss, gaussians, memory_bytes, level):
         if self._bar is None:
             self._bar = self._start(iteration)
+        self._bar.total = min(self._stop_at or total, total)
         self._bar.set_postfix_str(
-            f"loss {loss:.4f}, {gaussians:,} gaussians, {memory_bytes / 2**20:,.0f} MiB",
-            refresh=False)
+            f"loss {loss:.4f}, level {level:g}, {gaussians:,} gaussians, "
+            f"{memory_bytes / 2**20:,.0f} MiB", refresh=False)
         self._bar.update(iteration - self._bar.n)
 
     def message(self, text):
@@ -52,7 +53,7 @@ class Progress:
         say(text, file=self._file)
 
     def _start(self, iteration):
-        settings = {"total": self._total, "initial": iteration, "unit": "it", "file": self._file}
+        settings = {"total": None, "initial": iteration, "unit": "it", "file": self._file}
         if self._file.isatty():
             return tqdm(bar_format=LINE, dynamic_ncols=True, **settings)
         return _LogLines(bar_format=LOG_LINE, mininterval=10, maxinterval=1e9, **settings)

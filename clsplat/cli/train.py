@@ -76,5 +76,4 @@ def resumed_options(record, flags):
 
 def _progress(options):
     from clsplat.cli.progress import Progress
-    total = round(options.iterations * options.steps_scale)
-    return Progress(min(options.stop_at or total, total))
+    return Progress(options.stop_at)

@@ -6,6 +6,7 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.evaluate.colour import fit_colour
+from clsplat.evaluate.floaters import floater_share, ground_truth
 from clsplat.evaluate.metrics import psnr, ssim
 from clsplat.io.images import read_image, write_image
 from clsplat.io.ply import read_ply
@@ -57,21 +58,27 @@ def run_options(run):
 
 def evaluate_run(run, device, save_images):
     """`evaluate_views` of a run's finished model on its held-out views; `save_images` writes
-    render, colour-fitted render and photo side by side as PNG into the run."""
+    render, colour-fitted render and photo side by side as PNG into the run. Where the scene has
+    its ground truth, the result also holds `floaters.floater_share`."""
     options = run_options(run)
     scene = read_scene(run.read_options()["scene"])
     scene = scene.reduced(options.downscale, options.max_resolution)
-    _, views = scene.split(options.test_every)
+    train, views = scene.split(options.test_every)
     if not views:
         raise InputError(f"{run.path}: no held-out views (--test-every {options.test_every}); "
                          "nothing to compare with")
-    renderer, rows, degree = _opened(device, run.load_model(), scene, options)
+    gaussians, city = run.load_model(), ground_truth(scene.path)
+    renderer, rows, degree = _opened(device, gaussians, scene, options)
 
     def keep(view, image, fitted, photo):
         beside = np.concatenate([image, fitted, photo], axis=1)
         write_image(run.render_path("test", view.name), beside)
 
-    return evaluate_views(renderer, rows, degree, views, keep if save_images else None)
+    result = evaluate_views(renderer, rows, degree, views, keep if save_images else None)
+    if city:
+        cameras = [view.camera for view in train]
+        result.update(floater_share(city, gaussians, cameras, scene.offset))
+    return result
 
 
 def render_views(model, scene_path, folder, device, views="all", beside=False):

@@ -17,8 +17,9 @@ def checked_scene(path, name, model, sources, offset=None):
 
     model: names [V]; rotations float64[V, 3, 3] and translations float64[V, 3], world to camera;
     focals and centres float64[V, 2] and sizes int[V, 2], pixels; points float64[N, 3]; colours
-    uint8[N, 3]. sources: V paths or encoded images; offset: of the scene, if its origin was moved
-    before. Views come out sorted by name.
+    uint8[N, 3]; observations int[M, 2], rows (point, view) in any order, may be missing. sources:
+    V paths or encoded images; offset: of the scene, if its origin was moved before. Views come out
+    sorted by name, and observations count them in that order.
     """
     names = [str(n) for n in model["names"]]
     if not names:
@@ -32,9 +33,11 @@ def checked_scene(path, name, model, sources, offset=None):
                             np.array(model["rotations"][i], np.float64),
                             np.array(model["translations"][i], np.float64)), sources[i])
              for i, n in enumerate(names))
+    seen = _checked_observations(path, names, len(model["points"]), model.get("observations"))
     return Scene(name, tuple(sorted(views, key=lambda view: view.name)),
                  np.array(model["points"], np.float64), np.array(model["colours"], np.uint8),
-                 np.zeros(3) if offset is None else np.array(offset, np.float64), Path(path))
+                 np.zeros(3) if offset is None else np.array(offset, np.float64), Path(path),
+                 seen)
 
 
 def _check_names(path, names):
@@ -80,6 +83,20 @@ def _check_points(path, points):
     if (points == points[0]).all():
         raise InputError(f"{path}: the sparse model's {len(points)} points all lie at one place; "
                          "reconstruct the scene again, or check the units of its points")
+
+
+def _checked_observations(path, names, points, observations):
+    """int32[M, 2], rows (point, view in the order of sorted names), sorted, each once; or None."""
+    if observations is None or not len(observations):
+        return None
+    observations = np.asarray(observations, np.int64)
+    wrong = ((observations < 0) | (observations >= (points, len(names)))).any(axis=1)
+    if wrong.any():
+        raise InputError(f"{path}: {wrong.sum()} of {len(wrong)} observations name a point or an "
+                         "image that the model does not have; pack or reconstruct the scene again")
+    place = np.argsort(np.argsort(names))
+    rows = np.unique(observations[:, 0] * len(names) + place[observations[:, 1]])
+    return np.stack(np.divmod(rows, len(names)), axis=1).astype(np.int32)
 
 
 def check_photos(views):

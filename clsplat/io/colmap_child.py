@@ -1,7 +1,7 @@
 """Reads a COLMAP model in a process of its own: `python -m clsplat.io.colmap_child MODEL OUT.npz`.
 
-pycolmap aborts the whole process on some damaged models, and holds tracks and observations that
-training never needs; here it may do both without harm.
+pycolmap aborts the whole process on some damaged models, and holds far more of every observation
+than training needs; here it may do both without harm.
 """
 
 import sys
@@ -18,6 +18,7 @@ def model_arrays(model):
     reconstruction = pycolmap.Reconstruction(model)
     images = sorted((reconstruction.images[i] for i in reconstruction.reg_image_ids()),
                     key=lambda image: image.name)
+    place = {image.image_id: number for number, image in enumerate(images)}
     cameras = [reconstruction.cameras[image.camera_id] for image in images]
     poses = np.array([image.cam_from_world().matrix() for image in images]).reshape(-1, 3, 4)
     points = [point for _, point in sorted(reconstruction.points3D.items())]
@@ -30,6 +31,10 @@ def model_arrays(model):
         "sizes": _pairs([(c.width, c.height) for c in cameras]).astype(np.int64),
         "points": np.array([point.xyz for point in points], np.float64).reshape(-1, 3),
         "colours": np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+        "observations": np.array(
+            [(number, place[element.image_id]) for number, point in enumerate(points)
+             for element in point.track.elements if element.image_id in place],
+            np.int32).reshape(-1, 2),
         "distorted": np.array(sorted({c.model_name for c in cameras} - set(PINHOLES)),
                               dtype=np.str_),
     }

@@ -3,7 +3,7 @@
 Keys: names[V]; V float64[V, 4, 4] world to camera; K float64[V, 3, 3] and wh int[V, 2], pixels;
 xyz float64[N, 3] and rgb uint8[N, 3]; offset float64[3], what was subtracted from the original
 world coordinates; sizes int[V], the bytes of each encoded photo, and jpeg uint8[...], all photos
-one after the other.
+one after the other. observations int[M, 2], rows (point, view), may be missing.
 """
 
 import zipfile
@@ -21,6 +21,7 @@ PACKED_QUALITY = 96
 # key -> (kinds of dtype, shape after the first axis)
 LAYOUT = {"names": ("U", ()), "V": ("f", (4, 4)), "K": ("f", (3, 3)), "wh": ("iu", (2,)),
           "xyz": ("f", (3,)), "rgb": ("u", (3,)), "sizes": ("iu", ()), "jpeg": ("u", ())}
+OPTIONAL = {"offset": ("f", ()), "observations": ("iu", (2,))}
 
 
 def write_packed(scene, path, downscale=1):
@@ -41,6 +42,7 @@ def write_packed(scene, path, downscale=1):
             photo = encode_jpeg(read_image(photo, size), PACKED_QUALITY)
         cameras.append(camera)
         photos.append(photo)
+    known = {} if scene.observations is None else {"observations": scene.observations}
     with replacing(path) as file:
         np.savez(
             file, names=np.array([view.name for view in scene.views]),
@@ -49,7 +51,7 @@ def write_packed(scene, path, downscale=1):
             wh=np.array([(c.width, c.height) for c in cameras]),
             xyz=scene.points, rgb=scene.colours, offset=scene.offset,
             sizes=np.array([len(photo) for photo in photos]),
-            jpeg=np.frombuffer(b"".join(photos), np.uint8))
+            jpeg=np.frombuffer(b"".join(photos), np.uint8), **known)
 
 
 def read_packed(path):
@@ -69,6 +71,7 @@ def read_packed(path):
         "rotations": poses[:, :3, :3], "translations": poses[:, :3, 3],
         "focals": calibrations[:, (0, 1), (0, 1)], "centres": calibrations[:, :2, 2],
         "sizes": arrays["wh"], "points": arrays["xyz"], "colours": arrays["rgb"],
+        "observations": arrays.get("observations"),
     }, photos, arrays.get("offset"))
     check_photos(scene.views)
     return scene if "offset" in arrays else scene.recentred()
@@ -88,15 +91,17 @@ def _calibration(camera):
 def _read_arrays(path):
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in (*LAYOUT, "offset") if key in file.files}
+            arrays = {key: file[key] for key in (*LAYOUT, *OPTIONAL) if key in file.files}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
     except (OSError, ValueError, EOFError, AttributeError, TypeError, NotImplementedError,
             zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: not a packed scene, or damaged ({_one_line(error)}); "
                          "pack or copy it again") from None
-    for key, (kinds, shape) in LAYOUT.items():
+    for key, (kinds, shape) in {**LAYOUT, **OPTIONAL}.items():
         array = arrays.get(key)
+        if array is None and key in OPTIONAL:
+            continue
         if array is None or array.dtype.kind not in kinds or array.shape[1:] != shape:
             found = "is missing" if array is None else f"is {array.dtype}{list(array.shape)}"
             raise InputError(f"{path}: not a packed scene: array '{key}' {found}; pack it again")

@@ -18,13 +18,14 @@ OPTIONS = "options.json"
 METRICS = "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
 MODEL = "point_cloud.ply"
+REPORT = "report.html"
 RENDERS = "renders"
-FILES = (OPTIONS, METRICS, CHECKPOINT, MODEL)
+FILES = (OPTIONS, METRICS, CHECKPOINT, MODEL, REPORT)
 STATE = "state.json"  # the member of a checkpoint that holds what is no array
 
 
 class RunFolder:
-    """One training on disk: its options, metrics, checkpoint, model and renders.
+    """One training on disk: its options, metrics, checkpoint, model, report and renders.
 
     Every write but a metrics line replaces a whole file; a metrics line cut short by a kill is
     dropped by the next `log` or `rewind`. Errors are InputError.
@@ -97,6 +98,10 @@ class RunFolder:
         if not isinstance(record, dict):
             raise InputError(f"{path}: damaged; start the run again with --overwrite")
         return record
+
+    @property
+    def has_metrics(self):
+        return (self.path / METRICS).is_file()
 
     def log(self, record):
         """Append one line to the metrics; a number that is not finite becomes null."""
@@ -175,9 +180,20 @@ class RunFolder:
             raise InputError(f"{path}: the checkpoint is damaged or cut short ({reason}); copy it "
                              "again, or start the run again with --overwrite") from None
 
-    def save_model(self, gaussians, offset, comments=()):
+    def save_model(self, gaussians, offset, comments=(), sphere=False):
         """Replace the finished model; see `ply.write_ply`."""
-        write_ply(self.path / MODEL, gaussians, offset, comments)
+        write_ply(self.path / MODEL, gaussians, offset, comments, sphere)
+
+    @property
+    def has_model(self):
+        """Whether the run is finished."""
+        return (self.path / MODEL).is_file()
+
+    def write_report(self, html):
+        """Replace the report by a page (str); returns its path."""
+        with replacing(self.path / REPORT) as file:
+            file.write(html.encode())
+        return self.path / REPORT
 
     def load_model(self):
         """The finished model's Gaussians, in the scene's local coordinates."""
@@ -200,6 +216,20 @@ class RunFolder:
             raise InputError(f"{path.parent}: cannot be made ({error.strerror}); "
                              "check the run folder") from None
         return path
+
+
+def find_runs(path):
+    """The RunFolders of a folder: itself, or those at most two levels below, ordered by path.
+
+    InputError where there are none.
+    """
+    path = Path(path)
+    depths = (OPTIONS, f"*/{OPTIONS}", f"*/*/{OPTIONS}")
+    found = sorted({file.parent for depth in depths for file in path.glob(depth)})
+    if not found:
+        raise InputError(f"{path}: holds no run ({OPTIONS} is missing, two levels down too); "
+                         "give folders that `clsplat train` wrote")
+    return [RunFolder.open(folder) for folder in found]
 
 
 def _read(path):

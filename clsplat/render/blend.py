@@ -13,7 +13,8 @@ _LISTS = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
 _SPLATS = dict(splats=("real", "V", SPLAT_REALS))
 _IMAGE = dict(image=("real", 3, "H", "W"), transmittance=("real", "H", "W"), last=("int", "H", "W"),
               depth=("real", "D", "E"))
-_GRADS = dict(grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"))
+_GRADS = dict(grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"),
+              grad_transmittance=("real", "D", "E"))
 _BACKGROUND = dict(background=("real", 3))
 _CHECKPOINTS = dict(checkpoints=("real", "B", "X", 4), depth_checkpoints=("real", "C", "Y"))
 
@@ -27,8 +28,9 @@ ADJOINT = {
                    last=("int", "H", "W"), **_GRADS, sums=("real", "P", "S")),
     "group": Kernel("blend.cl", "blend_adjoint", **_SIZE, tiles="uint", **_LISTS,
                     slots=("uint", "P"), bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"),
-                    **_SPLATS, image=("real", 3, "H", "W"), depth=("real", "D", "E"),
-                    last=("int", "H", "W"), **_GRADS, **_CHECKPOINTS, sums=("real", "P", "S"))}
+                    **_SPLATS, image=("real", 3, "H", "W"), transmittance=("real", "H", "W"),
+                    depth=("real", "D", "E"), last=("int", "H", "W"), **_GRADS, **_CHECKPOINTS,
+                    sums=("real", "P", "S"))}
 SUM_PAIRS = Kernel("blend.cl", "sum_pairs", count="uint", order=("uint", "V"), counts=("uint", "V"),
                    offsets=("uint", "V"), sums=("real", "P", "S"), totals=("real", "V", "S"))
 
@@ -75,19 +77,20 @@ def blend(device, splats, pairs, width, height, background, defines):
     return result
 
 
-def blend_adjoint(device, splats, pairs, blended, background, grad_image, grad_depth, defines):
-    """Each splat's sums real[V, 9 or 10] (cl/include/splat.h) from grad_image real[3, H, W] and
-    grad_depth real[H, W] (a 1 x 1 token where the depth channel is off)."""
+def blend_adjoint(device, splats, pairs, blended, background, grad_image, grad_depth,
+                  grad_transmittance, defines):
+    """Each splat's sums real[V, 9 or 10] (cl/include/splat.h) from grad_image real[3, H, W], and
+    grad_depth and grad_transmittance real[H, W] (1 x 1 tokens where the depth channel is off)."""
     _, height, width = blended.image.shape
     columns = 9 + dict(defines)["WITH_DEPTH"]
     sums = device.empty((pairs.count, columns))
     values = dict(width=width, height=height, tiles_x=pairs.tiles_x, ranges=pairs.ranges,
                   sorted_splats=pairs.sorted_splats, slots=pairs.slots, splats=splats,
-                  last=blended.last, grad_image=grad_image, grad_depth=grad_depth, sums=sums)
+                  transmittance=blended.transmittance, last=blended.last, grad_image=grad_image,
+                  grad_depth=grad_depth, grad_transmittance=grad_transmittance, sums=sums)
     tiles = len(pairs.ranges)
     if device.form == "item":
-        device.launch(ADJOINT["item"], tiles, 1, defines, **values, background=background,
-                      transmittance=blended.transmittance)
+        device.launch(ADJOINT["item"], tiles, 1, defines, **values, background=background)
     else:
         device.launch(ADJOINT["group"], len(pairs.bucket_tiles) * BUCKET, BUCKET, defines, **values,
                       tiles=tiles, bucket_offsets=pairs.bucket_offsets,

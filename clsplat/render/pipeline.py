@@ -61,7 +61,7 @@ class Renderer:
         self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
         self.background = device.upload(np.asarray(background, np.float64))
         self.skipped = device.zeros(1, np.uint32)
-        self._no_depth = device.zeros((1, 1))
+        self._token = device.zeros((1, 1))
         self._project_defines = (("SH_REST", (sh_degree + 1) ** 2 - 1),
                                  ("ANTIALIASED", int(antialiased)))
 
@@ -81,12 +81,17 @@ class Renderer:
                         blend_defines(device, with_depth, self.smooth_cutoff))
         return Frame(camera, degree, visible, splats, pairs, blended, with_depth)
 
-    def adjoint(self, rows, frame, grad_image, grad_depth=None):
-        """Gradients from grad_image real[3, H, W] and, for a frame with depth, real[H, W]."""
-        device = self.device
+    def adjoint(self, rows, frame, grad_image, grad_depth=None, grad_transmittance=None):
+        """Gradients from grad_image real[3, H, W] and, for a frame with depth, from grad_depth and
+        grad_transmittance real[H, W], by the depth channel and by what is left of the light."""
+        device, none = self.device, self._token
+        if frame.with_depth and (grad_depth is None or grad_transmittance is None):
+            none = device.empty(frame.blended.depth.shape)
+            none.fill(0)
         sums = blend_adjoint(
             device, frame.splats, frame.pairs, frame.blended, self.background, grad_image,
-            self._no_depth if grad_depth is None else grad_depth,
+            none if grad_depth is None else grad_depth,
+            none if grad_transmittance is None else grad_transmittance,
             blend_defines(device, frame.with_depth, self.smooth_cutoff))
         return Gradients(*project_adjoint(
             device, rows, frame.visible, frame.camera, frame.degree, self._project_defines, sums,

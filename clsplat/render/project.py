@@ -3,7 +3,7 @@
 import numpy as np
 
 from clsplat.device import Kernel
-from clsplat.gaussians import FIELDS
+from clsplat.gaussians import LEARNED
 
 CAMERA_REALS = 23
 SPLAT_REALS = 12
@@ -50,7 +50,7 @@ def project(device, rows, visible, camera, degree, defines):
     """splats real[V, 12] (cl/include/splat.h) of the gaussians `visible` uint[V]."""
     splats = device.empty((len(visible), SPLAT_REALS))
     device.launch_each(PROJECT, len(visible), defines, count=len(visible), degree=degree,
-                  rows=visible, camera=camera, splats=splats, **rows)
+                  rows=visible, camera=camera, splats=splats, **_learned(rows))
     return splats
 
 
@@ -61,10 +61,15 @@ def project_adjoint(device, rows, visible, camera, degree, defines, sums, skippe
     sums: real[V, S], each splat's sums from the blend adjoint. skipped: uint[1], counts the latter.
     """
     count = len(visible)
-    gradients = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in FIELDS}
+    gradients = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED}
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
     device.launch_each(ADJOINT, count, defines, count=count, degree=degree,
-                  sum_count=sums.shape[1], rows=visible, camera=camera, **rows, sums=sums,
+                  sum_count=sums.shape[1], rows=visible, camera=camera, **_learned(rows), sums=sums,
                   **{f"grad_{name}": g for name, g in gradients.items()},
                   grad_means=grad_means, active=active, skipped=skipped)
     return gradients, grad_means, active
+
+
+def _learned(rows):
+    """Without what is only carried along."""
+    return {field.name: rows[field.name] for field in LEARNED}

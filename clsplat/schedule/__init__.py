@@ -1,12 +1,15 @@
 """Schedules decide, before each step, the resolution, the degree and whether the model may grow.
 
-A schedule has one method, `plan(iteration) -> Plan`, and is pure numpy. `constant` is that of
-3DGS: full resolution throughout, growth at fixed intervals.
+Each is a `plan.Schedule`, pure numpy. `sig` follows the scene's frequency, `constant` is 3DGS's,
+`dash` and `taming` are the baselines of the SIG paper.
 """
 
 from clsplat.schedule.constant import Constant
-from clsplat.schedule.plan import Plan, scaled_steps
+from clsplat.schedule.dash import Dash
+from clsplat.schedule.plan import Plan, Subject, scaled_steps
+from clsplat.schedule.sig import Sig
+from clsplat.schedule.taming import Taming
 
-SCHEDULES = {"constant": Constant}
+SCHEDULES = {"sig": Sig, "constant": Constant, "dash": Dash, "taming": Taming}
 
-__all__ = ["SCHEDULES", "Plan", "scaled_steps"]
+__all__ = ["SCHEDULES", "Plan", "Subject", "scaled_steps"]

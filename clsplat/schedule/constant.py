@@ -1,13 +1,10 @@
 """The schedule of 3DGS (Kerbl et al. 2023): nothing but the step number decides."""
 
-from clsplat.schedule.plan import Plan
+from clsplat.schedule.plan import Plan, Schedule
 
 
-class Constant:
-    """options: TrainOptions with scaled steps."""
-
-    def __init__(self, options):
-        self.options = options
+class Constant(Schedule):
+    """Full resolution throughout, growth and opacity resets at fixed intervals."""
 
     def plan(self, iteration):
         """The Plan of a step, counted from 1.
@@ -20,9 +17,10 @@ class Constant:
         growing = before < o.densify_until
         return Plan(
             level=1.0,
-            degree=min(o.sh_degree, before // o.sh_every),
+            degree=self.degree(iteration),
             gathers=growing,
             grows=growing and before > o.densify_from and before % o.densify_every == 0,
             resets_opacity=growing and o.reset_every > 0 and before > 0
             and before % o.reset_every == 0,
-            prunes_large=0 < o.reset_every < before)
+            prunes_large=0 < o.reset_every < before,
+            decay=self.decay(iteration))

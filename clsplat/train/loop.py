@@ -9,34 +9,47 @@ import time
 
 import numpy as np
 
+from clsplat.constrain.sphere import with_spheres
 from clsplat.errors import InputError, Interrupted
 from clsplat.evaluate.views import evaluate_views
-from clsplat.gaussians import FIELDS, Gaussians
+from clsplat.frequency import scene_frequency
+from clsplat.gaussians import mean_inverse_distance
 from clsplat.io.scenes import fingerprint
+from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
+from clsplat.options import seconds_of
+from clsplat.regularise.reproject import pack_pair
 from clsplat.render.pipeline import Renderer
-from clsplat.schedule import SCHEDULES, scaled_steps
+from clsplat.report.run import write_report
+from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.train import checkpoint
 from clsplat.train.begin import initial_gaussians
+from clsplat.train.budget import EVERY as ESTIMATE_EVERY
+from clsplat.train.budget import TimeBudget
 from clsplat.train.interrupt import deferred_interrupt
 from clsplat.train.model import Model
+from clsplat.train.needs import find_needs, smallest_size
 from clsplat.train.photos import Photos, decoded
 from clsplat.train.step import Step
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
+LOOK_VIEWS = 10  # that a schedule may look at before it grows
 
 
 def train(scene, options, device, run, progress=None):
     """Train `scene` from the start into an empty `run` folder.
 
-    options: TrainOptions; progress: called as progress(iteration=, loss=, gaussians=,
-    memory_bytes=) and progress.message(text). Raises Interrupted, state saved, on Ctrl-C.
+    options: TrainOptions; progress: called as progress(iteration=, total=, loss=, gaussians=,
+    memory_bytes=, level=) and progress.message(text). Raises Interrupted, state saved, on Ctrl-C.
     """
-    training = Training(scene, options, device, run, progress, initial_gaussians(scene, options))
+    training = Training(scene, options, device, run, progress)
+    options = training.options if options.time_budget else options
     run.write_options({"scene": scene.path, **dataclasses.asdict(options),
                        "fingerprint": training.fingerprint, "opencl_device": device.name,
                        "kernel_form": device.form, "extent": scene.extent,
                        "offset": scene.offset.tolist()})
+    training.log("plan", reasons=training.needs.reasons, levels=training.schedule.levels)
     training.run_to_end()
 
 
@@ -51,9 +64,9 @@ def resume(scene, options, device, run, progress=None):
         raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "
                          "or start again with --overwrite")
     try:
-        gaussians = Gaussians(fields_of(arrays, "row"), options.sh_degree)
-        training = Training(scene, options, device, run, progress, gaussians)
-        training.load(arrays, state)
+        training = Training(scene, options, device, run, progress,
+                            checkpoint.gaussians_of(arrays, options.sh_degree))
+        checkpoint.load(training, arrays, state)
     except KeyError as error:
         raise InputError(f"{run.path}: its checkpoint lacks {error}; "
                          "start again with --overwrite") from None
@@ -61,34 +74,43 @@ def resume(scene, options, device, run, progress=None):
     training.run_to_end()
 
 
-def fields_of(arrays, kind):
-    """Field name -> array, of a checkpoint's arrays of one kind: row, m or v."""
-    return {field.name: arrays[f"{kind}.{field.name}"] for field in FIELDS}
-
-
 class Training:
-    """The state of a run: what `take_step` changes and a checkpoint holds."""
+    """The state of a run: what `take_step` changes and a checkpoint holds.
 
-    def __init__(self, scene, options, device, run, progress, gaussians):
+    gaussians: where a resumed run goes on; None begins as the options say.
+    """
+
+    def __init__(self, scene, options, device, run, progress, gaussians=None):
+        self.started = time.perf_counter()
         self.fingerprint = fingerprint(scene)
-        self.options = options = scaled_steps(options)
         self.scene = scene = scene.reduced(options.downscale, options.max_resolution)
         self.device, self.run, self.progress = device, run, progress
         self.train_views, self.test_views = scene.split(options.test_every)
         if not self.train_views:
             raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
                              "view; use a larger number, or 0")
-        self.schedule = SCHEDULES[options.schedule](options)
+        self.needs = find_needs(scene, self.train_views, scaled_steps(options))
+        self.options = options = self.needs.options
+        initial = gaussians or initial_gaussians(scene, options)
+        if options.sphere and options.schedule == "sig" and "anchors" not in initial.rows:
+            initial = with_spheres(initial, options.sphere_neighbours)
+        self.schedule = SCHEDULES[options.schedule](options, Subject(
+            smallest_size(self.train_views), initial.count, mean_inverse_distance(scene.points),
+            lambda: decoded(self.train_views)))
         self.renderer = Renderer(device, options.sh_degree, options.near or scene.near_plane,
                                  options.antialiased, options.background)
-        model = Model(device, gaussians, options.engine, options.optimizer == "dense")
-        self.step = Step(self.renderer, model, scene.extent, options)
-        self.photos = Photos(device, self.train_views)
+        model = Model(device, initial, options.engine, options.optimizer == "dense")
+        exposures = Exposures(device, len(self.train_views)) if options.exposure == "on" else None
+        self.step = Step(self.renderer, model, scene.extent, options, exposures)
+        self.photos = Photos(device, self.train_views, self.schedule.levels)
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
-        self.cameras = [self.renderer.pack(view.camera) for view in self.train_views]
+        self.use_level(self.schedule.levels[0])
         self.iteration = 0
+        self.evaluated_at = None
         self.train_seconds = self.wall_seconds = 0.0
+        self._clock = self.started
+        self.budget = self._measured_budget() if options.time_budget else None
 
     def view_of(self, iteration):
         """Index of the view of a step (from 1): shuffled epochs, each view once an epoch."""
@@ -96,48 +118,135 @@ class Training:
         return np.random.default_rng([self.options.seed, 1, epoch]).permutation(
             len(self.train_views))[place]
 
+    def use_level(self, level):
+        """Train on images `level` times smaller from now on."""
+        if level == self.photos.level and hasattr(self, "cameras"):
+            return
+        self.photos.use(level)
+        self.cameras = [self.renderer.pack(view.camera) for view in self.photos.views]
+        self.step.statistics.clear(self.step.model.count)
+
     def run_to_end(self):
         """Steps until done, `stop_at` or Ctrl-C, which waits for its step; then saves the state."""
-        end = self.options.iterations
-        if self.options.stop_at:
-            end = min(end, self.options.stop_at)
-        self._clock = self._wall = time.perf_counter()
+        self._clock = time.perf_counter()
         try:
             with deferred_interrupt() as interrupted:
-                while self.iteration < end and not interrupted():
+                while not (self.finished() or self.stops() or interrupted()):
                     self.take_step()
                     self.report()
-                    if self.due(self.options.checkpoint_every) and self.iteration < end:
+                    if self.due(self.options.checkpoint_every) and not self.finished():
                         self.save()
+            complete = self.finished()
+            if complete and self.evaluated_at != self.iteration:
+                self.evaluate()
         finally:
             self.photos.close()
         self.save()
-        if self.iteration < end:
+        if not complete:
             raise Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
                               f"{self.scene.path} -o {self.run.path} --resume")
         gaussians = self.step.model.download()
-        self.run.save_model(gaussians, self.scene.offset, self.comments())
+        self.run.save_model(gaussians, self.scene.offset, self.comments(),
+                            self.options.sphere_columns)
+        write_report(self.run)
+
+    def finished(self):
+        """Whether all steps are taken, or all time is spent."""
+        return self.iteration >= self.options.iterations
+
+    def stops(self):
+        return 0 < self.options.stop_at <= self.iteration
 
     def take_step(self):
         """One step with what follows it, and its evaluation where one is due."""
         iteration = self.iteration + 1
         plan = self.schedule.plan(iteration)
+        self.use_level(plan.level)
         index = self.view_of(iteration)
         photo = self.photos[index]
         if not self.photos.resident:
             self.photos.expect(self.view_of(iteration + 1))
-        self.sums = self.step.take(iteration, plan, self.cameras[index], photo)
+        exposures = self.step.exposures
+        if exposures and self.iteration % len(self.train_views) == 0:
+            exposures.recentre()
+        pair = self.pair(iteration, index) if plan.regularises else None
+        self.sums = self.step.take(iteration, plan, index, self.cameras[index], photo, pair)
         self.values = 3 * photo.shape[1] * photo.shape[2]
-        event = self.step.follow(iteration, plan)
+        event = self.step.follow(iteration, plan, self.schedule, self.look)
         self.iteration = iteration
         if event:
             self.log("grow", **event)
-        if self.due(self.options.eval_every) or iteration in self.options.eval_at \
-                or iteration == self.options.iterations:
+        self.observe()
+        if self.budget and self.due(ESTIMATE_EVERY):
+            self.estimate_end()
+        if self.due(self.options.eval_every) or iteration in self.options.eval_at:
             self.evaluate()
+
+    def pair(self, iteration, index):
+        """What `Step.take` compares view `index` with: one of its neighbours, drawn; or None."""
+        adjacent = self.needs.neighbours[index]
+        if not len(adjacent):
+            return None
+        rng = np.random.default_rng([self.options.seed, 2, iteration])
+        other = int(adjacent[rng.integers(len(adjacent))])
+        views, exposures = self.photos.views, self.step.exposures
+        colour = (exposures.between(index, other) if exposures
+                  else self.device.upload(np.eye(3, 4)))
+        return (self.photos[other], pack_pair(self.device, views[index].camera,
+                                              views[other].camera), colour)
+
+    def look(self):
+        """[(packed camera, photo), ...]: some training views, others at each step."""
+        rng = np.random.default_rng([self.options.seed, 3, self.iteration])
+        count = len(self.train_views)
+        chosen = rng.choice(count, min(LOOK_VIEWS, count), replace=False)
+        return [(self.cameras[i], self.photos[i]) for i in chosen]
+
+    def observe(self):
+        """Show the schedule the scene frequency where it looks; log what it decides."""
+        self.frequency = None
+        if not (self.due(LOG_EVERY) or self.due(self.schedule.look)):
+            return
+        self.frequency = scene_frequency(self.device, self.step.model.rows)
+        if self.due(self.schedule.look):
+            decision = self.schedule.observe(self.iteration, self.frequency)
+            if decision:
+                self.log("level", **decision)
 
     def due(self, every):
         return every > 0 and self.iteration % every == 0
+
+    # --- time budget
+
+    def _measured_budget(self):
+        """A TimeBudget that knows what evaluating takes here."""
+        seconds = seconds_of(self.options.time_budget)
+        for views in (self.test_views[:1], self.test_views[:1]):  # the first one builds kernels
+            begin = time.perf_counter()
+            evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree,
+                           views) if views else None
+        each = time.perf_counter() - begin
+        return TimeBudget(seconds, each * len(self.test_views), checkpoint.size(self.step.model))
+
+    def estimate_end(self):
+        """Lay the schedule over the time that is left."""
+        self.device.finish()
+        elapsed = self.elapsed()
+        self.budget.note_steps(self.iteration, self.photos.level, elapsed)
+        self.lay_over(self.budget.steps(self.iteration, self.schedule.ahead(self.iteration),
+                                        elapsed, checkpoint.size(self.step.model)))
+
+    def lay_over(self, iterations):
+        """Make the whole schedule one of so many steps."""
+        share = iterations / self.options.iterations
+        self.options = dataclasses.replace(
+            self.options, iterations=iterations,
+            densify_until=round(self.options.densify_until * share))
+        self.schedule.options = self.step.options = self.options
+
+    def elapsed(self):
+        """Wall seconds since the run began, those before a resume included."""
+        return self.wall_seconds + time.perf_counter() - self.started
 
     # --- records
 
@@ -147,7 +256,7 @@ class Training:
         self.run.log({
             "event": event, "iteration": self.iteration,
             "train_seconds": round(self.train_seconds + now - self._clock, 3),
-            "wall_seconds": round(self.wall_seconds + now - self._wall, 3), "level": 1.0,
+            "wall_seconds": round(self.elapsed(), 3), "level": self.photos.level,
             "gaussians": self.step.model.count, **values})
 
     def report(self):
@@ -160,16 +269,20 @@ class Training:
                              "last checkpoint is kept: lower the learning rates or check the scene")
         memory = self.device.memory_bytes
         if self.progress:
-            self.progress(iteration=self.iteration, loss=loss, gaussians=self.step.model.count,
-                          memory_bytes=memory)
+            self.progress(iteration=self.iteration, total=self.options.iterations, loss=loss,
+                          gaussians=self.step.model.count, memory_bytes=memory,
+                          level=self.photos.level)
         if self.due(LOG_EVERY) or self.iteration == 1:
             skipped = int(self.renderer.skipped.download()[0])
             self.log("step", loss=loss, l1=l1, ssim=ssim, memory_bytes=memory,
-                     skipped_rows=skipped)
+                     skipped_rows=skipped, frequency=self.frequency,
+                     convergence=self.schedule.latest)
 
     def pause(self):
         """Stop the training clock: what follows is not training."""
         self.device.finish()
+        if self.budget:
+            self.budget.skip()
         self.train_seconds += time.perf_counter() - self._clock
 
     def unpause(self):
@@ -183,6 +296,7 @@ class Training:
         result = evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree,
                                 self.test_views)
         self.unpause()
+        self.evaluated_at = self.iteration
         means = {key: value for key, value in result.items() if key != "per_view"}
         self.log("eval", **means)
         if self.progress:
@@ -191,34 +305,14 @@ class Training:
                 f"the colour fit), SSIM {means['ssim']:.4f}, {means['views']} held-out views, "
                 f"{self.step.model.count:,} gaussians, {self.train_seconds:.1f} s of training")
 
-    # --- checkpoints
-
     def save(self):
         """Write the checkpoint, outside of training time."""
         self.pause()
-        model, statistics = self.step.model, self.step.statistics
-        m, v = model.adam.download(model.count)
-        arrays = {f"{kind}.{name}": values for kind, fields in
-                  (("row", model.download().rows), ("m", m), ("v", v))
-                  for name, values in fields.items()}
-        arrays["statistics.grad_norm_sum"] = statistics.grad_norm_sum.download()
-        arrays["statistics.seen_count"] = statistics.seen_count.download()
-        now = time.perf_counter()
-        self.run.save_checkpoint(arrays, {
-            "fingerprint": self.fingerprint, "iteration": self.iteration,
-            "train_seconds": self.train_seconds,
-            "wall_seconds": self.wall_seconds + now - self._wall,
-            "skipped_rows": int(self.renderer.skipped.download()[0])})
+        begin = time.perf_counter()
+        checkpoint.save(self)
+        if self.budget:
+            self.budget.note_saved(checkpoint.size(self.step.model), time.perf_counter() - begin)
         self.unpause()
-
-    def load(self, arrays, state):
-        """Take over what a checkpoint holds besides the rows."""
-        self.step.model.adam.upload(fields_of(arrays, "m"), fields_of(arrays, "v"))
-        self.step.statistics.grad_norm_sum.write(arrays["statistics.grad_norm_sum"])
-        self.step.statistics.seen_count.write(arrays["statistics.seen_count"])
-        self.renderer.skipped.write(np.array([state["skipped_rows"]], np.uint32))
-        self.iteration = state["iteration"]
-        self.train_seconds, self.wall_seconds = state["train_seconds"], state["wall_seconds"]
 
     def comments(self):
         """Lines for the PLY header that other tools read."""

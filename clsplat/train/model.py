@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsplat.gaussians import FIELDS, Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.optimise.adam import DeviceAdam, NumpyAdam
 from clsplat.primitives.gather import gather
 
@@ -21,12 +21,13 @@ class Model:
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.capacity = 0
         self.adopt(gaussians)
-        floats = sum(field.width(self.sh_degree) for field in FIELDS)
+        floats = sum(field.width(self.sh_degree) for field in LEARNED)
         needed = 3 * floats * self.capacity * device.real.itemsize
         if engine == "auto":
             fits = needed < DEVICE_SHARE * device.handle.global_mem_size
             engine = "device" if fits else "numpy"
-        self.adam = {"device": DeviceAdam, "numpy": NumpyAdam}[engine](device, self._arrays, dense)
+        learned = {field.name: self._arrays[field.name] for field in LEARNED}
+        self.adam = {"device": DeviceAdam, "numpy": NumpyAdam}[engine](device, learned, dense)
 
     def adopt(self, gaussians):
         """Take rows from the host; moments, if there are any, are not touched."""
@@ -57,8 +58,8 @@ class Model:
             self._arrays[name] = gather(self.device, old, source, new)
         self.adam.regrow(source, growth.kept, self.capacity)
         self.count = count
-        self._arrays["positions"].write(growth.positions, growth.split.start)
-        self._arrays["log_scales"].write(growth.log_scales, growth.split.start)
+        for name, (first, values) in growth.changes.items():
+            self._arrays[name].write(values, first)
 
     def limit_opacity(self, logit):
         """No opacity logit stays above `logit`; their moments are forgotten (Kerbl et al. 2023)."""

@@ -1,6 +1,7 @@
-"""Training photos: decoded once and kept on the device while they fit, else read ahead of use."""
+"""Training photos at one level after another, kept on the device while they fit."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,24 +23,54 @@ def decoded(views):
         yield from threads.map(decode, views)
 
 
-class Photos:
-    """`photos[i]` is view i's photo as uchar[3, H, W] on the device.
+def at_level(views, level):
+    """The views with cameras of images `level` times smaller."""
+    return tuple(replace(view, camera=view.camera.reduced(level)) for view in views)
 
-    views: Views whose cameras have the size wanted; budget_bytes: what may stay on the device, by
-    default a quarter of its memory. Within it all are decoded at once, so that a damaged photo is
-    refused before a run begins; past it each is decoded anew at each use, one ahead in a thread:
-    `expect` says which comes next.
+
+class Photos:
+    """`photos[i]` is view i's photo at the present level, uchar[3, H, W] on the device.
+
+    views: Views whose cameras have the size of level 1; levels: the factors that will come, in
+    order; budget_bytes: what may stay on the device, by default a quarter of its memory. A level
+    within it is resampled once, and read ahead by a thread while the level before it trains; past
+    it each photo is decoded anew at each use, one ahead: `expect` says which comes next. All
+    photos are decoded at the start, so that a damaged one is refused before a run begins.
     """
 
-    def __init__(self, device, views, budget_bytes=None):
-        self.device, self.views = device, views
-        total = sum(3 * view.camera.width * view.camera.height for view in views)
-        budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
-                  else budget_bytes)
-        self.resident = total <= budget
-        self._arrays = [device.upload(p) for p in decoded(views)] if self.resident else []
-        self._ahead = {}
+    def __init__(self, device, views, levels=(1.0,), budget_bytes=None):
+        self.device, self._full, self._levels = device, views, levels
+        self._budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
+                        else budget_bytes)
         self._thread = ThreadPoolExecutor(1)
+        self._ahead = {}
+        self._next = None  # (level, future of its photos)
+        self.level = None
+        self.use(levels[0])
+        if not self.resident:
+            for _ in decoded(views):
+                pass
+
+    def use(self, level):
+        """Go to a level, and begin to read the one that follows it."""
+        if level == self.level:
+            return
+        self.level, self.views = level, at_level(self._full, level)
+        self.resident = self._fits(self.views)
+        self._ahead.clear()
+        self._arrays = []
+        if self.resident:
+            expected, self._next = self._next, None
+            photos = (expected[1].result() if expected and expected[0] == level
+                      else decoded(self.views))
+            self._arrays = [self.device.upload(photo) for photo in photos]
+        following = [new for new in self._levels if new < level]
+        if following and self._fits(at_level(self._full, following[0])):
+            views = at_level(self._full, following[0])
+            self._next = following[0], self._thread.submit(lambda: [decode(v) for v in views])
+
+    def _fits(self, views):
+        return sum(3 * v.camera.width * v.camera.height for v in views) <= self._budget
 
     def expect(self, index):
         """Begin decoding a photo that will be asked for soon."""

@@ -2,11 +2,14 @@
 
 import numpy as np
 
-from clsplat.densify.grow import plan_growth
+from clsplat.densify.grow import Candidates, plan_growth
+from clsplat.densify.scores import taming_scores
+from clsplat.densify.select import above_threshold, by_score, half_of, highest
 from clsplat.densify.statistics import Statistics
-from clsplat.gaussians import FIELDS
+from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import image_loss
 from clsplat.optimise.rates import learning_rates
+from clsplat.regularise.reproject import reproject
 
 RESET_OPACITY = 0.01
 
@@ -14,52 +17,91 @@ RESET_OPACITY = 0.01
 class Step:
     """Everything a step needs: renderer, model, statistics and the options that never change.
 
-    extent: scene extent, world units; options: TrainOptions with scaled steps.
+    extent: scene extent, world units; options: TrainOptions with scaled steps; exposures:
+    loss.exposure.Exposures or None.
     """
 
-    def __init__(self, renderer, model, extent, options):
+    def __init__(self, renderer, model, extent, options, exposures=None):
         self.renderer, self.model, self.extent, self.options = renderer, model, extent, options
-        self.device = renderer.device
+        self.device, self.exposures = renderer.device, exposures
         self.statistics = Statistics(self.device, model.count)
 
-    def take(self, iteration, plan, camera, photo):
+    def take(self, iteration, plan, view, camera, photo, pair=None):
         """Step `iteration` (from 1) on one view; returns the loss sums, still on the device.
 
-        camera: packed; photo: uchar[3, H, W].
+        view: index of the view; camera: packed; photo: uchar[3, H, W]; pair: (photo, geometry,
+        colour) of an adjacent view for `reproject`, or None.
         """
-        model, options = self.model, self.options
+        model, exposures = self.model, self.exposures
         _, height, width = photo.shape
         rows = model.rows
-        frame = self.renderer.render(rows, camera, width, height, plan.degree)
-        sums, grad_image = image_loss(self.device, frame.image, photo, options.ssim_weight)
-        gradients = self.renderer.adjoint(rows, frame, grad_image)
-        rates = learning_rates(iteration - 1, options.iterations, self.extent)
-        model.adam.step(rows, gradients, iteration, rates, self._used(plan.degree))
+        frame = self.renderer.render(rows, camera, width, height, plan.degree,
+                                     with_depth=pair is not None)
+        image = exposures.apply(view, frame.image) if exposures else frame.image
+        sums, grad_image = image_loss(self.device, image, photo, self.options.ssim_weight)
+        if exposures:
+            grad_image = exposures.adjoint(view, frame.image, grad_image)
+        grad_depth = grad_transmittance = None
+        if pair is not None:
+            blended = frame.blended
+            _, grad_depth, grad_transmittance = reproject(
+                self.device, blended.depth, blended.transmittance, photo, *pair, plan.regularises)
+        gradients = self.renderer.adjoint(rows, frame, grad_image, grad_depth, grad_transmittance)
+        rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
+        learned = {field.name: rows[field.name] for field in LEARNED}
+        model.adam.step(learned, gradients, iteration, rates, self._used(plan.degree))
         if plan.gathers:
             self.statistics.accumulate(gradients, width, height)
         return sums
 
     def _used(self, degree):
         """Field -> floats of a row that may change: inactive harmonics stay out."""
-        used = {field.name: field.width(self.model.sh_degree) for field in FIELDS}
+        used = {field.name: field.width(self.model.sh_degree) for field in LEARNED}
         return {**used, "sh_rest": 3 * degree * (degree + 2)}
 
-    def follow(self, iteration, plan):
-        """Growth and opacity reset after a step; returns what happened, or None."""
-        event = self._grow(iteration, plan) if plan.grows else None
+    def follow(self, iteration, plan, schedule, look):
+        """Growth and opacity reset after a step; returns what happened, or None.
+
+        look: called without arguments, gives [(packed camera, photo), ...], some training views,
+        for a schedule that scores gaussians.
+        """
+        event = self._grow(iteration, plan, schedule, look) if plan.grows else None
         if plan.resets_opacity:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
         return event
 
-    def _grow(self, iteration, plan):
+    def _grow(self, iteration, plan, schedule, look):
         model, options = self.model, self.options
-        names = ("positions", "log_scales", "quaternions", "opacity_logits")
-        rows = {name: model.rows[name].download() for name in names}
+        rows = {field.name: model.rows[field.name].download() for field in FIELDS
+                if field.name in model.rows and not field.name.startswith("sh_")}
         # counter-based: a resumed run draws the same numbers
         rng = np.random.default_rng([options.seed, iteration])
-        growth = plan_growth(self.statistics.mean_gradient(), rows, self.extent, options,
-                             plan.prunes_large, rng)
+        gradient = self.statistics.mean_gradient()
+        candidates = Candidates(rows, self.extent, options, plan.prunes_large)
+        prunes = candidates.prunes
+        scores = None
+        if schedule.selection == "score":
+            scores = taming_scores(self.renderer, model.rows, look(), plan.degree,
+                                   options.ssim_weight, gradient)
+            if schedule.spares_half(iteration):
+                prunes = half_of(prunes, scores, rng)
+        grows = self._chosen(iteration, schedule, gradient, candidates, prunes, scores, rng)
+        growth = plan_growth(candidates, grows, prunes, rng)
         model.regrow(growth)
         self.statistics.clear(model.count)
-        return {"cloned": growth.cloned, "split": len(growth.positions) // 2,
-                "pruned": growth.pruned}
+        return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
+
+    def _chosen(self, iteration, schedule, gradient, candidates, prunes, scores, rng):
+        """bool[N]: which gaussians are cloned or split; each adds one."""
+        limit, threshold = self.options.max_gaussians, self.options.grow_threshold
+        count = int(len(prunes) - prunes.sum())
+        target = schedule.target(iteration, count, int((gradient >= threshold)[~prunes].sum()))
+        if limit and (target is None or target > limit):
+            target = limit
+        room = None if target is None else max(0, target - count)
+        if schedule.selection == "score":
+            return by_score(np.where(prunes, 0, scores), gradient, threshold, candidates.is_small,
+                            room, rng)
+        if schedule.selection == "highest":
+            return highest(np.where(prunes, 0, gradient), room)
+        return above_threshold(gradient, threshold, room)

@@ -89,7 +89,7 @@ def reference_of(name, antialiased, **changes):
     fragile = fragile_pixels(splats, order, *size)
     rng = np.random.default_rng(1)
     cotangents = [np.where(fragile, 0, rng.normal(size=(*channels, *fragile.shape)))
-                  for channels in ((3,), ())]
+                  for channels in ((3,), (), ())]
     image, _, depth = blend(splats, order, *size, case["background"], with_depth=True)
     by_splat = blend_adjoint(splats, order, *size, case["background"], *cotangents)
     gradients = project_adjoint(case["rows"], *arguments, antialiased=antialiased, grads=by_splat)

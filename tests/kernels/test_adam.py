@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.gaussians import FIELDS
+from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import NO_ROW, DeviceAdam, NumpyAdam
 from clsplat.render.pipeline import Gradients
 from tests.checks import close
@@ -11,15 +11,15 @@ from tests.kernels.chain import precision_of
 from tests.reference.adam import adam
 
 DEGREE = 3  # rows of 45 harmonics: more than the item form takes at a time, and a rest
-RATES = {field.name: field.rate for field in FIELDS}
-WIDTHS = {field.name: field.width(DEGREE) for field in FIELDS}
+RATES = {field.name: field.rate for field in LEARNED}
+WIDTHS = {field.name: field.width(DEGREE) for field in LEARNED}
 ENGINES = pytest.mark.parametrize("engine", [DeviceAdam, NumpyAdam])
 DENSE = pytest.mark.parametrize("dense", [False, True], ids=["sparse", "dense"])
 
 
 def random_rows(count, rng):
     return {field.name: rng.normal(size=(count, *field.row_shape(DEGREE))).astype(np.float32)
-            .astype(float) for field in FIELDS}
+            .astype(float) for field in LEARNED}
 
 
 class Run:

@@ -29,11 +29,13 @@ class Blended:
         self.last = self.blended.last.download()
         self.depth = self.blended.depth.download()
 
-    def adjoint(self, grad_image, grad_depth=None):
-        grad_depth = np.zeros((1, 1)) if grad_depth is None else grad_depth
+    def adjoint(self, grad_image, grad_depth=None, grad_transmittance=None):
+        by_depth, by_transmittance = (
+            self.device.upload(np.zeros(self.depth.shape) if grad is None else grad)
+            for grad in (grad_depth, grad_transmittance))
         return blend_adjoint(
             self.device, self.splats, self.pairs, self.blended, self.background,
-            self.device.upload(grad_image), self.device.upload(grad_depth), self.defines).download()
+            self.device.upload(grad_image), by_depth, by_transmittance, self.defines).download()
 
 
 def check(device, splats, order, size, what, with_depth=True, smooth=False):
@@ -42,11 +44,12 @@ def check(device, splats, order, size, what, with_depth=True, smooth=False):
     fragile = reference.fragile_pixels(splats, order, width, height)
     rng = np.random.default_rng(4)
     grad_image = np.where(fragile, 0, rng.normal(size=(3, height, width)))
-    grad_depth = np.where(fragile, 0, rng.normal(size=(height, width))) if with_depth else None
+    more = [np.where(fragile, 0, rng.normal(size=(height, width)))
+            for _ in range(2 if with_depth else 0)]
     image, transmittance, depth = reference.blend(
         splats, order, width, height, BACKGROUND, smooth, with_depth)
     expected = reference.blend_adjoint(
-        splats, order, width, height, BACKGROUND, grad_image, grad_depth, smooth)
+        splats, order, width, height, BACKGROUND, grad_image, *more, smooth=smooth)
 
     precision = precision_of(device)
     actual = Blended(device, pack_splats(splats, order), size, BACKGROUND, with_depth, smooth)
@@ -55,7 +58,7 @@ def check(device, splats, order, size, what, with_depth=True, smooth=False):
           f"{what}: transmittance")
     if with_depth:
         close(np.where(fragile, depth, actual.depth), depth, precision, f"{what}: depth")
-    grads = grads_of_sums(actual.adjoint(grad_image, grad_depth), splats["conics"][order])
+    grads = grads_of_sums(actual.adjoint(grad_image, *more), splats["conics"][order])
     for name in SUM_NAMES:
         close(grads[name], expected[name][order], precision, f"{what}: gradient of {name}")
     assert fragile.mean() < 0.05, f"{what}: too little is compared"
@@ -134,7 +137,7 @@ def test_nothing_leaves_the_background(device):
     assert (actual.image == BACKGROUND[:, None, None]).all()
     assert (actual.transmittance == 1).all() and (actual.last == -1).all()
     assert (actual.depth == 0).all()
-    assert actual.adjoint(np.ones((3, 17, 33)), np.ones((17, 33))).shape == (0, 10)
+    assert actual.adjoint(np.ones((3, 17, 33)), *np.ones((2, 17, 33))).shape == (0, 10)
 
 
 def test_no_cotangent_no_gradient(device):

@@ -35,7 +35,7 @@ def test_a_small_scene(device):
 def cotangents(case, seed=0):
     width, height = size_of(case)
     rng = np.random.default_rng(seed)
-    return rng.normal(size=(3, height, width)), rng.normal(size=(height, width))
+    return (rng.normal(size=(3, height, width)), *rng.normal(size=(2, height, width)))
 
 
 def back(device, renderer, rows, frame, case):
@@ -72,9 +72,8 @@ def weighted(renderer, case, direction, distance):
         name: values + distance * direction[name] for name, values in case["rows"].items()})
     frame = renderer.render(
         rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"], with_depth=True)
-    by_image, by_depth = cotangents(case)
-    return (np.sum(frame.image.download() * by_image)
-            + np.sum(frame.blended.depth.download() * by_depth))
+    drawn = frame.image, frame.blended.depth, frame.blended.transmittance
+    return sum(np.sum(a.download() * b) for a, b in zip(drawn, cotangents(case)))
 
 
 def rendered_bytes(device, case):

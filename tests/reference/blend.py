@@ -30,8 +30,9 @@ def blend(splats, order, width, height, background, smooth=False, with_depth=Fal
 
 
 def blend_adjoint(splats, order, width, height, background, grad_image, grad_depth=None,
-                  smooth=False):
-    """Gradients like `splats` from grad_image[3, H, W] and, if given, grad_depth[H, W]."""
+                  grad_transmittance=None, smooth=False):
+    """Gradients like `splats` from grad_image[3, H, W] and, if given, grad_depth[H, W] and
+    grad_transmittance[H, W]."""
     pixels = height * width
     grad_image = grad_image.reshape(3, pixels)
     grad_depth = np.zeros(pixels) if grad_depth is None else grad_depth.reshape(pixels)
@@ -40,6 +41,8 @@ def blend_adjoint(splats, order, width, height, background, grad_image, grad_dep
     touches = list(_touches(splats, order, width, height, smooth))
     # what lies behind the splat at hand, as seen through it, times the cotangent
     behind = np.asarray(background, float) @ grad_image
+    if grad_transmittance is not None:
+        behind += grad_transmittance.reshape(pixels)
     for touch in reversed(touches):
         k, at, alpha = touch["splat"], touch["pixels"], touch["alpha"]
         before = touch["before"]

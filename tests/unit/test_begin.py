@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.gaussians import FIELDS, SH_C0, Gaussians
+from clsplat.gaussians import LEARNED, SH_C0, Gaussians
 from clsplat.io.ply import write_ply
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
@@ -25,7 +25,7 @@ def scene():
 def made(degree):
     rng = np.random.default_rng(1)
     return Gaussians({f.name: rng.normal(size=(6, *f.row_shape(degree))).astype(np.float32)
-                      for f in FIELDS}, degree)
+                      for f in LEARNED}, degree)
 
 
 def test_on_the_sparse_points(scene):

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 
 from clsplat.errors import InputError
@@ -54,6 +55,46 @@ def test_reads_what_pycolmap_wrote(tmp_path, text, model):
         assert np.allclose(pixels, expected, atol=1e-6)
 
 
+def tracks(made):
+    """{(point, view)} of a reconstruction: points by number, views by name."""
+    names = sorted(image.name for image in made.images.values())
+    points = {number: place for place, number in enumerate(sorted(made.points3D))}
+    return {(points[seen.point3D_id], names.index(image.name)) for image in made.images.values()
+            for seen in image.points2D if seen.has_point3D()}
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_observations_are_the_tracks(tmp_path, text):
+    made = reconstruction()
+    images = {image.name: number for number, image in made.images.items()}
+    first, *_, last = sorted(made.points3D)
+    for element in made.points3D[first].track.elements[:2]:
+        made.delete_observation(element.image_id, element.point2D_idx)
+    made.delete_point3D(last - 3)
+    photo = made.images[images["photo_2.png"]]
+    again = max(place for place, seen in enumerate(photo.points2D)
+                if seen.point3D_id == last)
+    loose = next(place for place, seen in enumerate(photo.points2D) if not seen.has_point3D())
+    assert again != loose
+    made.add_observation(last, pycolmap.TrackElement(photo.image_id, loose))  # seen there twice
+    scene = read_colmap(write_scene(tmp_path / "town", made, text))
+    expected = np.array(sorted(tracks(made)))
+    assert len(expected) == 30 * 4 - 2 - 4
+    assert scene.observations.dtype == np.int32
+    assert np.array_equal(scene.observations, expected)
+    assert scene.reduced(2).recentred().observations is scene.observations
+
+
+def test_a_model_without_tracks_has_no_observations(tmp_path):
+    made = reconstruction()
+    for point in made.points3D.values():
+        for element in list(point.track.elements):
+            made.images[element.image_id].reset_point3D_for_point2D(element.point2D_idx)
+        point.track = pycolmap.Track()
+    scene = read_colmap(write_scene(tmp_path / "town", made))
+    assert len(scene.points) == 30 and scene.observations is None
+
+
 def test_simple_pinhole_has_one_focal_length(tmp_path):
     made = reconstruction("SIMPLE_PINHOLE", (50.0, *CENTRE))
     assert read_colmap(write_scene(tmp_path, made)).views[0].camera.focal == (50.0, 50.0)
@@ -98,6 +139,12 @@ def test_real_data(name, views, points):
         limits = (view.camera.width, view.camera.height)
         inside += np.sum((depths > 0) & (pixels > 0).all(axis=1) & (pixels < limits).all(axis=1))
     assert inside > 2 * points  # every point was seen by two photos or more
+    assert np.bincount(scene.observations[:, 0]).min() >= 2
+    point, view = scene.observations[::97].T
+    for number, camera in ((n, scene.views[n].camera) for n in np.unique(view)):
+        pixels, depths = camera.project(scene.points[point[view == number]])
+        assert (depths > 0).all() and (pixels > -9).all()
+        assert (pixels < (camera.width + 9, camera.height + 9)).all()
 
 
 @pytest.mark.parametrize("part", ["cameras", "images", "points3D"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.densify.grow import Growth
-from clsplat.gaussians import FIELDS, Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.options import TrainOptions
 from clsplat.render.pipeline import Renderer
 from clsplat.schedule import Plan
@@ -20,7 +20,7 @@ ENGINES = pytest.mark.parametrize("engine", ["device", "numpy"])
 def gaussians_of(count, seed=0):
     rng = np.random.default_rng(seed)
     return Gaussians({f.name: rng.normal(size=(count, *f.row_shape(DEGREE))).astype(np.float32)
-                      for f in FIELDS}, DEGREE)
+                      for f in LEARNED}, DEGREE)
 
 
 def with_moments(device, engine, count):

@@ -19,6 +19,8 @@ def test_round_trip_is_exact(tmp_path, scene):
     write_packed(scene, tmp_path / "town.npz")
     packed = read_scene(tmp_path / "town.npz")
     assert packed.name == "town" and fingerprint(packed) == fingerprint(scene)
+    assert packed.observations.dtype == np.int32
+    assert np.array_equal(packed.observations, scene.observations)
     for view, original in zip(packed.views, scene.views, strict=True):
         assert view.source == original.source.read_bytes()
     write_packed(packed, tmp_path / "again.npz")
@@ -36,6 +38,7 @@ def test_downscale(tmp_path, scene):
         assert np.abs(read_image(view.source) - expected).max() <= 2
     assert np.array_equal(packed.points, scene.points)
     assert np.array_equal(packed.offset, scene.offset)
+    assert np.array_equal(packed.observations, scene.observations)
 
 
 def test_a_pack_without_offset_is_recentred(tmp_path, scene):
@@ -48,6 +51,19 @@ def test_a_pack_without_offset_is_recentred(tmp_path, scene):
     assert np.allclose(packed.points, scene.points) and np.allclose(packed.offset, 7)
 
 
+@pytest.mark.parametrize("change", [lambda a: a.pop("observations"),
+                                    lambda a: a.update(observations=a["observations"][:0])])
+def test_a_pack_without_tracks_has_no_observations(tmp_path, scene, change):
+    write_packed(scene, tmp_path / "town.npz")
+    arrays = dict(np.load(tmp_path / "town.npz"))
+    change(arrays)
+    np.savez(tmp_path / "plain.npz", **arrays)
+    packed = read_packed(tmp_path / "plain.npz")
+    assert packed.observations is None and fingerprint(packed) == fingerprint(scene)
+    write_packed(packed, tmp_path / "again.npz")
+    assert "observations" not in np.load(tmp_path / "again.npz").files
+
+
 def test_views_are_sorted_by_name(tmp_path, scene):
     write_packed(scene, tmp_path / "town.npz")
     arrays = dict(np.load(tmp_path / "town.npz"))
@@ -56,9 +72,13 @@ def test_views_are_sorted_by_name(tmp_path, scene):
     for key in ("names", "V", "K", "wh", "sizes"):
         arrays[key] = arrays[key][::-1]
     arrays["jpeg"] = np.concatenate(photos[::-1])
+    seen = scene.observations[::3]
+    mirrored = np.concatenate([seen, seen[:5]])[::-1] * (1, -1) + (0, 3)  # and five twice
+    arrays["observations"] = mirrored.astype(np.uint16)
     np.savez(tmp_path / "back.npz", **arrays)
     packed = read_packed(tmp_path / "back.npz")
     assert fingerprint(packed) == fingerprint(scene)
+    assert np.array_equal(packed.observations, seen)
     assert [v.source for v in packed.views] == [v.source.read_bytes() for v in scene.views]
 
 
@@ -108,6 +128,13 @@ def test_a_flipped_bit(tmp_path, scene):
     ("offset", lambda a: a * np.nan, "do not fit"),
     ("rgb", lambda a: a.astype(float), "'rgb' is float64"),
     ("jpeg", None, "'jpeg' is missing"),
+    ("observations", lambda a: a + (1, 0), "observations name a point"),
+    ("observations", lambda a: a - (1, 0), "observations name a point"),
+    ("observations", lambda a: a + (0, 1), "observations name a point"),
+    ("observations", lambda a: a - (0, 1), "observations name a point"),
+    ("observations", lambda a: np.full_like(a, 2**64 - 1, np.uint64), "observations name a point"),
+    ("observations", lambda a: a[:, :1], "'observations' is int32"),
+    ("observations", lambda a: a.astype(float), "'observations' is float64"),
 ])
 def test_bad_arrays(tmp_path, scene, key, change, word):
     write_packed(scene, tmp_path / "town.npz")

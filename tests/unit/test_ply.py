@@ -6,7 +6,7 @@ import pytest
 from numpy.lib.recfunctions import repack_fields
 
 from clsplat.errors import InputError
-from clsplat.gaussians import FIELDS, Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ply import read_ply, write_ply
 
 UTM = np.array([512345.678, 5212345.123, 431.5])
@@ -15,7 +15,7 @@ UTM = np.array([512345.678, 5212345.123, 431.5])
 def random_gaussians(count=7, degree=3, scale=-2.0):
     rng = np.random.default_rng(3)
     rows = {f.name: rng.normal(size=(count, *f.row_shape(degree))).astype(np.float32)
-            for f in FIELDS}
+            for f in LEARNED}
     rows["log_scales"] += np.float32(scale)
     return Gaussians(rows, degree)
 
@@ -23,7 +23,7 @@ def random_gaussians(count=7, degree=3, scale=-2.0):
 def equal(a, b):
     return a.sh_degree == b.sh_degree and all(
         a.rows[f.name].dtype == np.float32 and np.array_equal(a.rows[f.name], b.rows[f.name])
-        for f in FIELDS)
+        for f in LEARNED)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

@@ -28,12 +28,14 @@ def test_adjoint_agrees_with_differences(size, with_depth, seed):
     assert blend(splats, order, *size, BACKGROUND, smooth=True)[1].min() > 2e-4
 
     def function(point):
-        image, _, depth = blend(point, order, *size, BACKGROUND, smooth=True, with_depth=with_depth)
-        return {"image": image, "depth": depth} if with_depth else {"image": image}
+        image, transmittance, depth = blend(
+            point, order, *size, BACKGROUND, smooth=True, with_depth=with_depth)
+        more = {"depth": depth, "transmittance": transmittance} if with_depth else {}
+        return {"image": image, **more}
 
     def adjoint(point, grads):
         return blend_adjoint(point, order, *size, BACKGROUND, grads["image"], grads.get("depth"),
-                             smooth=True)
+                             grads.get("transmittance"), smooth=True)
 
     adjoint_agrees(function, adjoint, splats, seed, what=f"blend {size}")
 
@@ -52,12 +54,12 @@ def test_chain_of_project_and_blend_agrees_with_differences(name, antialiased):
         splats = project(rows, *arguments, antialiased=antialiased)
         image, transmittance, depth = blend(splats, order, *size, BACKGROUND, True, True)
         assert transmittance.min() > 2e-4
-        return {"image": image, "depth": depth}
+        return {"image": image, "depth": depth, "transmittance": transmittance}
 
     def adjoint(rows, grads):
         splats = project(rows, *arguments, antialiased=antialiased)
         by_splat = blend_adjoint(splats, order, *size, BACKGROUND, grads["image"], grads["depth"],
-                                 smooth=True)
+                                 grads["transmittance"], smooth=True)
         return project_adjoint(rows, *arguments, antialiased=antialiased, grads=by_splat)
 
     adjoint_agrees(function, adjoint, case["rows"], what=f"chain {name}")

@@ -2,14 +2,14 @@
 
 from functools import partial
 
-from clsplat.gaussians import FIELDS
+from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import DeviceAdam, NumpyAdam
 
 from .measure import arguments, milliseconds, open_device, report
 from .workloads import CityFrame
 
-USED = {field.name: field.width(3) for field in FIELDS}
-RATES = {field.name: field.rate for field in FIELDS}
+USED = {field.name: field.width(3) for field in LEARNED}
+RATES = {field.name: field.rate for field in LEARNED}
 
 
 def main(argv):

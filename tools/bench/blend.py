@@ -15,7 +15,7 @@ def main(argv):
     defines = blend_defines(device, options.depth, smooth_cutoff=False)
     blended = blend(device, splats, pairs, width, height, background, defines)
     # any gradient will do: what it holds does not change the work
-    grads = blended.image, blended.depth
+    grads = blended.image, blended.depth, blended.depth
     cases = {
         "forward": lambda: blend(device, splats, pairs, width, height, background, defines),
         "adjoint": lambda: blend_adjoint(

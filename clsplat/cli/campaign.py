@@ -1,0 +1,95 @@
+"""A campaign: the same scene trained with several schedules and seeds, then compared.
+
+A run is folder OUTPUT/SCHEDULE.SEED. The same command again goes on where the last one ended.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import click
+
+from clsplat.errors import ClsplatError, InputError, Interrupted
+from clsplat.options import TrainOptions, resolve
+
+# options in which a run that is there may differ from what is asked for now
+MAY_DIFFER = ("checkpoint_every", "device", "stop_at")
+NEW, STARTED, FINISHED = "from the start", "going on from its checkpoint", "finished before"
+
+
+def combinations(file_values, flag_values, schedules, seeds):
+    """The TrainOptions of every schedule with every seed; those of one seed follow each other, so
+    that a campaign cut short has compared all schedules.
+
+    file_values, flag_values: as for `resolve`, which each schedule completes in its own way; one
+    that means something to another of the schedules only is left out. schedules: names with commas
+    between them; seeds: how many, counted from the seed given. Raises InputError.
+    """
+    names = schedules.split(",")
+    if len(set(names)) < len(names):
+        raise InputError(f"--schedules {schedules}: names one twice; leave the second out")
+    if seeds < 1:
+        raise InputError(f"--seeds {seeds}: wants at least 1")
+    given = {**file_values, **flag_values}
+    if given.get("stop_at"):
+        raise InputError("--stop-at: cannot go with --schedules, which finishes every run; "
+                         "leave one of them out")
+    others = {option.name: option.metadata["only"] for option in dataclasses.fields(TrainOptions)
+              if set(option.metadata["only"] or ()) & set(names)}
+    return [resolve({}, {**{key: value for key, value in given.items()
+                            if name in others.get(key, (name,))},
+                         "schedule": name, "seed": given.get("seed", 0) + number})
+            for number in range(seeds) for name in names]
+
+
+def run_campaign(train_one, wanted, output, scene):
+    """Train what is not finished yet, then print and write the comparison of all.
+
+    train_one: called as train_one(options, folder, resume), resume: whether to go on from the
+    folder's checkpoint; if not, it may overwrite: the folder holds at most a start without one.
+    wanted: TrainOptions as from `combinations`; scene: the path that they train on. A run that
+    fails does not stop the others. Raises InputError: before any training if a folder holds another
+    run, at the end if one failed.
+    """
+    states = [_state(Path(output) / f"{o.schedule}.{o.seed}", o, scene) for o in wanted]
+    finished, failed = [], []
+    for number, (options, (folder, state)) in enumerate(zip(wanted, states), 1):
+        click.echo(f"[{number}/{len(wanted)}] {folder}: {state}")
+        if state != FINISHED:
+            try:
+                train_one(options, folder, state == STARTED)
+            except Interrupted as error:
+                raise Interrupted(f"{error}; the same command as before goes on with the whole "
+                                  "campaign") from None
+            except ClsplatError as error:
+                click.echo(f"failed: {error}", err=True)
+                failed.append(folder)
+                continue
+        finished.append(folder)
+    if finished:
+        from clsplat.report.compare import write_comparison
+        text, page = write_comparison(finished, output)
+        click.echo(f"\n{text}\n\npage: {page}")
+    if failed:
+        raise InputError(f"{', '.join(map(str, failed))}: {len(failed)} of {len(wanted)} runs "
+                         "failed, for the reasons above; the same command tries them again")
+
+
+def _state(folder, options, scene):
+    """(folder, NEW, STARTED or FINISHED), the folder made; InputError if it holds another run."""
+    from clsplat.io.run import OPTIONS, RunFolder
+    if not (folder / OPTIONS).exists():
+        RunFolder.create(folder)
+        return folder, NEW
+    run = RunFolder.open(folder)
+    record = run.read_options()
+    cure = "choose another -o, or remove that folder"
+    if record.get("scene") != str(Path(scene).resolve()):
+        raise InputError(f"{folder}: holds a run of another scene, {record.get('scene')}; {cure}")
+    for name, value in dataclasses.asdict(options).items():
+        held = record.get(name)
+        held = tuple(held) if isinstance(held, list) else held
+        if name not in MAY_DIFFER and held != value:
+            raise InputError(f"{folder}: holds a run with {name} {held}, not {value}; {cure}")
+    if run.has_model:
+        return folder, FINISHED
+    return folder, STARTED if run.has_checkpoint else NEW

@@ -1,0 +1,1 @@
+"""Where gaussians may be: the sphere around each one's anchor."""

@@ -1,0 +1,37 @@
+"""What each splat contributed to a rendered frame (cl/contribution.cl)."""
+
+from clsplat.device import Kernel
+from clsplat.render.project import SPLAT_REALS
+
+COLUMNS = 4  # pixels, weight, weighted image, distance
+
+CONTRIBUTION = Kernel(
+    "contribution.cl", "contribution", width="int", height="int", tiles_x="int",
+    ranges=("uint", "T", 2), sorted_splats=("uint", "P"), slots=("uint", "P"),
+    splats=("real", "V", SPLAT_REALS), last=("int", "H", "W"), weights=("real", "H", "W"),
+    sums=("real", "P", COLUMNS))
+SUM = Kernel(
+    "contribution.cl", "sum_contributions", count="uint", order=("uint", "V"),
+    counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
+    totals=("real", "V", COLUMNS))
+
+
+def contribution(device, frame, weights):
+    """real[V, 4] in the order of `frame.visible`, summed over the pixels where a splat was blended:
+    their number, alpha T, alpha T times the weight, and the distance from the splat's mean, pixels.
+
+    frame: `render.pipeline.Frame`; weights: real[H, W], an image of its size.
+    """
+    width, height = frame.size
+    splats, pairs, tile = frame.splats, frame.pairs, device.tile
+    defines = (("TILE", tile), ("GROUP", tile**2), ("SMOOTH_CUTOFF", 0))
+    group = 1 if device.form == "item" else tile**2
+    sums = device.empty((pairs.count, COLUMNS))
+    device.launch(CONTRIBUTION, len(pairs.ranges) * group, group, defines, width=width,
+                  height=height, tiles_x=pairs.tiles_x, ranges=pairs.ranges,
+                  sorted_splats=pairs.sorted_splats, slots=pairs.slots, splats=splats,
+                  last=frame.blended.last, weights=weights, sums=sums)
+    totals = device.empty((len(splats), COLUMNS))
+    device.launch_each(SUM, len(splats), defines, count=len(splats), order=pairs.order,
+                       counts=pairs.counts, offsets=pairs.offsets, sums=sums, totals=totals)
+    return totals

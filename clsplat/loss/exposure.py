@@ -1,0 +1,97 @@
+"""A learned colour transform a training view, so that drifting photos agree (cl/exposure.cl)."""
+
+import numpy as np
+
+from clsplat.device import Kernel
+from clsplat.primitives.reduce import sum_columns
+
+BLOCK = 2048  # pixels a partial sum covers
+IDENTITY = np.eye(3, 4)
+WORST_CONDITION = 1e3  # of a transform that can still be undone
+
+_VIEW = dict(pixels="uint", view="uint")
+_ROWS, _IMAGE = ("real", "V", 12), ("real", 3, "H", "W")
+APPLY = Kernel("exposure.cl", "exposure_apply", **_VIEW, transforms=_ROWS, image=_IMAGE,
+               result=_IMAGE)
+ADJOINT = Kernel("exposure.cl", "exposure_adjoint", **_VIEW, blocks="uint", transforms=_ROWS,
+                 image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE, partials=("real", "P", 12))
+STEP = Kernel("exposure.cl", "exposure_step", view="uint", rate="real", pull="real",
+              totals=("real", 12), transforms=_ROWS, m=_ROWS, v=_ROWS, counts=("uint", "V"))
+
+
+class Exposures:
+    """Colour transforms c' = M c + t of so many `views`, in display values, and their Adam.
+
+    transforms, m, v: real[V, 12], rows [M | t] of 3 x 4 in row-major order, identity at the start;
+    counts: uint[V], steps taken by each view. rate: learning rate; pull: weight in the loss of
+    mean((E - I)^2) over the 12 entries E of the view's row.
+    """
+
+    def __init__(self, device, views, rate=1e-3, pull=0.01):
+        self.device, self.rate, self.pull = device, rate, pull
+        self.transforms = device.upload(np.tile(IDENTITY.ravel(), (views, 1)))
+        self.m, self.v = device.zeros((views, 12)), device.zeros((views, 12))
+        self.counts = device.zeros(views, np.uint32)
+        self._defines = (("BLOCK", BLOCK), ("GROUP", device.scan_group))
+
+    def apply(self, view, image):
+        """real[3, H, W]: the image real[3, H, W] as view number `view` would have taken it."""
+        pixels, result = _pixels(image), self.device.empty(image.shape)
+        self.device.launch_each(APPLY, pixels, self._defines, pixels=pixels, view=view,
+                                transforms=self.transforms, image=image, result=result)
+        return result
+
+    def adjoint(self, view, image, grad):
+        """real[3, H, W]: the gradient by `image`, from that by `apply(view, image)`.
+
+        Then takes one step on the view's own row, unless its gradient is not finite: that leaves
+        the row, its moments and its count as they were. Nothing waits for the device.
+        """
+        device, pixels = self.device, _pixels(image)
+        blocks = -(-pixels // BLOCK)
+        grad_image, partials = device.empty(image.shape), device.empty((blocks, 12))
+        values = dict(pixels=pixels, view=view, blocks=blocks, transforms=self.transforms,
+                      image=image, grad=grad, grad_image=grad_image, partials=partials)
+        if device.form == "item":
+            device.launch_each(ADJOINT, blocks, self._defines, **values)
+        else:
+            group = device.scan_group
+            device.launch(ADJOINT, blocks * group, group, self._defines, **values)
+        device.launch(STEP, 1, 1, self._defines, view=view, rate=self.rate, pull=self.pull,
+                      totals=sum_columns(device, partials), transforms=self.transforms, m=self.m,
+                      v=self.v, counts=self.counts)
+        return grad_image
+
+    def recentre(self):
+        """Move all rows alike, so that their mean is the identity again; waits.
+
+        The gaussians can make up for a change common to all views, so nothing else holds it; a
+        held-out view, drawn without a transform, would show it.
+        """
+        transforms = self.transforms.download().astype(np.float64)
+        self.transforms.write(transforms - (transforms.mean(axis=0) - IDENTITY.ravel()))
+
+    def between(self, i, j):
+        """real[3, 4] on the device: takes colours of view j's photo to those of view i's; waits.
+
+        E_i after the inverse of E_j; the identity where E_j cannot be inverted well.
+        """
+        transforms = self.transforms.download().astype(np.float64).reshape(-1, 3, 4)
+        to, back = transforms[i], transforms[j]
+        if not np.linalg.cond(back[:, :3]) < WORST_CONDITION:
+            return self.device.upload(IDENTITY)
+        matrix = to[:, :3] @ np.linalg.inv(back[:, :3])
+        return self.device.upload(np.column_stack([matrix, to[:, 3] - matrix @ back[:, 3]]))
+
+    def download(self):
+        """Name -> host array of everything learned: what `upload` takes over."""
+        return {name: getattr(self, name).download() for name in ("transforms", "m", "v", "counts")}
+
+    def upload(self, arrays):
+        """Go on from what `download` gave."""
+        for name in ("transforms", "m", "v", "counts"):
+            getattr(self, name).write(arrays[name])
+
+
+def _pixels(image):
+    return image.shape[1] * image.shape[2]

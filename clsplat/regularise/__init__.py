@@ -1,0 +1,1 @@
+"""What is asked of the gaussians beside looking like the photo at hand."""

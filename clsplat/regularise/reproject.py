@@ -1,0 +1,66 @@
+"""Densification regularisation: a view's rendered depth against an adjacent photo
+(cl/reproject.cl).
+
+A pixel of view i at depth z = depth / (1 - T) is found again in photo j; the squared difference of
+the two colours pulls depths to where the photos agree (SIG, "Densification Regularization").
+"""
+
+import numpy as np
+
+from clsplat.device import Kernel
+from clsplat.primitives.reduce import sum_columns
+
+_GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W"))
+REPROJECT = Kernel("reproject.cl", "reproject", width="int", height="int", neighbour_width="int",
+                   neighbour_height="int", depth=("real", "H", "W"),
+                   transmittance=("real", "H", "W"), photo=("uchar", 3, "H", "W"),
+                   neighbour=("uchar", 3, "J", "K"), geometry=("real", 12), colour=("real", 3, 4),
+                   **_GRADS, partials=("real", "H", 2))
+SCALE = Kernel("reproject.cl", "scale_gradients", count="uint", weight="real", sums=("real", 2),
+               **_GRADS)
+
+
+def pack_pair(device, camera, neighbour):
+    """real[12] on the device: what takes a pixel of `camera` at a depth to one of `neighbour`.
+
+    Both are clsplat.camera.Camera at the sizes of the images to be compared. H = K_j R K_i^-1,
+    row-major, and K_j t, with R and t from camera to camera, K about pixel centres at whole
+    numbers; formed in float64, so that far world origins cost nothing.
+    """
+    rotation = neighbour.rotation @ camera.rotation.T
+    translation = neighbour.translation - rotation @ camera.translation
+    to_neighbour = _calibration(neighbour)
+    homography = to_neighbour @ rotation @ np.linalg.inv(_calibration(camera))
+    return device.upload(np.concatenate([homography.reshape(-1), to_neighbour @ translation]))
+
+
+def _calibration(camera):
+    (fx, fy), (cx, cy) = camera.focal, camera.centre
+    return np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])
+
+
+def reproject(device, depth, transmittance, photo, neighbour, geometry, colour, weight):
+    """(sums real[2], grad_depth real[H, W], grad_transmittance real[H, W]) of a rendered depth
+    channel and transmittance real[H, W].
+
+    photo: uchar[3, H, W] of the rendered view; neighbour: uchar[3, H2, W2] of the adjacent one;
+    geometry: `pack_pair` of their cameras; colour: real[3, 4], takes the neighbour's display values
+    to the photo's exposure (last column added). sums: of squared colour differences, and the number
+    of valid pixels. The loss is weight * sums[0] / max(sums[1], 1), and the gradients are of it:
+    zero where a pixel is not valid (cl/reproject.cl), and always finite for a finite weight.
+    """
+    height, width = depth.shape
+    _, neighbour_height, neighbour_width = neighbour.shape
+    group = 1 if device.form == "item" else device.group_size
+    defines = (("GROUP", group),)
+    grads = dict(grad_depth=device.empty(depth.shape),
+                 grad_transmittance=device.empty(depth.shape))
+    partials = device.empty((height, 2))
+    device.launch(REPROJECT, height * group, group, defines, width=width, height=height,
+                  neighbour_width=neighbour_width, neighbour_height=neighbour_height, depth=depth,
+                  transmittance=transmittance, photo=photo, neighbour=neighbour,
+                  geometry=geometry, colour=colour, **grads, partials=partials)
+    sums = sum_columns(device, partials)
+    device.launch_each(SCALE, height * width, defines, count=height * width, weight=weight,
+                       sums=sums, **grads)
+    return sums, grads["grad_depth"], grads["grad_transmittance"]

@@ -1,0 +1,196 @@
+"""Runs against each other: error over training time, and what was equal between them."""
+
+import json
+import math
+from pathlib import Path
+
+from clsplat.errors import InputError
+from clsplat.io.atomic import replacing
+from clsplat.report.curves import curve, reached, spread, value_at
+from clsplat.report.figures import comparison_figure
+from clsplat.report.groups import KEYS, differing, grouped, read_runs, title, warnings
+from clsplat.report.page import Table, folded, page, picture, warning
+
+SCORES = ("psnr_cc", "psnr", "ssim_cc", "ssim")
+STEP = 0.5  # dB: levels chosen from the data are multiples of it
+
+
+def write_comparison(paths, folder=None, levels=()):
+    """Compare the runs in the folders `paths`; write compare.png, .html and .json.
+
+    folder: where to; None takes what the paths have in common. levels: colour-corrected PSNR, dB,
+    whose training times are wanted; empty: chosen from the data. Returns (the tables as text, the
+    path of the page). Raises InputError.
+    """
+    runs, parent, empty = read_runs(paths)
+    groups = grouped(runs)
+    result = compare(groups, levels)
+    if empty:
+        result["warnings"].append(f"Left out, no metrics yet: {', '.join(empty)}.")
+    final, time = final_table(result), time_table(result)
+    different, equal = equality_tables(groups)
+    figure = comparison_figure(groups, result["levels"])
+    folder = Path(folder or parent)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another --output"
+                         ) from None
+    with replacing(folder / "compare.json") as file:
+        file.write((json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
+    with replacing(folder / "compare.png") as file:
+        figure.savefig(file, format="png", dpi=150)
+    count = len(runs)
+    html = page(
+        f"Comparison: {', '.join(groups)}",
+        f"{count} run{'s' if count > 1 else ''} of {parent.name}. Training time leaves out "
+        "evaluations and checkpoints; colour-corrected scores come after a quadratic fit of each "
+        "render's colours to its photo.",
+        *map(warning, result["warnings"]),
+        picture(figure, "PSNR, SSIM and number of gaussians over training time, by group"),
+        final.html(), time.html(), different.html(), folded(equal.title, equal.html()))
+    with replacing(folder / "compare.html") as file:
+        file.write(html.encode())
+    # what matters most comes last: a terminal shows the end
+    text = "\n\n".join([equal.text(), different.text(), final.text(), time.text(),
+                        *(f"warning: {found}" for found in result["warnings"])])
+    return text, folder / "compare.html"
+
+
+def compare(groups, levels=()):
+    """The numbers of compare.json, from `grouped` runs: lists, dicts, numbers, text and None.
+
+    Times are training seconds, interpolated linearly between evaluations.
+    """
+    runs = [run for group in groups.values() for run in group]
+    lines = {run.name: _psnr(run) for run in runs}
+    lines = {name: line for name, line in lines.items() if len(line[0])}
+    levels = sorted(set(levels)) or levels_from(
+        [[lines[run.name] for run in group if run.name in lines] for group in groups.values()])
+    shortest = min((float(x[-1]) for x, _ in lines.values()), default=None)
+    different = differing(runs)
+    compared = []
+    for name, group in groups.items():
+        rows = [_numbers(run, levels, shortest) for run in group]
+        means = {key: spread([row[key] for row in rows]) for key in rows[0]["measured"]}
+        compared.append({
+            "name": name, "options": {key: group[0].options.get(key) for key in different},
+            "mean": {key: mean for key, (mean, _) in means.items()},
+            "deviation": {key: deviation for key, (_, deviation) in means.items()}, "runs": rows})
+        for row in rows:
+            del row["measured"]
+    found = warnings(groups)
+    missing = [run.name for run in runs if run.name not in lines]
+    if missing:
+        found.append(f"Without an evaluation (--test-every 0?): {', '.join(missing)}.")
+    return {"levels": levels, "equal_seconds": shortest, "warnings": found,
+            "equal": {key: runs[0].options.get(key) for key in KEYS if key not in different},
+            "different": different, "groups": compared}
+
+
+def levels_from(groups):
+    """Up to three PSNR levels, dB, from the curves of each group's runs: the highest that all runs
+    reach, the highest that a whole group reaches, and one below."""
+    best = [min(max(y) for _, y in group) for group in groups if group]
+    if not best:
+        return []
+    common, highest = (math.floor(level / STEP) * STEP for level in (min(best), max(best)))
+    return sorted({common - 1, common, highest if highest > common else common - 2})
+
+
+def final_table(result):
+    """The end of the runs: one row a group."""
+    rows = []
+    for group in result["groups"]:
+        mean, deviation = group["mean"], group["deviation"]
+        rows.append((
+            group["name"], str(len(group["runs"])),
+            ", ".join(str(run["seed"]) for run in group["runs"]),
+            *(_with_spread(mean[key], deviation[key], digits)
+              for key, digits in zip(SCORES, (2, 2, 4, 4))),
+            "-" if mean["gaussians"] is None else f"{mean['gaussians']:,.0f}",
+            _with_spread(mean["train_seconds"], deviation["train_seconds"], 1)))
+    return Table("At the end", ("group", "runs", "seeds", "PSNR cc, dB", "PSNR, dB", "SSIM cc",
+                                "SSIM", "gaussians", "training, s"), rows, range(3, 9),
+                 ("cc: after the colour fit. ± is the standard deviation over the runs of a group.",
+                  ))
+
+
+def time_table(result):
+    """Training time at given PSNR, and PSNR at the same training time: one row a group."""
+    levels, rows, notes = result["levels"], [], []
+    for group in result["groups"]:
+        cells = []
+        for number, level in enumerate(levels):
+            crossings = [run["reached"][number]["seconds"] for run in group["runs"]]
+            bounds = [run["reached"][number]["upper_bound"] for run in group["runs"]]
+            short = [run["best_psnr_cc"] for run, crossing in zip(group["runs"], crossings)
+                     if crossing is None]
+            if short:
+                best = [value for value in short if value is not None]
+                notes.append(f"- {group['name']}, {level:g} dB: not reached by {len(short)} of "
+                             f"{len(crossings)} runs" + (f" (best {max(best):.2f})." if best
+                                                         else " (no evaluation)."))
+                cells.append("-")
+            else:
+                cells.append(("≤ " if any(bounds) else "") +
+                             _with_spread(*spread(crossings), digits=1))
+        key = "psnr_cc_at_equal_seconds"
+        cells.append(_with_spread(group["mean"][key], group["deviation"][key], 2))
+        lacking = sum(run[key] is None for run in group["runs"])
+        if lacking:
+            notes.append(f"- {group['name']}, equal time: {lacking} of {len(group['runs'])} runs "
+                         "had no evaluation by then.")
+        rows.append((group["name"], *cells))
+    if any(cell.startswith("≤") for row in rows for cell in row):
+        notes.append("≤: a run's first evaluation was already there.")
+    equal = result["equal_seconds"]
+    last = "at equal time" if equal is None else f"PSNR cc at {equal:,.1f} s, dB"
+    return Table("Against training time",
+                 ("group", *(f"to {level:g} dB, s" for level in levels), last), rows,
+                 range(1, len(levels) + 2),
+                 ("Seconds of training until the colour-corrected PSNR was reached, and that PSNR "
+                  "when the shortest run ended; linear between evaluations.", *notes))
+
+
+def equality_tables(groups):
+    """(what differs between the groups, what is equal in all): one row an option or fact."""
+    runs = [group[0] for group in groups.values()]
+    different = differing(runs)
+    return (
+        Table("What differs", ("", *groups),
+              [(title(key), *(run.text(key) for run in runs)) for key in different] or
+              [("nothing", *("" for _ in runs))],
+              notes=("Seeds, and options that change neither model nor time, are left out.",)),
+        Table("What is equal", ("", "all runs"),
+              [(title(key), runs[0].text(key)) for key in KEYS if key not in different]))
+
+
+def _psnr(run):
+    return curve(run.records, "train_seconds", "psnr_cc", "eval")
+
+
+def _numbers(run, levels, shortest):
+    """One run's part of compare.json; `measured` names the keys that have a mean over seeds."""
+    line = _psnr(run)
+    crossings = [reached(line, level) or (None, False) for level in levels]
+    numbers = {key: _last(run.records, key, "eval") for key in SCORES}
+    numbers |= {key: _last(run.records, key) for key in ("gaussians", "train_seconds")}
+    numbers["psnr_cc_at_equal_seconds"] = None if shortest is None else value_at(line, shortest)
+    return {"folder": run.name, "seed": run.options.get("seed"), "finished": run.finished,
+            **numbers, "best_psnr_cc": float(max(line[1])) if len(line[1]) else None,
+            "reached": [{"psnr_cc": level, "seconds": seconds, "upper_bound": bound}
+                        for level, (seconds, bound) in zip(levels, crossings)],
+            "measured": tuple(numbers)}
+
+
+def _last(records, key, event=None):
+    values = [record[key] for record in records
+              if record.get(key) is not None and event in (None, record.get("event"))]
+    return values[-1] if values else None
+
+
+def _with_spread(mean, deviation, digits):
+    if mean is None:
+        return "-"
+    return f"{mean:,.{digits}f}" + ("" if deviation is None else f" ± {deviation:.{digits}f}")

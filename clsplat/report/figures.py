@@ -1,0 +1,143 @@
+"""The drawings of the reports: matplotlib figures, without a window system."""
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
+
+from clsplat.report.curves import band, curve, frequency_curves
+
+# Okabe and Ito (2008), apart for the colour-blind; yellow left out, it does not show on white
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+DASHES = ("-", "--", ":", "-.")
+SMALL = "#5c6166"
+LOOK = {
+    "font.size": 10, "axes.titlesize": 10.5, "axes.titleweight": "bold",
+    "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
+    "axes.edgecolor": "#8b9095", "axes.grid": True, "axes.axisbelow": True,
+    "grid.color": "#e8e9ea", "xtick.color": SMALL, "ytick.color": SMALL, "axes.labelcolor": SMALL,
+    "axes.linewidth": 0.8, "lines.linewidth": 1.6, "legend.frameon": False,
+}
+
+
+def comparison_figure(groups, levels):
+    """Colour-corrected PSNR, its SSIM and the gaussians over training time: a line at the mean of
+    each group's runs, a band from the lowest to the highest, a dot at every evaluation.
+
+    groups: {name: list of Trained}; levels: PSNR, dB, to mark.
+    """
+    with matplotlib.rc_context(LOOK):
+        figure = Figure(figsize=(10, 9.6), layout="constrained")
+        panels = figure.subplots(3, 1, sharex=True, height_ratios=(1.6, 1, 1))
+        for number, (name, runs) in enumerate(groups.items()):
+            style = {"color": COLOURS[number % len(COLOURS)],
+                     "linestyle": DASHES[number // len(COLOURS) % len(DASHES)]}
+            for axes, key, event in zip(panels, ("psnr_cc", "ssim_cc", "gaussians"),
+                                        ("eval", "eval", None)):
+                lines = [curve(run.records, "train_seconds", key, event) for run in runs]
+                x, mean, low, high = band(lines)
+                axes.plot(x, mean, label=name, **style)
+                axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0)
+                if event:
+                    for line in lines:
+                        axes.plot(*line, ".", color=style["color"], markersize=4, alpha=0.6)
+        titles = ("PSNR after the colour fit, dB", "SSIM after the colour fit", "gaussians")
+        for axes, title in zip(panels, titles):
+            axes.set_title(title)
+        for level in levels:
+            panels[0].axhline(level, color="#b9bdc1", linewidth=0.8, linestyle=(0, (4, 4)),
+                              zorder=0.5)
+        panels[2].yaxis.set_major_formatter(EngFormatter(sep=" "))
+        panels[2].set_ylim(bottom=0)
+        panels[2].set_xlim(left=0)
+        panels[2].set_xlabel("training time, s")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left",
+                      ncols=min(len(groups), 4))
+    return figure
+
+
+def score_figure(records):
+    """PSNR and SSIM over training time, plain and after the colour fit; None without any."""
+    if not any(len(curve(records, "train_seconds", key, "eval")[0]) for key in ("psnr", "ssim")):
+        return None
+    with matplotlib.rc_context(LOOK):
+        figure = Figure(figsize=(10, 3.3), layout="constrained")
+        panels = figure.subplots(1, 2)
+        for axes, key, title in zip(panels, ("psnr", "ssim"), ("PSNR, dB", "SSIM")):
+            for suffix, label, colour in (("_cc", "after the colour fit", COLOURS[0]),
+                                          ("", "plain", COLOURS[1])):
+                axes.plot(*curve(records, "train_seconds", key + suffix, "eval"), ".-",
+                          color=colour, label=label)
+            axes.set_title(title)
+            axes.set_xlim(left=0)
+            axes.set_xlabel("training time, s")
+        panels[0].legend(loc="best")
+    return figure
+
+
+def step_figure(records):
+    """Gaussians, loss and, where it changes, level over iterations; None without any."""
+    gaussians, loss, level = (curve(records, "iteration", key)
+                              for key in ("gaussians", "loss", "level"))
+    if not len(gaussians[0]):
+        return None
+    changes = len(set(level[1])) > 1
+    with matplotlib.rc_context(LOOK):
+        figure = Figure(figsize=(10, 7 if changes else 5), layout="constrained")
+        panels = figure.subplots(2 + changes, 1, sharex=True,
+                                 height_ratios=(1.3, 1.3, 0.8)[:2 + changes])
+        panels[0].plot(*gaussians, color=COLOURS[0], drawstyle="steps-post")
+        panels[0].set_title("gaussians")
+        panels[0].yaxis.set_major_formatter(EngFormatter(sep=" "))
+        panels[0].set_ylim(bottom=0)
+        panels[1].plot(*loss, color=COLOURS[0])
+        panels[1].set_title("loss")
+        _logarithmic(panels[1])
+        if changes:
+            panels[2].plot(*level, color=COLOURS[0], drawstyle="steps-post")
+            panels[2].set_title("level: how many times smaller the images are")
+            panels[2].set_ylim(0, max(level[1]) * 1.15)
+            panels[2].yaxis.set_major_locator(MaxNLocator(5, integer=True))
+        for axes in panels:
+            _mark_changes(axes, records)
+        panels[-1].set_xlim(left=0)
+        panels[-1].set_xlabel("iteration")
+    return figure
+
+
+def frequency_figure(records):
+    """The scene frequency over iterations, a panel a variant, level changes marked; None without
+    any sample."""
+    variants = frequency_curves(records)
+    if not variants:
+        return None
+    with matplotlib.rc_context(LOOK):
+        figure = Figure(figsize=(10, 0.6 + 2.3 * len(variants)), layout="constrained")
+        panels = figure.subplots(len(variants), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (variant, lines) in zip(panels, variants.items()):
+            for colour, (axis, line) in zip(COLOURS, lines.items()):
+                axes.plot(*line, color=colour, label=axis, linewidth=1.3)
+            axes.set_title(f"{variant} frequency, 1 / world unit")
+            _logarithmic(axes)
+            _mark_changes(axes, records)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3,
+                      title="over the three axes of a gaussian", alignment="left")
+        panels[-1].set_xlim(left=0)
+        panels[-1].set_xlabel("iteration")
+    return figure
+
+
+def _logarithmic(axes):
+    """A logarithmic y axis that has numbers also where it spans less than a decade."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_minor_formatter("")
+
+
+def _mark_changes(axes, records):
+    """A vertical line at each level change, with the new level above it."""
+    for iteration, level in zip(*curve(records, "iteration", "level", "level")):
+        axes.axvline(iteration, color="#8b9095", linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
+        axes.annotate(f"level {level:g}", (iteration, 1), xycoords=("data", "axes fraction"),
+                      xytext=(3, -2), textcoords="offset points", va="top", fontsize=9,
+                      color=SMALL)

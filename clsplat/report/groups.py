@@ -1,0 +1,135 @@
+"""Which runs belong together, what tells the groups apart, and whether comparing them is fair."""
+
+import dataclasses
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from clsplat.errors import InputError
+from clsplat.io.run import find_runs
+from clsplat.options import TrainOptions
+
+# options that change neither the model nor the time it takes; opencl_device and kernel_form say
+# what `device` and `form` became
+IMMATERIAL = ("seed", "stop_at", "checkpoint_every", "eval_at", "eval_every", "device", "form")
+FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
+KEYS = (*sorted((option.name for option in dataclasses.fields(TrainOptions)
+                 if option.name not in IMMATERIAL), key=lambda name: name != "schedule"), *FACTS)
+TITLES = {"fingerprint": "scene", "opencl_device": "OpenCL device"}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A run as it was read: its folder relative to what all have in common, options.json, the
+    metrics and whether it is finished."""
+
+    name: str
+    options: dict
+    records: list
+    finished: bool
+
+    def text(self, key):
+        """What the run has of one of KEYS, in words."""
+        value = self.options.get(key)
+        if key == "fingerprint":
+            return f"{Path(self.options.get('scene') or '?').name} ({(value or '?')[:8]})"
+        if value is None:
+            return "not recorded"
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        if isinstance(value, (str, list)) and not value:
+            return "none"
+        return value if isinstance(value, str) else json.dumps(value)
+
+
+def read_runs(paths):
+    """(Trained of every run in the folders, their common folder, names of runs without metrics)."""
+    paths = [Path(path).resolve() for path in paths]
+    parent = Path(os.path.commonpath(paths))
+    runs = {run.path: run for path in paths for run in find_runs(path)}
+    names = {path: path.name if path == parent else path.relative_to(parent).as_posix()
+             for path in runs}
+    read = [Trained(names[path], run.read_options(), run.records(), run.has_model)
+            for path, run in runs.items() if run.has_metrics]
+    if not read:
+        raise InputError(f"{parent}: none of its runs has metrics yet; let them train first")
+    return read, parent, [names[path] for path, run in runs.items() if not run.has_metrics]
+
+
+def differing(runs):
+    """Those of KEYS in which not all runs are equal."""
+    return [key for key in KEYS if len({_plain(run, key) for run in runs}) > 1]
+
+
+def grouped(runs):
+    """{name: runs that differ at most in their seed, ordered by it}, in the order of the runs.
+
+    A name says no more than it takes to tell the groups apart.
+    """
+    groups = {}
+    for run in runs:
+        groups.setdefault(tuple(_plain(run, key) for key in KEYS), []).append(run)
+    groups = [sorted(group, key=lambda run: (run.options.get("seed") or 0, run.name))
+              for group in groups.values()]
+    firsts = [group[0] for group in groups]
+    names = [()] * len(firsts)
+    for key in differing(firsts):
+        longer = [(*name, _part(run, key)) for name, run in zip(names, firsts)]
+        if len(set(longer)) > len(set(names)):
+            names = longer
+    alone = firsts[0].text("schedule")
+    return {", ".join(name) or alone: group for name, group in zip(names, groups)}
+
+
+def warnings(groups):
+    """Sentences on what makes the comparison unfair or uncertain; groups as from `grouped`."""
+    runs = [run for group in groups.values() for run in group]
+    found = []
+    for meaning, keys in (
+            ("Not fair: the scenes differ", ("fingerprint",)),
+            ("Not fair: the test views differ", ("test_every", "downscale", "max_resolution")),
+            ("Not fair in time: the devices differ", ("opencl_device", "kernel_form")),
+            ("The code differs", ("version", "commit"))):
+        for key in keys:
+            texts = sorted({run.text(key) for run in runs})
+            if len({_plain(run, key) for run in runs}) > 1:
+                found.append(f"{meaning} ({title(key)} {' / '.join(texts)}).")
+    views = sorted({record["views"] for run in runs for record in run.records
+                    if record.get("event") == "eval" and record.get("views") is not None})
+    if len(views) > 1:
+        found.append("Not fair: the numbers of test views differ "
+                     f"({' / '.join(map(str, views))}).")
+    if any(str(run.options.get("commit")).endswith("-dirty") for run in runs):
+        found.append("Code with uncommitted changes was used: equal commits may still differ.")
+    unfinished = [f"{run.name} (step {steps(run):,})" for run in runs if not run.finished]
+    if unfinished:
+        found.append(f"Not finished: {', '.join(unfinished)}.")
+    seeds = {name: [run.options.get("seed") for run in group] for name, group in groups.items()}
+    if len({tuple(of_group) for of_group in seeds.values()}) > 1:
+        found.append("The groups have different seeds; single runs vary with theirs.")
+    twice = [name for name, of_group in seeds.items() if len(set(of_group)) < len(of_group)]
+    if twice:
+        found.append(f"A seed occurs twice in {', '.join(twice)}: its spread is too small.")
+    return found
+
+
+def title(key):
+    """What a table calls one of KEYS."""
+    return TITLES.get(key, key.replace("_", " "))
+
+
+def steps(run):
+    """The last iteration in the records of a run."""
+    return max((record.get("iteration") or 0 for record in run.records), default=0)
+
+
+def _plain(run, key):
+    return json.dumps(run.options.get(key), sort_keys=True)
+
+
+def _part(run, key):
+    text = run.text(key)
+    if key == "commit":
+        text = text[:8] + ("-dirty" if text.endswith("-dirty") else "")
+    return text if key in ("schedule", "opencl_device", "fingerprint") else f"{title(key)} {text}"

@@ -1,0 +1,176 @@
+"""The SIG schedule (Xue et al. 2026): resolution and growth follow the scene's frequency.
+
+Training begins with small images. When the scene frequency has converged at a level, the next one
+begins (FARS), and each level grows for a number of rounds, then settles (DS). The paper gives no
+guards; ours: rounds of growth disturb the frequency, so nothing is tested before they are over,
+several tests in a row must agree, and each lower level has a deadline, a share of the run, so that
+the finest always gets its time. The tests `paper` and `release` are unguarded, as published.
+"""
+
+from clsplat.errors import InputError
+from clsplat.schedule.convergence import judge
+from clsplat.schedule.plan import Plan, Schedule
+
+LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
+SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns at once
+TILE = 16  # pixels
+LOOK = 100  # steps between looks at the frequency, fewer where levels are short
+LOOKS_A_LEVEL = 8
+SETTLE_STEPS = 500  # before a level's first round of growth, but no more than this share of it
+SETTLE_SHARE = 0.2
+GROWS_SHARE = 0.7  # of a level's time; the rest is for what has grown
+EVERY = (100, 200)  # limits of the steps between rounds
+REPROJECT_DECAY = 0.1  # of the reprojection weight, at the end of the run
+
+
+class Sig(Schedule):
+    """Levels from coarse to fine; `observe` decides when the next begins."""
+
+    def __init__(self, options, subject):
+        super().__init__(options, subject)
+        self.levels = chosen_levels(options.levels, subject.size)
+        self.index = 0
+        self.began = 0  # steps taken before this level
+        self.rounds_taken = self.carried = 0
+        self.grown_at = 0  # step of the last round
+        self.samples = []
+        self.hits = 0
+
+    @property
+    def guarded(self):
+        return self.options.convergence == "robust"
+
+    @property
+    def last(self):
+        """Whether this is the finest level."""
+        return self.index == len(self.levels) - 1
+
+    @property
+    def allotment(self):
+        """Steps that this level may take."""
+        o = self.options
+        if self.last:
+            return o.iterations - self.began
+        return o.level_share * o.iterations / (len(self.levels) - 1)
+
+    @property
+    def look(self):
+        """Steps between looks at the frequency."""
+        share = self.options.level_share * self.options.iterations / len(self.levels)
+        return max(1, min(LOOK, int(share / LOOKS_A_LEVEL)))
+
+    @property
+    def every(self):
+        """Steps between rounds of growth."""
+        o = self.options
+        if o.densify_every:
+            return o.densify_every
+        share = o.level_share * o.iterations / max(1, len(self.levels) - 1)
+        low, high = EVERY
+        return max(1, int(min(max(GROWS_SHARE * share / max(1, o.rounds),
+                                  min(low, share / LOOKS_A_LEVEL)), high)))
+
+    def plan(self, iteration):
+        o = self.options
+        since = iteration - 1 - self.began
+        if o.rounds:
+            rounds_left = self.rounds_taken < o.rounds + self.carried
+            settle = min(SETTLE_STEPS, SETTLE_SHARE * self.allotment)
+            growing = rounds_left and since <= GROWS_SHARE * self.allotment
+            last = max(self.grown_at, self.began + settle)
+            grows = growing and iteration - 1 >= last + self.every
+        else:
+            before = iteration - 1
+            growing = before < o.densify_until
+            grows = growing and before > o.densify_from and before % self.every == 0
+        progress = self.decay(iteration)
+        return Plan(
+            level=self.levels[self.index], degree=self.degree(iteration), gathers=growing,
+            grows=grows, resets_opacity=bool(growing and o.reset_every and iteration > 1
+                                             and (iteration - 1) % o.reset_every == 0),
+            prunes_large=True, decay=progress,
+            regularises=o.reproject_weight * REPROJECT_DECAY**progress
+            if growing and o.reproject == "on" else 0.0)
+
+    def target(self, iteration, count, above):
+        """See `Schedule.target`: no limit, but the round is counted."""
+        self.rounds_taken += 1
+        self.grown_at = iteration
+
+    def observe(self, iteration, frequency):
+        """See `Schedule.observe`. The decision: dict for an event "level"."""
+        if self.last:
+            return None
+        o = self.options
+        value = frequency[f"{o.frequency}_mean"]
+        self.samples.append((iteration, value))
+        since = iteration - self.began
+        verdict = judge(o.convergence, self.samples, o.convergence_rate,
+                        self.subject.inverse_distance)
+        disturbed = self.guarded and not self._settled(iteration)
+        self.hits = 0 if disturbed or not verdict.converged else self.hits + 1
+        self.latest = {"frequency": value, "slope": verdict.slope,
+                       "threshold": verdict.threshold, "hits": self.hits}
+        if self.hits >= o.convergence_hits:
+            reason = "converged"
+        elif o.level_share < 1 and since >= self.allotment:
+            reason = "deadline"
+        else:
+            return None
+        decision = {"level": self.levels[self.index + 1], "reason": reason, "since": since,
+                    "rounds": self.rounds_taken, **self.latest}
+        self._advance(iteration)
+        return decision
+
+    def ahead(self, iteration):
+        """See `Schedule.ahead`: lower levels until their deadline, the rest at the finest."""
+        lower = []
+        if not self.last:
+            share = self.options.level_share * self.options.iterations / (len(self.levels) - 1)
+            lower = [(level, share) for level in self.levels[self.index:-1]]
+            lower[0] = lower[0][0], max(0, share - (iteration - self.began))
+        rest = self.options.iterations - iteration - sum(steps for _, steps in lower)
+        return [*lower, (self.levels[-1], max(0, rest))]
+
+    def _settled(self, iteration):
+        """Whether this level's growth is over, and the samples after it are enough to judge by."""
+        since = iteration - self.began
+        if not self.options.rounds:
+            return since >= GROWS_SHARE * self.allotment
+        over = self.rounds_taken >= self.options.rounds + self.carried \
+            or since > GROWS_SHARE * self.allotment
+        return over and iteration >= self.grown_at + 2 * self.look
+
+    def _advance(self, iteration):
+        if self.options.convergence == "release":  # its unused rounds pile up, and stay
+            self.carried += max(0, self.options.rounds - self.rounds_taken)
+        self.index += 1
+        self.began = iteration
+        self.rounds_taken = self.hits = 0
+        self.samples = []
+
+    def state(self):
+        return {"index": self.index, "began": self.began, "rounds_taken": self.rounds_taken,
+                "carried": self.carried, "grown_at": self.grown_at, "samples": self.samples,
+                "hits": self.hits}
+
+    def load(self, state):
+        for name, value in state.items():
+            setattr(self, name, value)
+
+
+def chosen_levels(levels, size):
+    """The factors to train at, for images of size (width, height) at full resolution.
+
+    Given levels must leave every image at least a tile wide, or InputError; of the default ones
+    those with sides below SMALLEST_SIDE are left out.
+    """
+    side = min(size)
+    if levels:
+        if int(side / levels[0]) < TILE and levels[0] > 1:
+            raise InputError(
+                f"--levels {levels[0]:g}: would train on images of {int(size[0] / levels[0])} x "
+                f"{int(size[1] / levels[0])} pixels, less than a tile of {TILE}; use smaller "
+                "factors, or a smaller --downscale")
+        return levels
+    return tuple(level for level in LEVELS if level == 1 or side / level >= SMALLEST_SIDE)

@@ -1,0 +1,197 @@
+"""Colour transforms of views: image, gradients and steps, on images around the size of a block."""
+
+import numpy as np
+import pytest
+
+from clsplat.loss.exposure import BLOCK, Exposures
+from tests import cases
+from tests.checks import close
+from tests.kernels.chain import precision_of
+from tests.reference import exposure as reference
+
+# one pixel, less than 16, a block but one, a block, one more, ragged over several
+SIZES = ((1, 1), (7, 2), (23, 89), (64, 32), (683, 3), (61, 137))
+RATE, PULL, VIEWS = 0.05, 0.3, 3
+
+
+class Run:
+    """Exposures with random transforms, and the same by the reference."""
+
+    def __init__(self, device, views=VIEWS, pull=PULL, seed=0):
+        self.device, self.pull, self.rng = device, pull, np.random.default_rng(seed)
+        self.exposures = Exposures(device, views, RATE, pull)
+        away = cases.single(self.rng.normal(0, 0.2, (views, 3, 4)))
+        zero = np.zeros(away.shape)
+        self.state = np.eye(3, 4) + away, zero, zero, np.zeros(views, np.uint32)
+        self.exposures.upload(dict(zip(("transforms", "m", "v"), (
+            values.reshape(views, 12) for values in self.state)), counts=self.state[3]))
+
+    def step(self, view, image, grad):
+        """The gradient by the image, checked; then a step by both."""
+        expected, by_transform = reference.apply_adjoint(self.state[0][view], image, grad)
+        actual = self.exposures.adjoint(
+            view, self.device.upload(image), self.device.upload(grad))
+        close(actual.download(), expected, precision_of(self.device), "gradient")
+        self.state = reference.step(*self.state, view, by_transform, RATE, self.pull)
+
+    def check(self, what):
+        saved = self.exposures.download()
+        for name, expected in zip(("transforms", "m", "v"), self.state):
+            close(saved[name], expected.reshape(-1, 12), precision_of(self.device),
+                  f"{what}: {name}")
+        assert np.array_equal(saved["counts"], self.state[3]), what
+
+
+def a_pair(width, height, seed=0):
+    """An image and a gradient by the result, which does not sum to nearly nothing."""
+    image, other = cases.images(width, height, seed)
+    return image, cases.single(other - 0.3)
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_value_gradient_and_steps(device, size):
+    run, (image, grad) = Run(device), a_pair(*size)
+    for view in range(VIEWS):
+        actual = run.exposures.apply(view, device.upload(image)).download()
+        close(actual, reference.apply(run.state[0][view], image), precision_of(device), "image")
+    run.step(1, image, grad)
+    run.check("a first step")
+
+
+def test_sizes_stand_around_a_block():
+    pixels = [width * height for width, height in SIZES]
+    assert {1, BLOCK - 1, BLOCK, BLOCK + 1} < set(pixels) and max(pixels) > 4 * BLOCK
+
+
+def test_views_step_by_their_own_count(device):
+    run = Run(device)
+    for seed, view in enumerate((2, 0, 2, 2, 0, 2)):
+        run.step(view, *a_pair(33, 17, seed))
+    run.check("six steps")
+    assert run.state[3].tolist() == [2, 0, 4]
+
+
+def test_first_and_late_steps_are_corrected(device):
+    for count in (0, 7, 999, 10**6):
+        run = Run(device)
+        run.state[3][:] = count
+        run.exposures.counts.write(run.state[3])
+        run.step(0, *a_pair(16, 16))
+        run.check(f"after {count} steps")
+
+
+def test_without_a_gradient_the_pull_leads_towards_the_identity(device):
+    image, _ = a_pair(16, 16)
+    run = Run(device)
+    before = np.abs(run.state[0][0] - np.eye(3, 4)).sum()
+    for _ in range(2):
+        run.step(0, image, np.zeros(image.shape))
+    run.check("pulled")
+    assert np.abs(run.state[0][0] - np.eye(3, 4)).sum() < before
+
+
+def test_at_the_start_nothing_changes(device):
+    image, _ = a_pair(33, 17)
+    exposures = Exposures(device, 2)
+    assert np.array_equal(exposures.apply(1, device.upload(image)).download(),
+                          image.astype(device.real))
+    grad = device.upload(np.zeros(image.shape))
+    assert not exposures.adjoint(1, device.upload(image), grad).download().any()
+    assert np.array_equal(exposures.download()["transforms"], np.tile(np.eye(3, 4).ravel(), (2, 1)))
+
+
+def test_sums_over_a_million_pixels_keep_their_digits(device):
+    """All of one sign, the worst for sums that lose what is small beside them."""
+    run, rng = Run(device, pull=0.0), np.random.default_rng(1)
+    image, grad = cases.single(rng.uniform(0.1, 1, (2, 3, 1000, 1009)))
+    run.step(0, image, grad)
+    sums = reference.apply_adjoint(run.state[0][0], image, grad)[1]
+    close(10 * run.exposures.download()["m"][0], sums.ravel(), precision_of(device), "sums")
+
+
+@pytest.mark.parametrize("slot", ["image", "grad"])
+def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot):
+    clean = dict(zip(("image", "grad"), a_pair(61, 37)))
+    for label, value in cases.POISON.items():
+        arrays = cases.poisoned(clean, slot, (1, 20, 30), value)
+        run = Run(float_device)
+        before = run.exposures.download()
+        with np.errstate(all="ignore"):
+            actual = run.exposures.adjoint(
+                0, *(float_device.upload(arrays[name]) for name in ("image", "grad"))).download()
+            expected, sums = reference.apply_adjoint(
+                run.state[0][0], arrays["image"], arrays["grad"])
+            usable = np.isfinite(np.float32(sums)**2).all()
+        after = run.exposures.download()
+        assert all(np.isfinite(values).all() for values in after.values()), label
+        assert after["counts"].tolist() == [int(usable), 0, 0], label
+        unchanged = [np.array_equal(after[name], before[name]) for name in before]
+        assert any(unchanged) != usable, label
+        actual[:, 20, 30] = expected[:, 20, 30] = 0
+        close(actual, expected, "float", label)
+
+
+def test_the_row_goes_on_after_a_gradient_that_is_not_finite(device):
+    run, (image, grad) = Run(device), a_pair(33, 17)
+    run.step(1, image, grad)
+    bad = np.where(np.arange(17)[:, None] == 3, np.nan, grad)
+    run.step(1, image, bad)
+    run.step(1, image, grad)
+    run.check("nan between")
+    assert run.state[3].tolist() == [0, 2, 0]
+
+
+def test_recentring_makes_the_mean_the_identity_and_keeps_differences(device):
+    run = Run(device, views=5)
+    before = run.exposures.download()
+    run.exposures.recentre()
+    after = run.exposures.download()
+    rows = after.pop("transforms").astype(float)
+    close(rows.mean(axis=0), np.eye(3, 4).ravel(), precision_of(device), "mean")
+    moved = before.pop("transforms") - rows
+    close(moved, np.tile(moved[0], (5, 1)), precision_of(device), "differences")
+    assert np.abs(moved).max() > 0.01
+    assert all(np.array_equal(after[name], before[name]) for name in before)
+
+
+def test_between_takes_one_photos_colours_to_anothers(device):
+    run, image = Run(device), cases.images(20, 10)[0]
+    seen = [run.exposures.apply(view, device.upload(image)).download() for view in range(VIEWS)]
+    for i, j in ((0, 1), (2, 0), (1, 1)):
+        actual = run.exposures.between(i, j)
+        assert actual.shape == (3, 4) and actual.dtype == device.real
+        close(actual.download(), reference.between(run.state[0][i], run.state[0][j]),
+              precision_of(device), f"{j} to {i}")
+        close(reference.apply(actual.download(), seen[j]), seen[i], precision_of(device), "colours")
+
+
+@pytest.mark.parametrize("last", [[0, 0, 0], [1, 0, 0], [0, 1, 1e-6]], ids=str)
+def test_between_is_the_identity_where_there_is_no_way_back(device, last):
+    run = Run(device)
+    transforms = run.state[0].copy()
+    transforms[1, :, :3] = np.diag([1, 1, 0]) + [[0] * 3, [0] * 3, last]
+    run.exposures.transforms.write(transforms.reshape(VIEWS, 12))
+    assert np.array_equal(run.exposures.between(0, 1).download(), np.eye(3, 4))
+
+
+def test_what_is_saved_is_taken_over_and_goes_on_the_same(device):
+    run, other = Run(device), Run(device, seed=1)
+    image, grad = a_pair(33, 17)
+    run.step(1, image, grad)
+    other.exposures.upload(run.exposures.download())
+    for each in (run, other):
+        each.exposures.adjoint(1, device.upload(image), device.upload(grad))
+    saved, taken = run.exposures.download(), other.exposures.download()
+    assert all(saved[name].tobytes() == taken[name].tobytes() for name in saved)
+    assert saved["counts"].tolist() == [0, 2, 0]
+
+
+def test_the_same_bytes_every_time(device):
+    image, grad = (device.upload(values) for values in a_pair(173, 151))
+    results = []
+    for _ in range(2):
+        exposures = Run(device).exposures
+        results.append([exposures.adjoint(0, image, grad).download(),
+                        *exposures.download().values()])
+    assert all(a.tobytes() == b.tobytes() for a, b in zip(*results))

@@ -1,0 +1,263 @@
+"""A rendered depth against an adjacent photo: value, gradients, and what counts as valid."""
+
+import numpy as np
+import pytest
+
+from clsplat.camera import Camera
+from clsplat.regularise.reproject import pack_pair, reproject
+from tests import cases
+from tests.checks import close
+from tests.kernels.chain import (
+    camera_of,
+    gradients_by_row,
+    precision_of,
+    render,
+    small_scene,
+    upload_rows,
+)
+from tests.reference import reproject as reference
+from tests.view_pairs import IDENTITY, view_pair
+
+COLOUR = cases.single(
+    np.array([[0.9, 0.1, -0.05, 0.02], [0.0, 1.1, 0.05, -0.03], [0.1, 0.0, 0.8, 0.01]]))
+WEIGHT = 0.125
+# of the view and of the neighbour; rows around the 128 items of a group
+SIZES = (((1, 1), (48, 40)), ((7, 5), (9, 8)), ((61, 37), (48, 40)), ((48, 40), (61, 37)),
+         ((127, 9), (127, 9)), ((128, 9), (30, 5)), ((129, 9), (40, 90)), ((5, 130), (5, 130)))
+
+
+def an_input(size, other_size=None, seed=0, **pose):
+    """A dict of `view_pair`: depths some percent off, transmittance 0 to 0.7, photos with noise,
+    and no pixel that single precision may decide otherwise (these are left empty)."""
+    cameras, photo, neighbour, z = view_pair(size, other_size, seed, **pose)
+    rng = np.random.default_rng(seed)
+    transmittance = cases.single(rng.uniform(0, 0.7, z.shape))
+    transmittance.flat[0] = 0.25
+    depth = cases.single(z * rng.uniform(0.95, 1.05, z.shape) * (1 - transmittance))
+    transmittance[reference.fragile_pixels(depth, transmittance, neighbour, cameras)] = 1
+    photo, neighbour = (np.clip(values + rng.integers(-20, 21, values.shape), 0, 255)
+                        .astype(np.uint8) for values in (photo, neighbour))
+    return {"depth": depth, "transmittance": transmittance, "photo": photo,
+            "neighbour": neighbour, "cameras": cameras, "colour": COLOUR}
+
+
+def camera(values):
+    return Camera(values["width"], values["height"], (values["fx"], values["fy"]),
+                  (values["cx"], values["cy"]), values["rotation"], values["translation"])
+
+
+def run(device, values, weight=WEIGHT, geometry=None):
+    """(sums, grad_depth, grad_transmittance) as numpy arrays."""
+    if geometry is None:
+        geometry = pack_pair(device, *map(camera, values["cameras"]))
+    arrays = (device.upload(values[name])
+              for name in ("depth", "transmittance", "photo", "neighbour"))
+    return tuple(array.download() for array in reproject(
+        device, *arrays, geometry, device.upload(values["colour"]), weight))
+
+
+def check(device, values, what):
+    """Against the reference; returns how many pixels are valid."""
+    squares, valid, *expected = reference.reproject(
+        values["depth"], values["transmittance"], values["photo"] / 255,
+        values["neighbour"] / 255, values["cameras"], values["colour"])
+    sums, *grads = run(device, values)
+    close(sums, [squares.sum(), valid.sum()], precision_of(device), f"{what}: sums")
+    for name, grad, wanted in zip(("depth", "transmittance"), grads, expected):
+        close(grad, WEIGHT * wanted, precision_of(device), f"{what}: gradient of {name}")
+    return valid.sum()
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size, other_size", SIZES, ids=str)
+def test_value_and_gradients(device, size, other_size):
+    valid = check(device, an_input(size, other_size, move=(0.1, -0.05, 0.1)), f"{size}")
+    assert valid > 0.2 * size[0] * size[1]
+
+
+def test_towards_and_away_and_turned_about_the_axis(device):
+    for pose in (dict(move=(0.1, 0.2, 2)), dict(move=(0.1, 0.2, -2)),
+                 dict(turn=(0.1, 0, 1.5)), dict(turn=(0, 0, 0))):
+        assert check(device, an_input((48, 40), seed=1, **pose), f"{pose}") > 200
+
+
+def test_photos_agree_where_the_depth_is_right(device):
+    """By the photos alone: the reference has no part in it."""
+    cameras, photo, neighbour, z = view_pair((96, 80), move=(0.5, -0.25, 0.1))
+    values = {"transmittance": np.full(z.shape, 0.25), "photo": photo, "neighbour": neighbour,
+              "cameras": cameras, "colour": IDENTITY}
+    differences, pulls = [], []
+    for factor in (1, 0.95, 1.05):
+        (squares, valid), by_depth, _ = run(device, {**values, "depth": 0.75 * factor * z})
+        assert valid > 0.6 * z.size
+        differences.append(squares / valid)
+        pulls.append(np.sum(by_depth * z))
+    assert differences[0] < 1e-4 and min(differences[1:]) > 20 * differences[0]
+    assert pulls[1] < 0 < pulls[2]
+
+
+def test_without_a_move_depth_does_not_matter(device):
+    values = an_input((48, 40), seed=2, turn=(0, 0, 0), move=(0, 0, 0))
+    values["transmittance"][:] = 0.25
+    (squares, valid), *grads = run(device, values)
+    assert valid >= 46 * 38 and squares > 0 and np.abs(grads).max() < 1e-13
+
+
+def test_an_identity_of_colours_is_exact(device):
+    values = an_input((48, 40), seed=3)
+    for name in ("photo", "neighbour"):
+        values[name][:] = np.array([7, 101, 255], np.uint8)[:, None, None]
+    (squares, valid), *grads = run(device, {**values, "colour": IDENTITY})
+    assert valid > 500 and squares == 0 and not np.any(grads)
+
+
+@pytest.mark.parametrize("case", ["empty", "neighbour of one column", "of one row", "of one pixel",
+                                  "behind", "negative depth", "no depth", "not a number"])
+def test_nothing_valid_leaves_zeros(device, case):
+    other_size = {"neighbour of one column": (1, 9), "of one row": (9, 1), "of one pixel": (1, 1)}
+    away = dict(move=(0.1, -0.05, 9))  # the neighbour sees what has a depth of 0 or less, too
+    pose = {"behind": dict(turn=(0, np.pi, 0)), "negative depth": away, "no depth": away}
+    values = an_input((33, 17), other_size.get(case), **pose.get(case, {}))
+    changes = {"empty": ("transmittance", 1), "negative depth": ("depth", -1),
+               "no depth": ("depth", 0), "not a number": ("depth", np.nan)}
+    if case in changes:
+        name, value = changes[case]
+        values[name][:] = value
+    assert not np.any(np.concatenate([array.ravel() for array in run(device, values)]))
+
+
+def test_what_is_just_covered_and_just_in_front(device):
+    """Transmittance around 1/2; depth in the neighbour around a tenth of the depth."""
+    values = an_input((5, 3), turn=(0, 0, 0), move=(0, 0, 0))
+    values["depth"][:] = 4
+    for transmittance, counts in ((0.5, False), (0.499, True)):
+        values["transmittance"][:] = transmittance
+        assert (run(device, values)[0][1] > 0) == counts
+    values["transmittance"][:] = 0
+    for forward, counts in ((-3.59, True), (-3.61, False)):
+        cameras = view_pair((5, 3), turn=(0, 0, 0), move=(0, 0, forward))[0]
+        assert (run(device, {**values, "cameras": cameras})[0][1] > 0) == counts
+
+
+def test_a_sample_needs_four_texels(device):
+    """Moved by whole and half pixels in a photo of 2 x 2 texels, where one pixel fits."""
+    for move, counts in ((-0.1, False), (0.1, True), (0.9, True), (1.1, False)):
+        values = an_input((2, 2), turn=(0, 0, 0))
+        values["depth"][:], values["transmittance"][:] = 1, [[0, 1], [1, 1]]
+        first = values["cameras"][0]
+        shift = np.array([move / first["fx"], 0.5 / first["fy"], 0])
+        values["cameras"] = first, {**first, "translation": first["translation"] + shift}
+        sums, by_depth, _ = run(device, values)
+        assert sums[1] == counts and not by_depth.flat[1:].any()
+        if move == 0.9:
+            check(device, values, "one sample")
+
+
+@pytest.mark.parametrize("scale", [2.0**-20, 2.0**20])
+def test_world_units_do_not_matter(device, scale):
+    values = an_input((48, 40), seed=4)
+    sums, by_depth, by_transmittance = run(device, values)
+    values["depth"] *= scale
+    for values_of in values["cameras"]:
+        values_of["translation"] *= scale
+    actual = run(device, values)
+    precision = precision_of(device)
+    close(actual[0], sums, precision, "sums")
+    close(actual[1] * scale, by_depth, precision, "gradient of depth")
+    close(actual[2], by_transmittance, precision, "gradient of transmittance")
+
+
+def test_a_far_world_origin_costs_nothing(float_device):
+    values = an_input((48, 40), seed=5)
+    cameras = [camera(c) for c in values["cameras"]]
+    near = pack_pair(float_device, *cameras).download()
+    far = pack_pair(float_device, *(c.shifted([3e5, -4e6, 200]) for c in cameras)).download()
+    np.testing.assert_allclose(far, near, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["depth", "transmittance"])
+def test_poison_stays_with_its_pixel(device, name):
+    values = an_input((17, 9), seed=6)
+    values["transmittance"][4, 7] = 0.25
+    before = run(device, values)
+    for label, poison in cases.POISON.items():
+        with np.errstate(over="ignore"):
+            sums, *grads = run(device, cases.poisoned(values, name, (4, 7), poison))
+        assert np.isfinite(sums).all() and abs(sums[1] - before[0][1]) <= 1, label
+        for grad, expected in zip(grads, before[1:]):
+            assert np.isfinite(grad).all(), f"{name} = {label}"
+            actual, wanted = grad * sums[1], expected * before[0][1]
+            actual[4, 7] = wanted[4, 7] = 0
+            close(actual, wanted, precision_of(device), f"{name} = {label}")
+
+
+@pytest.mark.parametrize("name, index", [("colour", (1, 2)), ("colour", (0, 3)), ("geometry", 0),
+                                         ("geometry", 8), ("geometry", 11)])
+def test_poison_in_what_all_pixels_share_is_never_nan(device, name, index):
+    values = an_input((17, 9), seed=7)
+    values["geometry"] = pack_pair(device, *map(camera, values["cameras"])).download()
+    for label, poison in cases.POISON.items():
+        changed = cases.poisoned(values, name, index, poison)
+        found = run(device, changed, geometry=device.upload(changed["geometry"]))
+        assert np.isfinite(found[1:]).all(), f"{name}[{index}] = {label}"
+        assert not np.isnan(found[0]).any(), f"{name}[{index}] = {label}"
+        with np.errstate(over="ignore"):
+            overflows = not np.isfinite(device.real.type(poison)**2)
+        assert not (overflows and name == "colour" and found[0].any())
+
+
+def test_weight(device):
+    values = an_input((33, 17), seed=8)
+    sums, *grads = run(device, values, 0.5)
+    doubled, *twice = run(device, values, 1.0)
+    assert np.array_equal(sums, doubled) and np.any(grads)
+    assert np.array_equal(2 * np.array(grads), twice)
+    assert not np.any(run(device, values, 0)[1:])
+
+
+def test_the_same_bytes_every_time(device):
+    values = an_input((61, 37), seed=9)
+    for first, second in zip(*(run(device, values) for _ in range(2))):
+        assert np.array_equal(first, second)
+
+
+def test_through_the_renderer_to_the_gaussians(double_device):
+    """The loss of a render by differences, against the chain of adjoints. The neighbour is a ramp,
+    of which bilinear samples have no kinks."""
+    device = double_device
+    case = small_scene(3, count=40, width=30, height=20)
+    case["rows"]["log_scales"] += 0.5
+    line, column = np.mgrid[:30, :45]
+    ramp = np.stack([2 * column + 3 * line, 5 * column, 200 - 4 * line]).astype(np.uint8)
+    photo = np.random.default_rng(3).integers(0, 256, (3, 20, 30), np.uint8)
+    first = camera_of(case)
+    other = Camera(45, 30, (40.0, 44.0), (22.0, 15.5), first.rotation,
+                   first.translation + [0.3, -0.1, 0.4])
+    shared = (device.upload(photo), device.upload(ramp), pack_pair(device, first, other),
+              device.upload(COLOUR), WEIGHT)
+    renderer, rows, frame = render(device, case, with_depth=True, smooth_cutoff=True)
+    assert frame.blended.transmittance.download().min() > 2e-4  # none ends early: that is a step
+    sums, *grads = reproject(device, frame.blended.depth, frame.blended.transmittance, *shared)
+    count = sums.download()[1]
+    assert count > 100
+    gradients = gradients_by_row(
+        renderer.adjoint(rows, frame, device.zeros(frame.image.shape), *grads), case)
+    rng = np.random.default_rng(4)
+    direction = {name: rng.normal(size=v.shape) * (np.abs(v) + 0.1)
+                 for name, v in case["rows"].items()}
+
+    def loss(distance):
+        moved = upload_rows(device, {
+            name: v + distance * direction[name] for name, v in case["rows"].items()})
+        drawn = renderer.render(moved, frame.camera, *frame.size, case["degree"], True).blended
+        squares, valid = reproject(device, drawn.depth, drawn.transmittance, *shared)[0].download()
+        assert valid == count
+        return WEIGHT * squares / valid
+
+    step = 1e-6
+    near, far = (loss(k * step) - loss(-k * step) for k in (1, 2))
+    by_difference = (8 * near - far) / (12 * step)
+    terms = np.concatenate([(gradients[name] * direction[name]).ravel() for name in direction])
+    size = max(abs(by_difference), np.sqrt(np.sum(terms**2)))
+    assert abs(by_difference - terms.sum()) < 1e-6 * size, (by_difference, terms.sum())
+    assert size > 1e-3

@@ -1,0 +1,71 @@
+"""The reference exposure against differences, and by hand."""
+
+import numpy as np
+import pytest
+
+from tests import cases
+from tests.checks import adjoint_agrees
+from tests.reference.exposure import apply, apply_adjoint, between, penalty, step
+
+
+def a_transform(seed):
+    return np.eye(3, 4) + np.random.default_rng(seed).normal(0, 0.2, (3, 4))
+
+
+@pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
+def test_adjoint_agrees_with_differences(size):
+    def adjoint(point, grads):
+        by_image, by_transform = apply_adjoint(point["transform"], point["image"], grads["result"])
+        return {"image": by_image, "transform": by_transform}
+
+    adjoint_agrees(lambda point: {"result": apply(point["transform"], point["image"])}, adjoint,
+                   {"transform": a_transform(0), "image": cases.images(*size)[0]}, what=f"{size}")
+
+
+def test_penalty_agrees_with_differences():
+    adjoint_agrees(lambda point: {"penalty": np.array(penalty(point["transform"], 0.3)[0])},
+                   lambda point, grads: {
+                       "transform": penalty(point["transform"], 0.3)[1] * grads["penalty"]},
+                   {"transform": a_transform(1)}, what="penalty")
+    assert penalty(np.eye(3, 4), 1)[0] == 0
+    assert penalty(np.eye(3, 4) + 0.5, 2)[0] == pytest.approx(0.5)
+
+
+def test_identity_changes_nothing_and_entries_stand_row_by_row():
+    image = cases.images(7, 5)[0]
+    np.testing.assert_array_equal(apply(np.eye(3, 4), image), image)
+    transform = np.zeros((3, 4))
+    transform[1, 2], transform[1, 3] = 2, 0.25  # green is made of blue
+    result = apply(transform, image)
+    np.testing.assert_allclose(result[1], 2 * image[2] + 0.25)
+    assert not result[[0, 2]].any()
+
+
+def test_a_step_goes_against_the_gradient_of_its_own_view():
+    transforms, zero = np.tile(np.eye(3, 4), (3, 1, 1)), np.zeros((3, 3, 4))
+    grad = np.random.default_rng(2).normal(size=(3, 4))
+    moved, first, second, counts = step(transforms, zero, zero, np.zeros(3, int), 1, grad, 0.01, 0)
+    np.testing.assert_allclose(moved[1], np.eye(3, 4) - 0.01 * np.sign(grad))
+    np.testing.assert_allclose(first[1], 0.1 * grad)
+    np.testing.assert_array_equal(moved[[0, 2]], transforms[[0, 2]])
+    assert counts.tolist() == [0, 1, 0]
+    assert not first[[0, 2]].any() and not second[[0, 2]].any()
+    grad[2, 3] = np.nan
+    again = step(moved, first, second, counts, 1, grad, 0.01, 0)
+    assert all(a is b for a, b in zip(again, (moved, first, second, counts)))
+
+
+def test_the_pull_alone_leads_towards_the_identity():
+    state = a_transform(3)[None], np.zeros((1, 3, 4)), np.zeros((1, 3, 4)), np.zeros(1, int)
+    values = []
+    for _ in range(50):
+        values.append(penalty(state[0][0], 0.01)[0])
+        state = step(*state, 0, np.zeros((3, 4)), 1e-3, 0.01)
+    assert (np.diff(values) < 0).all() and values[-1] < 0.8 * values[0]
+
+
+def test_between_takes_one_views_colours_to_anothers():
+    image, first, second = cases.images(9, 4)[0], a_transform(4), a_transform(5)
+    np.testing.assert_allclose(
+        apply(between(first, second), apply(second, image)), apply(first, image))
+    np.testing.assert_allclose(between(first, first), np.eye(3, 4), atol=1e-14)

@@ -1,0 +1,30 @@
+"""Reprojection of a rendered depth into an adjacent photo, at the size of a real photo."""
+
+import numpy as np
+
+from clsplat.regularise.reproject import pack_pair, reproject
+
+from .measure import arguments, milliseconds, open_device, report
+from .workloads import ring_camera
+
+
+def main(argv):
+    options = arguments(argv, __doc__, size=[1019, 766])
+    device = open_device(options)
+    width, height = options.size
+    rng = np.random.default_rng(0)
+    photo, neighbour = (device.upload(rng.integers(0, 256, (3, height, width), np.uint8))
+                        for _ in range(2))
+    # about as far as the middle of the city
+    depth = device.upload(0.75 * rng.normal(125, 3, (height, width)))
+    transmittance = device.upload(np.full((height, width), 0.25))
+    geometry = pack_pair(device, *(ring_camera(angle, (width, height)) for angle in (0, 0.1)))
+    colour = device.upload(np.eye(3, 4))
+    times = milliseconds(
+        device, lambda: reproject(device, depth, transmittance, photo, neighbour, geometry, colour,
+                                  1.0), options.repeats)
+    valid = reproject(
+        device, depth, transmittance, photo, neighbour, geometry, colour, 1.0)[0].last()
+    # depth and transmittance read, two gradients written, read and written; both photos read
+    report(options, device, "reproject", f"{width}x{height}", times,
+           bytes=(2 + 2 * 3) * depth.nbytes + 2 * photo.nbytes, valid=int(valid))
