@@ -123,9 +123,11 @@ def mean_neighbour_distance(points, neighbours):
 
 def mean_inverse_distance(points):
     """Mean over points of 1 / distance to the nearest other, 1 / world unit (Xue et al. 2026,
-    eq. 8); coincident points, also those that differ by rounding only, are left out."""
-    distance, _, least = _distances(points, 1)
-    return float((1 / distance[distance > least]).mean())
+    eq. 8). Duplicates are left out; two that differ by rounding only are no others, and 0 counts
+    for a point whose three nearest are none."""
+    distance, _, least = _distances(points, 3)
+    nearest = np.where(distance > least, distance, np.inf).min(axis=1)
+    return float((1 / nearest).mean())
 
 
 def _distances(points, neighbours):

@@ -83,7 +83,7 @@ class TrainOptions:
     near: float = option(0.0, "Method", "near plane, world units (0: 1/500 of the scene extent)",
                          minimum=0.0)
 
-    opacity_rate: float = option(5e-2, "Method", "learning rate of the opacity logits", minimum=0.0)
+    opacity_rate: float = option(0.025, "Method", "learning rate of the opacity logits", minimum=0.0)
 
     levels: tuple[float, ...] = option(
         (), "Levels", "down-sampling factors, coarse to fine, ending at 1; repeatable (none given: "
@@ -101,12 +101,15 @@ class TrainOptions:
                                 "together (1: no deadlines)", minimum=0.0, maximum=1.0, only=SIG)
     rounds: int = option(12, "Levels", "at most so many rounds of growth a level (0: grow as "
                          "constant does)", minimum=0, only=SIG)
+    pixels_per_gaussian: float = option(
+        40.0, "Levels", "training pixels, at the level's size, that a gaussian must have for the "
+        "model to grow (0: any)", minimum=0.0, only=SIG)
 
     sphere: bool = option(True, "Sphere", "remove gaussians that leave the sphere around their "
                           "anchor", only=SIG)
     sphere_neighbours: int = option(15, "Sphere", "its radius: mean distance of a point to so many "
                                     "others", minimum=1, only=SIG)
-    sphere_reach: float = option(15.0, "Sphere", "... times this", minimum=0.0, only=SIG)
+    sphere_reach: float = option(30.0, "Sphere", "... times this", minimum=0.0, only=SIG)
     sphere_shrink: float = option(0.7, "Sphere", "radius of split children, share of the parent's",
                                   minimum=0.0, only=SIG)
     sphere_rule: str = option("paper", "Sphere", "anchor of split children: the parent's (paper) or "
@@ -147,19 +150,20 @@ class TrainOptions:
 # what a choice sets besides itself, unless the user says otherwise; later ones win
 CHOICES = {
     "schedule": {
-        "constant": {"reset_every": 3000, "exposure": "off"},
-        # 3DGS's rates of 2024, which both authors used
-        "dash": {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.025},
-        "taming": {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.025},
+        "constant": {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05},
+        "dash": {"reset_every": 3000, "exposure": "off"},
+        "taming": {"reset_every": 3000, "exposure": "off"},
     },
     "preset": {
         "paper": {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
                   "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0,
-                  "densify_every": 200, "reproject": "on", "exposure": "off"},
+                  "opacity_rate": 0.05, "sphere_reach": 15.0,
+                  "densify_every": 200, "pixels_per_gaussian": 0.0, "reproject": "on",
+                  "exposure": "off"},
         "release": {"levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release",
                     "convergence": "release", "convergence_hits": 5, "level_share": 1.0,
-                    "densify_every": 200, "sphere_neighbours": 8, "sphere_shrink": 0.8,
-                    "sphere_rule": "release", "reproject": "off", "exposure": "off",
+                    "densify_every": 200, "pixels_per_gaussian": 0.0, "sphere_neighbours": 8,
+                    "sphere_reach": 15.0, "sphere_shrink": 0.8, "sphere_rule": "release", "reproject": "off", "exposure": "off",
                     "optimizer": "sparse", "prune_size": 0.05, "ssim_weight": 0.33,
                     "grow_threshold": 1.25e-4, "opacity_rate": 0.02},
     },

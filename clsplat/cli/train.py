@@ -28,35 +28,62 @@ FOLDER = {"cls": SectionedOption, "section": "Run folder"}
 @click.option("--resume", is_flag=True, **FOLDER,
               help="Go on from the run's last checkpoint, with its options.")
 @click.option("--overwrite", is_flag=True, **FOLDER, help="Replace a run that is there.")
+@click.option("--schedules", **FOLDER, help="Several schedules, commas between them: each with each "
+              "seed becomes OUTPUT/SCHEDULE.SEED, then they are compared. The same command goes on "
+              "where the last one ended.")
+@click.option("--seeds", type=int, default=1, show_default=True, **FOLDER,
+              help="How many seeds, with --schedules.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress line.")
 @click.option("--log-level", type=click.Choice(LEVELS), default="warning", show_default=True,
               help="Which log messages to show.")
 @click.pass_context
-def train(ctx, scene, output, config, resume, overwrite, quiet, log_level, **_):
+def train(ctx, scene, output, config, resume, overwrite, schedules, seeds, quiet, log_level, **_):
     """Train gaussians on SCENE, a COLMAP folder with sparse/ and images/."""
     logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
     if resume and (overwrite or config):
         raise InputError(f"{'--overwrite' if overwrite else '--config'}: cannot go with --resume, "
                          "which continues the run as it was; leave one of them out")
     flags = given_options(ctx)
-    options = None if resume else resolve(from_toml(config) if config else {}, flags)
+    values = from_toml(config) if config else {}
+    if schedules:
+        if resume or overwrite or "schedule" in flags:
+            raise InputError("--schedules: goes on by itself and names the schedules; leave out "
+                             "--resume, --overwrite and --schedule")
+        _campaign(scene, output, values, flags, schedules, seeds, quiet)
+        return
+    if seeds != 1:
+        raise InputError("--seeds: wants --schedules; for one run, use --seed")
+    _train(scene, output, None if resume else resolve(values, flags), flags, overwrite, quiet)
+    if not quiet:
+        click.echo(f"{output}: next, `clsplat eval {output}`")
 
+
+def _train(scene, output, options, flags, overwrite, quiet):
+    """One run; options: TrainOptions, or None to go on from its checkpoint with `flags`."""
     from clsplat.device import choose_device
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
     from clsplat.train import loop
-    if resume:
+    start = loop.resume if options is None else loop.train
+    if options is None:
         run = RunFolder.open(output)
         options = resumed_options(run.read_options(), flags)
     data = read_scene(scene)
     device = choose_device(options.device, form=options.form)
-    if not resume:
+    if start is loop.train:
         run = RunFolder.create(output, overwrite=overwrite)
-    start = loop.resume if resume else loop.train
     with nullcontext() if quiet else _progress(options) as progress:
         start(data, options, device, run, progress=progress)
-    if not quiet:
-        click.echo(f"{output}: next, `clsplat eval {output}`")
+
+
+def _campaign(scene, output, values, flags, schedules, seeds, quiet):
+    """Every schedule with every seed, then their comparison."""
+    from clsplat.cli.campaign import combinations, run_campaign
+
+    def train_one(options, folder, resume):
+        _train(scene, folder, None if resume else options, {}, True, quiet)
+
+    run_campaign(train_one, combinations(values, flags, schedules, seeds), output, scene)
 
 
 def resumed_options(record, flags):

@@ -7,6 +7,7 @@ from clsplat.primitives.reduce import sum_columns
 
 BLOCK = 2048  # pixels a partial sum covers
 IDENTITY = np.eye(3, 4)
+LEARNED = ("transforms", "m", "v", "counts")
 WORST_CONDITION = 1e3  # of a transform that can still be undone
 
 _VIEW = dict(pixels="uint", view="uint")
@@ -32,6 +33,7 @@ class Exposures:
         self.transforms = device.upload(np.tile(IDENTITY.ravel(), (views, 1)))
         self.m, self.v = device.zeros((views, 12)), device.zeros((views, 12))
         self.counts = device.zeros(views, np.uint32)
+        self._recentred = np.tile(IDENTITY, (views, 1, 1))
         self._defines = (("BLOCK", BLOCK), ("GROUP", device.scan_group))
 
     def apply(self, view, image):
@@ -69,15 +71,17 @@ class Exposures:
         held-out view, drawn without a transform, would show it.
         """
         transforms = self.transforms.download().astype(np.float64)
-        self.transforms.write(transforms - (transforms.mean(axis=0) - IDENTITY.ravel()))
+        transforms -= transforms.mean(axis=0) - IDENTITY.ravel()
+        self.transforms.write(transforms)
+        self._recentred = transforms.reshape(-1, 3, 4)
 
     def between(self, i, j):
-        """real[3, 4] on the device: takes colours of view j's photo to those of view i's; waits.
+        """real[3, 4] on the device: takes colours of view j's photo to those of view i's, as they
+        were when last recentred: to ask the device at every step would make it wait.
 
         E_i after the inverse of E_j; the identity where E_j cannot be inverted well.
         """
-        transforms = self.transforms.download().astype(np.float64).reshape(-1, 3, 4)
-        to, back = transforms[i], transforms[j]
+        to, back = self._recentred[i], self._recentred[j]
         if not np.linalg.cond(back[:, :3]) < WORST_CONDITION:
             return self.device.upload(IDENTITY)
         matrix = to[:, :3] @ np.linalg.inv(back[:, :3])
@@ -85,11 +89,13 @@ class Exposures:
 
     def download(self):
         """Name -> host array of everything learned: what `upload` takes over."""
-        return {name: getattr(self, name).download() for name in ("transforms", "m", "v", "counts")}
+        return {"recentred": self._recentred,
+                **{name: getattr(self, name).download() for name in LEARNED}}
 
     def upload(self, arrays):
         """Go on from what `download` gave."""
-        for name in ("transforms", "m", "v", "counts"):
+        self._recentred = arrays["recentred"]
+        for name in LEARNED:
             getattr(self, name).write(arrays[name])
 
 

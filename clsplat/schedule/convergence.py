@@ -66,9 +66,9 @@ def _release(samples, rate, _):
     fits = [_end_of_parabola(values[end - WINDOW:end])
             for end in range(WINDOW, len(values) + 1)]
     slope, curvature = fits[-1]
-    # a constant frequency has no steepest moment: then nothing but rounding would decide
     steepest = max(s for s, _ in fits)
-    flat = steepest <= 1e-9 * abs(values[-1])
+    # of a constant frequency nothing but rounding would decide
+    flat = np.ptp(values[-WINDOW:]) <= 1e-9 * abs(values[-1])
     converged = flat or (slope >= 0 and slope < SLOPE_SHARE * steepest
                          and curvature <= CURVATURE_SHARE * steepest)
     return Verdict(slope / spacing, SLOPE_SHARE * steepest / spacing, bool(converged))

@@ -28,13 +28,15 @@ class Subject:
 
     size: (width, height) of the smallest training image, pixels; count: initial gaussians;
     inverse_distance: mean of 1 / distance to the nearest other sparse point, 1 / world unit;
-    photos: called without arguments, gives an iterator of all training photos uint8[3, H, W].
+    photos: called without arguments, gives an iterator of all training photos uint8[3, H, W];
+    pixels: in all of them.
     """
 
     size: tuple[int, int]
     count: int
     inverse_distance: float
     photos: Callable
+    pixels: int
 
 
 class Schedule:

@@ -1,11 +1,14 @@
 """The SIG schedule (Xue et al. 2026): resolution and growth follow the scene's frequency.
 
 Training begins with small images. When the scene frequency has converged at a level, the next one
-begins (FARS), and each level grows for a number of rounds, then settles (DS). The paper gives no
-guards; ours: rounds of growth disturb the frequency, so nothing is tested before they are over,
+begins (FARS), and each level grows for a number of rounds, then settles (DS), to no more gaussians
+than its pixels can tell apart: at 59 numbers a gaussian and 3 a pixel, fewer than 20 pixels each
+would leave more unknowns than measurements. The paper gives no guards; ours: rounds of growth disturb the frequency, so nothing is tested before they are over,
 several tests in a row must agree, and each lower level has a deadline, a share of the run, so that
 the finest always gets its time. The tests `paper` and `release` are unguarded, as published.
 """
+
+import math
 
 from clsplat.errors import InputError
 from clsplat.schedule.convergence import judge
@@ -20,6 +23,7 @@ SETTLE_STEPS = 500  # before a level's first round of growth, but no more than t
 SETTLE_SHARE = 0.2
 GROWS_SHARE = 0.7  # of a level's time; the rest is for what has grown
 EVERY = (100, 200)  # limits of the steps between rounds
+MOST_GROWTH = 5  # a round adds at most one gaussian in so many (as DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, at the end of the run
 
 
@@ -33,6 +37,7 @@ class Sig(Schedule):
         self.began = 0  # steps taken before this level
         self.rounds_taken = self.carried = 0
         self.grown_at = 0  # step of the last round
+        self.full = subject.count >= self.ceiling
         self.samples = []
         self.hits = 0
 
@@ -52,6 +57,14 @@ class Sig(Schedule):
         if self.last:
             return o.iterations - self.began
         return o.level_share * o.iterations / (len(self.levels) - 1)
+
+    @property
+    def ceiling(self):
+        """Gaussians that this level's pixels can tell apart."""
+        if not self.options.pixels_per_gaussian:
+            return math.inf
+        pixels = self.subject.pixels / self.levels[self.index] ** 2
+        return pixels / self.options.pixels_per_gaussian
 
     @property
     def look(self):
@@ -76,26 +89,37 @@ class Sig(Schedule):
         if o.rounds:
             rounds_left = self.rounds_taken < o.rounds + self.carried
             settle = min(SETTLE_STEPS, SETTLE_SHARE * self.allotment)
-            growing = rounds_left and since <= GROWS_SHARE * self.allotment
-            last = max(self.grown_at, self.began + settle)
+            growing = rounds_left and not self.full and since <= GROWS_SHARE * self.allotment
+            last = max(self.grown_at - 1, self.began + settle)
             grows = growing and iteration - 1 >= last + self.every
         else:
             before = iteration - 1
             growing = before < o.densify_until
             grows = growing and before > o.densify_from and before % self.every == 0
-        progress = self.decay(iteration)
+        progress = super().decay(iteration)
         return Plan(
             level=self.levels[self.index], degree=self.degree(iteration), gathers=growing,
             grows=grows, resets_opacity=bool(growing and o.reset_every and iteration > 1
                                              and (iteration - 1) % o.reset_every == 0),
-            prunes_large=True, decay=progress,
+            prunes_large=not self.guarded, decay=self.decay(iteration) if self.guarded else progress,
             regularises=o.reproject_weight * REPROJECT_DECAY**progress
             if growing and o.reproject == "on" else 0.0)
 
+    def decay(self, iteration):
+        """The position rate falls at the finest level only: what has settled at a coarse one must
+        still be able to move when finer images show where it belongs (measured: docs/results.md).
+        """
+        left = self.options.iterations - self.began
+        return min(1.0, (iteration - 1 - self.began) / max(1, left)) if self.last else 0.0
+
     def target(self, iteration, count, above):
-        """See `Schedule.target`: no limit, but the round is counted."""
+        """See `Schedule.target`: what the level's pixels can tell apart, a fifth more at a time."""
         self.rounds_taken += 1
         self.grown_at = iteration
+        self.full = count >= self.ceiling
+        if self.ceiling == math.inf:
+            return None
+        return max(count, min(int(self.ceiling), count + count // MOST_GROWTH))
 
     def observe(self, iteration, frequency):
         """See `Schedule.observe`. The decision: dict for an event "level"."""
@@ -137,7 +161,7 @@ class Sig(Schedule):
         since = iteration - self.began
         if not self.options.rounds:
             return since >= GROWS_SHARE * self.allotment
-        over = self.rounds_taken >= self.options.rounds + self.carried \
+        over = self.full or self.rounds_taken >= self.options.rounds + self.carried \
             or since > GROWS_SHARE * self.allotment
         return over and iteration >= self.grown_at + 2 * self.look
 
@@ -147,12 +171,13 @@ class Sig(Schedule):
         self.index += 1
         self.began = iteration
         self.rounds_taken = self.hits = 0
+        self.full = False
         self.samples = []
 
     def state(self):
         return {"index": self.index, "began": self.began, "rounds_taken": self.rounds_taken,
-                "carried": self.carried, "grown_at": self.grown_at, "samples": self.samples,
-                "hits": self.hits}
+                "carried": self.carried, "grown_at": self.grown_at, "full": self.full,
+                "samples": self.samples, "hits": self.hits, "latest": self.latest}
 
     def load(self, state):
         for name, value in state.items():

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ply import read_ply
 
 
@@ -27,6 +27,9 @@ def initial_gaussians(scene, options):
             raise InputError(
                 f"{options.init}: no such file; --init wants sfm, random or a PLY file")
         gaussians = of_degree(read_ply(options.init, scene.offset), options.sh_degree)
+        if not (options.sphere and options.schedule == "sig"):  # the file's hold nothing back
+            rows = {field.name: gaussians.rows[field.name] for field in LEARNED}
+            gaussians = Gaussians(rows, gaussians.sh_degree)
     if options.max_gaussians and gaussians.count > options.max_gaussians:
         raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
                          f"{gaussians.count}; allow at least that many")

@@ -5,6 +5,8 @@ from those the schedule still has to come; the schedule's shares, rates and degr
 is wall time from the start of `clsplat.train.loop.train`, evaluations and files included.
 """
 
+import math
+
 from clsplat.errors import InputError
 
 EVERY = 20  # steps between estimates
@@ -23,11 +25,12 @@ class TimeBudget:
         self.rate = BYTES_PER_SECOND
         self.step_seconds = {}  # level -> seconds
         self._since = None  # (iteration, seconds) of the last measurement
-        needed = self.reserve(saved_bytes)
-        if needed > TOO_LITTLE * seconds:
+        needed = evaluation_seconds + saved_bytes / self.rate
+        least = math.ceil(1.05 * needed / (TOO_LITTLE - SPARE))  # the next try may measure more
+        if needed > (TOO_LITTLE - SPARE) * seconds:
             raise InputError(
                 f"--time-budget {seconds:g}s: evaluating and saving once take {needed:.1f} s here; "
-                f"give at least {needed / TOO_LITTLE + 1:.0f}s")
+                f"give at least {least}s")
 
     def reserve(self, saved_bytes):
         """Seconds to keep for the last evaluation and the files."""

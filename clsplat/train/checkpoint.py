@@ -1,5 +1,7 @@
 """What a checkpoint holds of a training: rows, moments, statistics, exposures, schedule, clocks."""
 
+import dataclasses
+
 import numpy as np
 
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
@@ -22,6 +24,7 @@ def save(training):
         "train_seconds": training.train_seconds, "wall_seconds": training.elapsed(),
         "skipped_rows": int(training.renderer.skipped.download()[0]),
         "schedule": training.schedule.state(),
+        "initial_count": training.schedule.subject.count,
         "budget": training.budget and {**training.budget.state(),
                                        "iterations": training.options.iterations}})
 
@@ -39,6 +42,8 @@ def load(training, arrays, state):
     training.renderer.skipped.write(np.array([state["skipped_rows"]], np.uint32))
     training.iteration, training.evaluated_at = state["iteration"], state["evaluated_at"]
     training.train_seconds, training.wall_seconds = state["train_seconds"], state["wall_seconds"]
+    training.schedule.subject = dataclasses.replace(
+        training.schedule.subject, count=state["initial_count"])
     training.schedule.load(state["schedule"])
     if training.budget:
         training.budget.load(state["budget"])

@@ -44,7 +44,6 @@ def train(scene, options, device, run, progress=None):
     memory_bytes=, level=) and progress.message(text). Raises Interrupted, state saved, on Ctrl-C.
     """
     training = Training(scene, options, device, run, progress)
-    options = training.options if options.time_budget else options
     run.write_options({"scene": scene.path, **dataclasses.asdict(options),
                        "fingerprint": training.fingerprint, "opencl_device": device.name,
                        "kernel_form": device.form, "extent": scene.extent,
@@ -85,6 +84,9 @@ class Training:
         self.fingerprint = fingerprint(scene)
         self.scene = scene = scene.reduced(options.downscale, options.max_resolution)
         self.device, self.run, self.progress = device, run, progress
+        if len(scene.views) < 2:
+            raise InputError(f"{scene.name}: has a single photo; depth needs at least two from "
+                             "different places, and 20 or more make a good model")
         self.train_views, self.test_views = scene.split(options.test_every)
         if not self.train_views:
             raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
@@ -96,7 +98,8 @@ class Training:
             initial = with_spheres(initial, options.sphere_neighbours)
         self.schedule = SCHEDULES[options.schedule](options, Subject(
             smallest_size(self.train_views), initial.count, mean_inverse_distance(scene.points),
-            lambda: decoded(self.train_views)))
+            lambda: decoded(self.train_views),
+            sum(view.camera.width * view.camera.height for view in self.train_views)))
         self.renderer = Renderer(device, options.sh_degree, options.near or scene.near_plane,
                                  options.antialiased, options.background)
         model = Model(device, initial, options.engine, options.optimizer == "dense")
@@ -105,6 +108,7 @@ class Training:
         self.photos = Photos(device, self.train_views, self.schedule.levels)
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
+        self.unchanged = device.upload(np.eye(3, 4))  # colours of an adjacent view
         self.use_level(self.schedule.levels[0])
         self.iteration = 0
         self.evaluated_at = None
@@ -123,6 +127,7 @@ class Training:
         if level == self.photos.level and hasattr(self, "cameras"):
             return
         self.photos.use(level)
+        self.geometries = {}
         self.cameras = [self.renderer.pack(view.camera) for view in self.photos.views]
         self.step.statistics.clear(self.step.model.count)
 
@@ -189,11 +194,12 @@ class Training:
             return None
         rng = np.random.default_rng([self.options.seed, 2, iteration])
         other = int(adjacent[rng.integers(len(adjacent))])
-        views, exposures = self.photos.views, self.step.exposures
-        colour = (exposures.between(index, other) if exposures
-                  else self.device.upload(np.eye(3, 4)))
-        return (self.photos[other], pack_pair(self.device, views[index].camera,
-                                              views[other].camera), colour)
+        if (index, other) not in self.geometries:
+            cameras = [self.photos.views[i].camera for i in (index, other)]
+            self.geometries[index, other] = pack_pair(self.device, *cameras)
+        exposures = self.step.exposures
+        colour = exposures.between(index, other) if exposures else self.unchanged
+        return self.photos[other], self.geometries[index, other], colour
 
     def look(self):
         """[(packed camera, photo), ...]: some training views, others at each step."""

@@ -25,9 +25,6 @@ class Needs:
 
 def find_needs(scene, views, options):
     """The Needs of a training on `views` of `scene`; InputError where an option cannot be met."""
-    if len(scene.views) < 2:
-        raise InputError(f"{scene.name}: has a single photo; depth needs at least two from "
-                         "different places, and 20 or more make a good model")
     exposure, exposure_reason = _exposure(scene, views, options)
     neighbours, reproject_reason = _neighbours(scene, views, options)
     options = dataclasses.replace(options, exposure=exposure,

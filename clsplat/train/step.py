@@ -104,4 +104,6 @@ class Step:
                             room, rng)
         if schedule.selection == "highest":
             return highest(np.where(prunes, 0, gradient), room)
+        if room is not None:  # of what would go for its size, a split leaves two
+            room -= int((prunes & (gradient >= threshold)).sum())
         return above_threshold(gradient, threshold, room)

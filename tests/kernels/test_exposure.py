@@ -24,7 +24,8 @@ class Run:
         zero = np.zeros(away.shape)
         self.state = np.eye(3, 4) + away, zero, zero, np.zeros(views, np.uint32)
         self.exposures.upload(dict(zip(("transforms", "m", "v"), (
-            values.reshape(views, 12) for values in self.state)), counts=self.state[3]))
+            values.reshape(views, 12) for values in self.state)), counts=self.state[3],
+            recentred=self.state[0]))
 
     def step(self, view, image, grad):
         """The gradient by the image, checked; then a step by both."""
@@ -149,10 +150,21 @@ def test_recentring_makes_the_mean_the_identity_and_keeps_differences(device):
     after = run.exposures.download()
     rows = after.pop("transforms").astype(float)
     close(rows.mean(axis=0), np.eye(3, 4).ravel(), precision_of(device), "mean")
+    known = after.pop("recentred").reshape(5, 12)
+    close(known, rows, precision_of(device), "what `between` goes by")
     moved = before.pop("transforms") - rows
     close(moved, np.tile(moved[0], (5, 1)), precision_of(device), "differences")
     assert np.abs(moved).max() > 0.01
-    assert all(np.array_equal(after[name], before[name]) for name in before)
+    assert all(np.array_equal(after[name], before[name]) for name in after)
+
+
+def test_between_goes_by_the_last_recentring(device):
+    run, (image, grad) = Run(device), a_pair(20, 10)
+    before = run.exposures.between(0, 1).download()
+    run.step(0, image, grad)
+    assert np.array_equal(run.exposures.between(0, 1).download(), before)
+    run.exposures.recentre()
+    assert not np.array_equal(run.exposures.between(0, 1).download(), before)
 
 
 def test_between_takes_one_photos_colours_to_anothers(device):
@@ -171,7 +183,7 @@ def test_between_is_the_identity_where_there_is_no_way_back(device, last):
     run = Run(device)
     transforms = run.state[0].copy()
     transforms[1, :, :3] = np.diag([1, 1, 0]) + [[0] * 3, [0] * 3, last]
-    run.exposures.transforms.write(transforms.reshape(VIEWS, 12))
+    run.exposures.upload({**run.exposures.download(), "recentred": transforms})
     assert np.array_equal(run.exposures.between(0, 1).download(), np.eye(3, 4))
 
 

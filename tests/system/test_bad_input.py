@@ -39,12 +39,6 @@ def moved(made, move):
     return made
 
 
-def emptied(made):
-    for number in list(made.points3D):
-        made.delete_point3D(number)
-    return made
-
-
 def lost_pose(folder):
     """The model again, by clsplat's writer, with one pose that is not a number."""
     scene = read_scene(folder)
@@ -54,6 +48,20 @@ def lost_pose(folder):
     none = np.zeros(0, int)
     write_colmap(folder / "sparse/0", (*scene.views[:2], lost, scene.views[3]), scene.points,
                  scene.colours, Tracks(none, none, np.zeros((0, 2))))
+
+
+def single_photo(folder):
+    scene = read_scene(folder)
+    shutil.rmtree(folder / "sparse")
+    none = np.zeros(0, int)
+    write_colmap(folder / "sparse/0", scene.views[:1], scene.points, scene.colours,
+                 Tracks(none, none, np.zeros((0, 2))))
+
+
+def left(count, made):
+    for number in list(made.points3D)[count:]:
+        made.delete_point3D(number)
+    return made
 
 
 def rewrite(made):
@@ -72,6 +80,7 @@ def noise_cut(name):
 SCENES = {
     "no model": (lambda f: shutil.rmtree(f / "sparse"), ("town", "no COLMAP model", "clsplat sfm")),
     "no photos": (lambda f: shutil.rmtree(f / "images"), ("photo_0.png", "4 of 4")),
+    "single photo": (single_photo, ("town", "single photo", "at least two")),
     "photo missing": (lambda f: (f / "images/photo_2.png").unlink(), ("photo_2.png", "1 of 4")),
     "photo is text": (lambda f: (f / "images/photo_2.png").write_text("hi"), ("photo_2.png",)),
     "photo cut": (noise_cut("photo_2.png"), ("photo_2.png", "cut short", "copy it again")),
@@ -88,7 +97,7 @@ SCENES = {
     "points swapped": (lambda f: shutil.copy(f / "sparse/0/images.bin",
                                              f / "sparse/0/points3D.bin"), ("sparse/0",)),
     "frames cut": (lambda f: cut(f / "sparse/0/frames.bin", 0.5), ("sparse/0", "damaged")),
-    "zero points": (rewrite(lambda: emptied(reconstruction())), ("sparse/0", "no points")),
+    "zero points": (rewrite(lambda: left(0, reconstruction())), ("sparse/0", "no points")),
     "points equal": (rewrite(lambda: moved(reconstruction(), lambda x: np.ones(3))),
                      ("sparse/0", "30 points all lie at one place")),
     "points not a number": (rewrite(lambda: moved(reconstruction(), lambda x: x * np.nan)),
@@ -143,6 +152,15 @@ def test_spoilt_scene(tmp_path, case):
     assert not content(tmp_path / "run"), "nothing half written"
 
 
+@pytest.mark.parametrize("points", [2, 16])
+def test_few_points_suffice(tmp_path, points):
+    """Spheres and the first sizes ask for up to 15 others."""
+    folder = write_scene(tmp_path / "town", left(points, reconstruction()))
+    result = clsplat("train", folder, "-o", tmp_path / "run", *TRAIN)
+    assert result.exit_code == 0, result.output
+    assert read_ply(tmp_path / "run/point_cloud.ply").count == points
+
+
 def test_grey_photos_are_widened(tmp_path):
     folder = write_scene(tmp_path / "town")
     write_image(folder / "images/photo_2.png", NOISE[..., :1])
@@ -180,10 +198,26 @@ def test_overwriting_waits_until_all_is_in_order(healthy, finished):
     (("--test-every", "1"), ("--test-every 1", "use a larger number")),
     (("--device", "warp drive"), ("warp drive", "clsplat devices")),
     (("--sh-degree", "4"), ("sh_degree", "from 0 to 3")),
+    (("--levels", "4", "--levels", "1"),
+     ("--levels 4", "12 x 9 pixels", "tile of 16", "use smaller factors")),
+    (("--levels", "2"), ("--levels 2", "end at 1", "4,2,1")),
+    (("--schedule", "constant", "--levels", "2", "--levels", "1"),
+     ("--levels", "means nothing to --schedule constant", "leave it out")),
+    (("--time-budget", "10m"), ("--time-budget", "-n", "leave one of them out")),
 ])
-def test_options_that_cannot_be_met(tmp_path, healthy, words, naming):
+def test_options_that_cannot_be_met(tmp_path, healthy, finished, words, naming):
+    """Neither a new run is begun nor one that is there touched."""
     refused("train", healthy, "-o", tmp_path / "run", *TRAIN, *words, naming=naming)
     assert not content(tmp_path / "run")
+    before = content(finished)
+    refused("train", healthy, "-o", finished, *TRAIN, *words, "--overwrite", naming=naming)
+    assert content(finished) == before
+
+
+def test_a_time_budget_too_short(tmp_path, healthy):
+    line = refused("train", healthy, "-o", tmp_path / "run", "-q", "--test-every", "4",
+                   "--time-budget", "0.001", naming=("--time-budget 0.001s", "give at least "))
+    assert ";" in line and not content(tmp_path / "run")
 
 
 @pytest.mark.parametrize("text, naming", [

@@ -14,12 +14,21 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.device import Device
-from clsplat.errors import InputError
+from clsplat.errors import InputError, Interrupted
 from clsplat.io.run import RunFolder
 from clsplat.train import loop
-from clsplat.train.loop import resume
+from clsplat.train.loop import resume, train
 from clsplat.train.step import Step
-from tests.tiny_training import CITY, flags, model_digest, options_of, records, trained
+from tests.tiny_training import (
+    CITY,
+    LEVELLED,
+    flags,
+    model_digest,
+    options_of,
+    records,
+    resumed,
+    trained,
+)
 
 TIMES = ("train_seconds", "wall_seconds", "memory_bytes")
 
@@ -69,8 +78,7 @@ def test_stopped_and_resumed(item_device, city, tmp_path, whole, stops):
     options = {"eval_every": 50}
     run = trained(tmp_path / "run", city, item_device, **options, stop_at=stops[0])
     for stop in (*stops[1:], 0):
-        run = RunFolder.open(run.path)
-        resume(city, options_of(**options, stop_at=stop), item_device, run)
+        resumed(run, city, item_device, **options, stop_at=stop)
     assert model_digest(run) == model_digest(whole)
     assert history(run) == history(whole)
 
@@ -107,19 +115,23 @@ def test_killed_right_after_a_checkpoint(item_device, city, tmp_path, monkeypatc
         patch.setattr(RunFolder, "save_checkpoint", save_and_die)
         trained(tmp_path / "run", city, item_device, checkpoint_every=100)
     run = RunFolder.open(tmp_path / "run")
-    resume(city, options_of(stop_at=101), item_device, run)
+    resumed(run, city, item_device, stop_at=101)
     assert history(run) == history(whole)
 
 
-def test_a_stopped_run_has_its_model(item_device, city, tmp_path):
-    run = trained(tmp_path / "run", city, item_device, stop_at=30)
-    header = (run.path / "point_cloud.ply").read_bytes()[:300]
-    assert b"comment iterations 30\n" in header
-    assert run.load_model().count == len(city.points)
+def test_a_stopped_run_says_how_to_go_on_and_is_not_finished(item_device, city, tmp_path):
+    run = RunFolder.create(tmp_path / "run")
+    with pytest.raises(Interrupted, match=f"^stopped after step 30; .* -o {run.path} --resume$"):
+        train(city, options_of(stop_at=30), item_device, run)
+    assert run.has_checkpoint and not run.has_model and not records(run, "eval")
+    resumed(run, city, item_device, stop_at=31)
+    assert not run.has_model
+    resumed(run, city, item_device)
+    assert b"comment iterations 150\n" in (run.path / "point_cloud.ply").read_bytes()[:300]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{"engine": "numpy"}, {"optimizer": "dense"},
+@pytest.mark.parametrize("options", [{"engine": "numpy"}, {"optimizer": "sparse"},
                                      {"antialiased": True, "init": "random"}], ids=str)
 def test_other_ways_to_train_resume_as_well(item_device, city, tmp_path, options):
     whole = trained(tmp_path / "whole", city, item_device, **options, iterations=90)
@@ -133,7 +145,7 @@ def test_a_resumed_run_needs_no_initial_file(item_device, city, tmp_path, whole)
     shutil.copy(whole.path / "point_cloud.ply", start)
     run = trained(tmp_path / "run", city, item_device, init=str(start), stop_at=5)
     start.unlink()
-    resume(city, options_of(init=str(start), stop_at=6), item_device, run)
+    resumed(run, city, item_device, init=str(start), stop_at=6)
 
 
 def test_time_goes_on(item_device, city, tmp_path):
@@ -143,6 +155,61 @@ def test_time_goes_on(item_device, city, tmp_path):
     after = records(run, "eval")[-1]
     for key in ("train_seconds", "wall_seconds"):
         assert after[key] > before[key] > 0
+
+
+# --- schedules that look at what they train
+
+def test_the_levelled_run_is_eventful(levelled):
+    """Or the stops below would meet nothing."""
+    level, = records(levelled, "level")
+    assert level["reason"] == "converged" and 20 < level["iteration"] < 80
+    grown = {record["level"]: record for record in records(levelled, "grow")}
+    assert set(grown) == {2.0, 1.0}
+    assert all(record["cloned"] + record["split"] > 100 for record in grown.values())
+    assert sum(record["pruned"] for record in records(levelled, "grow")) > 0
+
+
+def test_levels_stopped_and_resumed(item_device, city, tmp_path, levelled):
+    """Growth follows a step; a level is decided after one step and begins with the next."""
+    level = records(levelled, "level")[0]["iteration"]
+    grown = [record["iteration"] for record in records(levelled, "grow")]
+    finest = next(iteration for iteration in grown if iteration > level)
+    stops = (grown[0] - 1, grown[0], grown[0] + 3, level, level + 1, finest - 1)
+    run = trained(tmp_path / "run", city, item_device, **LEVELLED, stop_at=stops[0])
+    for stop in (*stops[1:], 0):
+        resumed(run, city, item_device, **LEVELLED, stop_at=stop)
+    assert model_digest(run) == model_digest(levelled)
+    assert history(run) == history(levelled)
+
+
+@pytest.mark.slow
+def test_levels_stopped_again_and_again(item_device, city, tmp_path, levelled):
+    run = trained(tmp_path / "run", city, item_device, **LEVELLED, stop_at=1)
+    for stop in (*range(8, LEVELLED["iterations"], 7), 0):
+        resumed(run, city, item_device, **LEVELLED, stop_at=stop)
+    assert model_digest(run) == model_digest(levelled)
+    assert history(run) == history(levelled)
+
+
+BASELINES = {  # name -> (what it needs to be eventful, stops)
+    "dash": ({"iterations": 60, "densify_until": 50, "densify_from": 5, "densify_every": 7,
+              "downscale": 4.0}, (13, 36)),
+    "taming": ({"iterations": 60, "densify_until": 50, "densify_from": 5, "densify_every": 7,
+                "taming_budget": 1.5}, (13, 36))}
+
+
+@pytest.mark.parametrize("schedule", BASELINES)
+def test_baselines_stopped_and_resumed(item_device, city, tmp_path, schedule):
+    options, stops = BASELINES[schedule]
+    options = {"schedule": schedule, **options}
+    whole = trained(tmp_path / "whole", city, item_device, **options)
+    assert len(records(whole, "grow")) > 3
+    assert schedule != "dash" or len({record["level"] for record in whole.records()}) > 1
+    run = trained(tmp_path / "run", city, item_device, **options, stop_at=stops[0])
+    for stop in (*stops[1:], 0):
+        resumed(run, city, item_device, **options, stop_at=stop)
+    assert model_digest(run) == model_digest(whole)
+    assert history(run) == history(whole)
 
 
 # --- the checkpoint is checked
@@ -180,15 +247,17 @@ def test_a_broken_training_keeps_its_checkpoint(item_device, city, tmp_path, mon
 
 # --- stopped from outside
 
-SLOW = {"iterations": 400, "densify_until": 120}
+SLOW = {"constant": {"iterations": 400, "densify_until": 120},
+        "sig": {**LEVELLED, "iterations": 300, "reset_every": 80}}
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """The run that the commands below start, through the command line and on its device."""
+@pytest.fixture(scope="module", params=SLOW)
+def undisturbed(request, tmp_path_factory):
+    """(options, run): what the commands below start, through the command line, on its device."""
     folder = tmp_path_factory.mktemp("undisturbed") / "run"
-    invoked("train", CITY, "-o", folder, "-q", *flags(**SLOW, checkpoint_every=10))
-    return RunFolder.open(folder)
+    options = {**SLOW[request.param], "checkpoint_every": 10}
+    invoked("train", CITY, "-o", folder, "-q", *flags(**options))
+    return options, RunFolder.open(folder)
 
 
 def invoked(*words):
@@ -197,11 +266,11 @@ def invoked(*words):
     return result
 
 
-def started(folder, wait_for):
+def started(folder, options, wait_for):
     """A training in a process of its own that has written a file of its run."""
     process = subprocess.Popen(
         [sys.executable, "-m", "clsplat", "train", str(CITY), "-o", str(folder), "-q",
-         *flags(**SLOW, checkpoint_every=10)],
+         *flags(**options)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 120
     while not (folder / wait_for).exists():
@@ -214,8 +283,8 @@ def started(folder, wait_for):
 @pytest.mark.slow
 @pytest.mark.parametrize("wait_seconds", [0.0, 0.3, 0.7])
 def test_killed_and_resumed(tmp_path, undisturbed, wait_seconds):
-    folder = tmp_path / "run"
-    process = started(folder, "checkpoint.npz")
+    folder, (options, whole) = tmp_path / "run", undisturbed
+    process = started(folder, options, "checkpoint.npz")
     time.sleep(wait_seconds)
     process.kill()
     process.communicate()
@@ -223,15 +292,15 @@ def test_killed_and_resumed(tmp_path, undisturbed, wait_seconds):
     assert not (folder / "point_cloud.ply").exists()
     invoked("train", CITY, "-o", folder, "-q", "--resume")
     run = RunFolder.open(folder)
-    assert model_digest(run) == model_digest(undisturbed)
-    assert history(run) == history(undisturbed)
+    assert model_digest(run) == model_digest(whole)
+    assert history(run) == history(whole)
     assert not list(folder.glob("*.partial*"))
 
 
 @pytest.mark.slow
 def test_interrupted_and_resumed_as_it_says(tmp_path, undisturbed):
-    folder = tmp_path / "run"
-    process = started(folder, "metrics.jsonl")
+    folder, (options, whole) = tmp_path / "run", undisturbed
+    process = started(folder, options, "metrics.jsonl")
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
@@ -241,5 +310,5 @@ def test_interrupted_and_resumed_as_it_says(tmp_path, undisturbed):
     assert command[:2] == ["clsplat", "train"] and "--resume" in command
     assert not (folder / "point_cloud.ply").exists()
     invoked(*command[1:], "-q")
-    assert model_digest(RunFolder.open(folder)) == model_digest(undisturbed)
-    assert history(RunFolder.open(folder)) == history(undisturbed)
+    assert model_digest(RunFolder.open(folder)) == model_digest(whole)
+    assert history(RunFolder.open(folder)) == history(whole)

@@ -8,12 +8,15 @@ import numpy as np
 import plyfile
 import pytest
 
+from clsplat.errors import Interrupted
+from clsplat.frequency import AXES, VARIANTS
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
+from clsplat.options import resolve
 from clsplat.scene import Scene, View
 from clsplat.train import loop
 from clsplat.train.begin import initial_gaussians
-from tests.tiny_training import CITY, STILL, options_of, records, trained
+from tests.tiny_training import CITY, EVENTFUL, LEVELLED, STILL, options_of, records, trained
 
 COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians"]
 
@@ -182,7 +185,7 @@ def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):
 def test_records_carry_what_reports_read(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, eval_every=50)
     every = run.records()
-    assert {record["event"] for record in every} == {"step", "grow", "eval"}
+    assert {record["event"] for record in every} == {"plan", "step", "grow", "eval"}
     for record in every:
         assert list(record)[:len(COMMON)] == COMMON
         assert record["level"] == 1.0
@@ -190,14 +193,72 @@ def test_records_carry_what_reports_read(item_device, city, tmp_path):
         for key in ("iteration", "train_seconds", "wall_seconds"):
             assert earlier[key] <= later[key]
         assert later["train_seconds"] <= later["wall_seconds"]
-    own = {event: set(records(run, event)[-1]) - set(COMMON) for event in ("step", "grow", "eval")}
-    assert own == {"step": {"loss", "l1", "ssim", "memory_bytes", "skipped_rows"},
+    own = {event: set(records(run, event)[-1]) - set(COMMON)
+           for event in ("plan", "step", "grow", "eval")}
+    assert own == {"plan": {"reasons", "levels"},
+                   "step": {"loss", "l1", "ssim", "memory_bytes", "skipped_rows", "frequency",
+                            "convergence"},
                    "grow": {"cloned", "split", "pruned"},
                    "eval": {"psnr", "ssim", "psnr_cc", "ssim_cc", "views"}}
     assert [record["iteration"] for record in records(run, "step")] == [1, 100]
     step = records(run, "step")[-1]
     assert step["skipped_rows"] == 0 and step["memory_bytes"] > 1e6
     assert step["loss"] == pytest.approx(0.8 * step["l1"] + 0.2 * (1 - step["ssim"]))
+
+
+def test_levels_and_frequencies_are_recorded(levelled):
+    plan, = records(levelled, "plan")
+    assert levelled.records()[0] == plan and plan["iteration"] == 0
+    assert plan["levels"] == [2.0, 1.0] and set(plan["reasons"]) == {"exposure", "reproject"}
+    level, = records(levelled, "level")
+    assert set(level) - set(COMMON) == {"reason", "since", "rounds", "frequency", "slope",
+                                        "threshold", "hits"}
+    assert level["level"] == 1.0 and level["since"] == level["iteration"]
+    for record in levelled.records():
+        assert record["level"] == (2.0 if record["iteration"] < level["iteration"] else 1.0)
+    first, later = records(levelled, "step")
+    assert (first["iteration"], later["iteration"]) == (1, 100) and first["frequency"] is None
+    assert set(later["frequency"]) == {f"{variant}_{axis}" for variant in VARIANTS for axis in AXES}
+    assert all(value > 0 for value in later["frequency"].values())
+    assert set(later["convergence"]) == {"frequency", "slope", "threshold", "hits"}
+
+
+@pytest.mark.parametrize("schedule", ["constant", "sig"])
+def test_frequencies_are_recorded_every_hundred_steps(item_device, city, tmp_path, schedule):
+    run = trained(tmp_path / "run", city, item_device, **STILL, schedule=schedule, iterations=210)
+    assert {record["iteration"]: record["frequency"] and len(record["frequency"])
+            for record in records(run, "step")} == {1: None, 100: 9, 200: 9}
+
+
+def test_a_level_change_clears_the_statistics(item_device, city):
+    """Gradients at another size are others."""
+    made = loop.Training(city, options_of(**LEVELLED), item_device, None, None)
+    statistics = made.step.statistics
+    for _ in range(2):
+        made.take_step()
+    made.use_level(2.0)
+    assert statistics.seen_count.download().any() and statistics.grad_norm_sum.download().any()
+    made.use_level(1.0)
+    assert not statistics.seen_count.download().any()
+    assert not statistics.grad_norm_sum.download().any()
+    made.photos.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, LEVELLED], ids=["constant", "sig"])
+def test_a_time_budget_is_kept_across_a_stop(item_device, city, tmp_path, options):
+    """On a machine that others use too: see tests/unit/test_budget.py for how well."""
+    options = {key: value for key, value in {**EVENTFUL, **options}.items() if key != "iterations"}
+    options = {**options, "time_budget": "12s"}
+    run = RunFolder.create(tmp_path / "run")
+    with pytest.raises(Interrupted):
+        loop.train(city, resolve({}, {**options, "stop_at": 90}), item_device, run)
+    before = run.load_checkpoint()[1]
+    loop.resume(city, resolve({}, options), item_device, RunFolder.open(run.path))
+    last = records(run, "eval")[-1]
+    assert 12 * 0.6 < last["wall_seconds"] < 12 * 1.2
+    assert last["wall_seconds"] > before["wall_seconds"] and last["level"] == 1.0
+    assert run.read_options()["time_budget"] == "12s"
 
 
 def test_the_run_knows_how_it_was_made(item_device, city, tmp_path):
@@ -228,5 +289,7 @@ def test_progress_is_told(item_device, city, tmp_path):
     loop.train(city, options_of(iterations=60, **STILL), item_device,
                RunFolder.create(tmp_path / "run"), Progress())
     assert [values["iteration"] for values in Progress.told] == [1, 50]
-    assert set(Progress.told[0]) == {"iteration", "loss", "gaussians", "memory_bytes"}
+    assert set(Progress.told[0]) == {"iteration", "total", "loss", "gaussians", "memory_bytes",
+                                     "level"}
+    assert {values["total"] for values in Progress.told} == {60}
     assert len(Progress.messages) == 1 and "PSNR" in Progress.messages[0]

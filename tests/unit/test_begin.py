@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, SH_C0, Gaussians
+from clsplat.gaussians import FIELDS, LEARNED, SH_C0, Gaussians
 from clsplat.io.ply import write_ply
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
@@ -22,10 +22,10 @@ def scene():
                  np.array([5e6, 3.0, -7e5]))
 
 
-def made(degree):
+def made(degree, fields=LEARNED):
     rng = np.random.default_rng(1)
     return Gaussians({f.name: rng.normal(size=(6, *f.row_shape(degree))).astype(np.float32)
-                      for f in LEARNED}, degree)
+                      for f in fields}, degree)
 
 
 def test_on_the_sparse_points(scene):
@@ -64,6 +64,18 @@ def test_from_a_file(scene, tmp_path, stored, wanted):
     assert gaussians.sh_rest.shape == (6, (wanted + 1) ** 2 - 1, 3)
     assert np.array_equal(gaussians.sh_rest[:, :shared], given.sh_rest[:, :shared])
     assert not gaussians.sh_rest[:, shared:].any()
+
+
+@pytest.mark.parametrize("options, kept", [
+    ({}, True), ({"sphere": False}, False), ({"schedule": "constant"}, False)])
+def test_spheres_of_a_file_are_kept_where_the_training_has_spheres(scene, tmp_path, options, kept):
+    path, given = tmp_path / "a.ply", made(2, FIELDS)
+    write_ply(path, given, scene.offset + [1, 0, 0], sphere=True)
+    gaussians = initial_gaussians(scene, TrainOptions(init=str(path), sh_degree=1, **options))
+    assert list(gaussians.rows) == [f.name for f in (FIELDS if kept else LEARNED)]
+    if kept:
+        assert np.allclose(gaussians.anchors, given.anchors + np.float32([1, 0, 0]), atol=1e-6)
+        assert np.array_equal(gaussians.max_offsets, given.max_offsets)
 
 
 def test_what_cannot_begin(scene, tmp_path):

@@ -16,10 +16,11 @@ from clsplat.cli.devices import table
 from clsplat.cli.evaluate import summary
 from clsplat.cli.main import main
 from clsplat.cli.progress import Progress
+from clsplat.cli.train import resumed_options
 from clsplat.errors import ClsplatError, DeviceError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.run import RunFolder
-from clsplat.options import TrainOptions
+from clsplat.options import TrainOptions, resolve
 
 
 def clsplat_(*arguments):
@@ -48,7 +49,8 @@ def calls(monkeypatch):
     noted = []
 
     class FakeRun:
-        stored = TrainOptions(iterations=800, stop_at=300, seed=5, device="stored", eval_at=(9,))
+        stored = resolve({}, {"iterations": 800, "stop_at": 300, "seed": 5, "device": "stored",
+                              "eval_at": (9,), "preset": "release", "sphere_shrink": 0.5})
 
         @classmethod
         def create(cls, path, overwrite):
@@ -68,7 +70,7 @@ def calls(monkeypatch):
         def call(scene, options, device, run, progress=None):
             noted.append((name, scene, options, device, progress))
             if progress is not None:
-                progress(iteration=0, loss=1.0, gaussians=1, memory_bytes=0)
+                progress(iteration=0, total=5, loss=1.0, gaussians=1, memory_bytes=0, level=2.0)
         return call
 
     module(monkeypatch, "clsplat.io.run", RunFolder=FakeRun)
@@ -175,8 +177,16 @@ def test_train_calls_with_resolved_options(calls, tmp_path):
     assert result.exit_code == 0, result.output
     (_, path, overwrite), (_, scene, options, device, progress) = calls
     assert (str(path), overwrite, scene, device) == ("run", True, "scene city", "device cpu")
-    assert options == TrainOptions(iterations=50, seed=2, device="cpu")
+    assert options == resolve({}, {"iterations": 50, "seed": 2, "device": "cpu"})
     assert progress is not None and "clsplat eval run" in result.output
+
+
+def test_train_completes_what_a_choice_sets(calls):
+    result = clsplat_("train", "city", "-o", "run", "--preset", "paper", "--rounds", 3)
+    assert result.exit_code == 0, result.output
+    options = calls[-1][2]
+    assert options == resolve({}, {"preset": "paper", "rounds": 3})
+    assert (options.convergence, options.rounds, options.levels[0]) == ("paper", 3, 5.0)
 
 
 def test_quiet_prints_nothing(calls):
@@ -189,13 +199,26 @@ def test_resume_takes_the_stored_options(calls):
     result = clsplat_("train", "city", "-o", "run", "--resume", "--checkpoint-every", 10)
     assert result.exit_code == 0, result.output
     assert [call[0] for call in calls] == ["open", "resume"]
-    assert calls[1][2] == TrainOptions(iterations=800, seed=5, device="stored", stop_at=0,
-                                       eval_at=(9,), checkpoint_every=10)
+    stored = resolve({}, {"iterations": 800, "seed": 5, "device": "stored", "eval_at": (9,),
+                          "preset": "release", "sphere_shrink": 0.5, "checkpoint_every": 10})
+    assert calls[1][2] == stored and stored.stop_at == 0
     assert calls[1][3] == "device stored"
 
 
+@pytest.mark.parametrize("choice", [{"schedule": "dash"}, {"preset": "paper", "levels": (2, 1)},
+                                    {"time_budget": "10m", "schedule": "constant"}], ids=str)
+def test_a_record_resolves_to_itself(choice):
+    """Whatever a choice set when the run began holds when it goes on."""
+    options = resolve({}, choice)
+    record = json.loads(json.dumps({"scene": "city", **dataclasses.asdict(options)}))
+    assert resumed_options(record, {}) == options
+    assert resumed_options(record, {"seed": 0, "stop_at": 7}).stop_at == 7
+
+
 @pytest.mark.parametrize("arguments, named", [
-    (["--seed", "6"], "--seed"), (["-n", "900"], "--iterations"), (["--overwrite"], "--overwrite"),
+    (["--seed", "6"], "--seed"), (["--schedule", "dash"], "--schedule"),
+    (["--levels", "2", "--levels", "1"], "--levels"), (["--time-budget", "9m"], "--time-budget"),
+    (["-n", "900"], "--iterations"), (["--overwrite"], "--overwrite"),
     (["--config", "run.toml"], "--config")])
 def test_resume_refuses_another_run(calls, arguments, named):
     result = clsplat_("train", "city", "-o", "run", "--resume", *arguments)
@@ -321,21 +344,36 @@ def test_bench_lists_and_calls(monkeypatch, tmp_path):
     assert clsplat_("bench", "blond").exit_code == 2
 
 
-def test_progress_in_a_log(tmp_path):
-    with open(tmp_path / "log", "w") as log, Progress(100, log) as progress:
-        for iteration in (0, 50, 100):
-            progress(iteration=iteration, loss=0.25, gaussians=12345, memory_bytes=3 << 20)
+TOLD = {"loss": 0.25, "gaussians": 12345, "memory_bytes": 3 << 20, "level": 2.5}
+
+
+def logged(tmp_path, iterations, totals, stop_at=0):
+    """The lines of a log that was told of these iterations."""
+    with open(tmp_path / "log", "w") as log, Progress(stop_at, log) as progress:
+        for iteration, total in zip(iterations, totals):
+            progress(iteration=iteration, total=total, **TOLD)
         progress.message("evaluated")
     lines = (tmp_path / "log").read_text().splitlines()
-    assert "evaluated" in lines
+    assert "evaluated" in lines and not any("\r" in line for line in lines)
+    return lines
+
+
+def test_progress_in_a_log(tmp_path):
+    lines = logged(tmp_path, (0, 50, 100), (100, 100, 100))
     assert sum("100/100" in line for line in lines) == 1
     last = next(line for line in lines if "100/100" in line)
-    for part in ("it/s", "loss 0.2500", "12,345 gaussians", "3 MiB", "left"):
+    for part in ("it/s", "loss 0.2500", "level 2.5", "12,345 gaussians", "3 MiB", "left"):
         assert part in last
-    assert not any("\r" in line for line in lines)
+
+
+@pytest.mark.parametrize("stop_at, totals, last", [
+    (60, (100, 100), "50/60"), (0, (30_000, 80), "50/80"), (90, (30_000, 80), "50/80")])
+def test_progress_counts_to_where_the_run_ends(tmp_path, stop_at, totals, last):
+    """At a stop before the end, or at an end that a time budget moves."""
+    assert any(line.startswith(last) for line in logged(tmp_path, (1, 50), totals, stop_at))
 
 
 def test_progress_never_called_prints_nothing(tmp_path):
-    with open(tmp_path / "log", "w") as log, Progress(100, log):
+    with open(tmp_path / "log", "w") as log, Progress(file=log):
         pass
     assert (tmp_path / "log").read_text() == ""

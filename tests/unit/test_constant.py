@@ -1,17 +1,28 @@
 """The constant schedule: when it grows, resets and raises the degree, and scaled step counts."""
 
-from clsplat.options import TrainOptions
-from clsplat.schedule import SCHEDULES, scaled_steps
+import dataclasses
+
+import pytest
+
+from clsplat.options import resolve
+from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.schedule.constant import Constant
+
+SUBJECT = Subject((640, 480), 1000, 1.0, photos=None, pixels=10**8)
+
+
+def options_of(**given):
+    """What `--schedule constant` makes of the given options, with scaled steps."""
+    return scaled_steps(resolve({"schedule": "constant"}, given))
 
 
 def steps(options, asked):
     """The steps whose plan says so."""
-    schedule = Constant(options)
+    schedule = Constant(options, SUBJECT)
     return [i for i in range(1, options.iterations + 1) if getattr(schedule.plan(i), asked)]
 
 
-DEFAULTS = scaled_steps(TrainOptions(iterations=7000))
+DEFAULTS = options_of(iterations=7000)
 
 
 def test_it_is_known_by_name():
@@ -29,30 +40,49 @@ def test_statistics_are_gathered_as_long_as_they_are_read():
 
 def test_opacities_are_reset_while_growing_only():
     assert steps(DEFAULTS, "resets_opacity") == [3001]
-    assert steps(scaled_steps(TrainOptions(reset_every=0)), "resets_opacity") == []
-    longer = scaled_steps(TrainOptions(iterations=30000))
+    assert steps(options_of(reset_every=0), "resets_opacity") == []
+    longer = options_of(iterations=30000)
     assert steps(longer, "resets_opacity") == [3001, 6001, 9001, 12001]
 
 
 def test_large_ones_are_pruned_after_the_first_reset_only():
     assert steps(DEFAULTS, "prunes_large")[0] == 3002
-    assert steps(scaled_steps(TrainOptions(reset_every=0)), "prunes_large") == []
+    assert steps(options_of(reset_every=0), "prunes_large") == []
 
 
 def test_degree_rises_to_the_highest():
-    schedule = Constant(DEFAULTS)
+    schedule = Constant(DEFAULTS, SUBJECT)
     assert [schedule.plan(i).degree for i in (1, 1000, 1001, 2001, 3000, 3001, 7000)] == [
         0, 0, 1, 2, 2, 3, 3]
-    low = Constant(scaled_steps(TrainOptions(sh_degree=1)))
+    low = Constant(options_of(sh_degree=1), SUBJECT)
     assert low.plan(30000).degree == 1
 
 
 def test_full_resolution_throughout():
-    assert {Constant(DEFAULTS).plan(i).level for i in (1, 3000, 7000)} == {1.0}
+    schedule = Constant(DEFAULTS, SUBJECT)
+    assert {schedule.plan(i).level for i in (1, 3000, 7000)} == {1.0} == set(schedule.levels)
+
+
+def test_the_position_rate_decays_evenly_over_the_run():
+    schedule = Constant(DEFAULTS, SUBJECT)
+    assert [schedule.plan(i).decay for i in (1, 1751, 3501, 7000)] == [0, 0.25, 0.5, 6999 / 7000]
+    schedule.options = dataclasses.replace(DEFAULTS, iterations=3500)  # a time budget moves the end
+    assert [schedule.plan(i).decay for i in (1, 1751, 3500, 3501, 9000)] == [
+        0, 0.5, 3499 / 3500, 1, 1]
+
+
+def test_it_asks_for_nothing_else():
+    schedule = Constant(DEFAULTS, SUBJECT)
+    assert schedule.selection == "threshold"
+    assert schedule.target(601, 50, 20) is None and not schedule.spares_half(601)
+    assert schedule.observe(100, {"robust_mean": 1.0}) is None and schedule.latest is None
+    assert schedule.ahead(3000) == [(1.0, 4000)]
+    assert schedule.state() == {} and schedule.load({}) is None
+    assert steps(DEFAULTS, "regularises") == []
 
 
 def test_scaled_steps():
-    scaled = scaled_steps(TrainOptions(iterations=7000, steps_scale=0.1, reset_every=0))
+    scaled = options_of(iterations=7000, steps_scale=0.1, reset_every=0)
     assert (scaled.iterations, scaled.densify_from, scaled.densify_until, scaled.densify_every,
             scaled.sh_every, scaled.reset_every) == (700, 50, 350, 10, 100, 0)
     assert scaled_steps(scaled) == scaled
@@ -60,10 +90,23 @@ def test_scaled_steps():
 
 
 def test_a_count_is_never_scaled_to_nothing():
-    scaled = scaled_steps(TrainOptions(iterations=40, steps_scale=1e-3))
+    scaled = options_of(iterations=40, steps_scale=1e-3)
     assert (scaled.iterations, scaled.densify_every, scaled.densify_until) == (1, 1, 1)
 
 
 def test_growth_ends_where_it_is_told():
-    told = scaled_steps(TrainOptions(iterations=7000, densify_until=1000))
+    told = options_of(iterations=7000, densify_until=1000)
     assert steps(told, "grows") == [601, 701, 801, 901]
+
+
+@pytest.mark.parametrize("schedule, until, every", [
+    ("constant", 3500, 100), ("taming", 3500, 100), ("dash", 6300, 100), ("sig", 3500, 0)])
+@pytest.mark.parametrize("scale", [1.0, 0.1])
+def test_what_is_not_told_is_the_schedule_s_own(schedule, until, every, scale):
+    """Rounds of sig follow the length of its levels: 0 leaves them to it, at any scale."""
+    scaled = scaled_steps(resolve({}, {
+        "schedule": schedule, "iterations": 7000, "steps_scale": scale}))
+    assert (scaled.densify_until, scaled.densify_every) == (until * scale, every * scale)
+    told = scaled_steps(resolve({}, {"schedule": schedule, "densify_until": 900,
+                                     "densify_every": 30, "steps_scale": scale}))
+    assert (told.densify_until, told.densify_every) == (900 * scale, 30 * scale)

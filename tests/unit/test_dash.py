@@ -29,7 +29,7 @@ PHOTOS = [a_photo(seed=seed, slope=slope) for seed, slope in enumerate((1.3, 1.1
 
 
 def subject_of(photos=PHOTOS, size=SIZE, count=START):
-    return Subject(size, count, 1.0, photos=lambda: iter(photos))
+    return Subject(size, count, 1.0, photos=lambda: iter(photos), pixels=10**8)
 
 
 def schedule_of(photos=PHOTOS, size=SIZE, **changes):

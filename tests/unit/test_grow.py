@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from clsplat.densify.grow import plan_growth
+from clsplat.densify.grow import Candidates, plan_growth
 from clsplat.options import TrainOptions
 from tests.reference.project import rotations
 
 EXTENT = 10.0
-OPTIONS = TrainOptions(grow_threshold=1.0)
 # splits above 0.1, pruned above 1.0; HUGE / 1.6 is below
 SMALL, LARGE, HUGE, GIANT = 0.05, 0.2, 1.1, 2.0
 FAINT, SOLID = 0.004, 0.5
-STILL, MOVING = 0.5, 1.0  # mean screen gradients below and at the threshold
+STILL, MOVING = False, True  # whether it was chosen to grow
 
 
 def rows_of(scales, opacities, seed=0):
@@ -26,12 +25,32 @@ def rows_of(scales, opacities, seed=0):
         "opacity_logits": np.log(opacities / (1 - opacities)).astype(np.float32)}
 
 
-def grown(kinds, prune_large=False, seed=0, **changes):
-    """(Growth, rows) of gaussians given as (scale, opacity, gradient)."""
-    scales, opacities, gradient = map(np.array, zip(*kinds))
+def growth_of(rows, moving, prunes_large=False, seed=0, **changes):
+    candidates = Candidates(rows, EXTENT, TrainOptions(**changes), prunes_large)
+    return plan_growth(candidates, np.array(moving, bool), candidates.prunes,
+                       np.random.default_rng(seed))
+
+
+def grown(kinds, prunes_large=False, seed=0):
+    """(Growth, rows) of gaussians given as (scale, opacity, whether it moves)."""
+    scales, opacities, moving = map(np.array, zip(*kinds))
     rows = rows_of(scales, opacities)
-    return plan_growth(gradient, rows, EXTENT, TrainOptions(grow_threshold=1.0, **changes),
-                       prune_large, np.random.default_rng(seed)), rows
+    return growth_of(rows, moving, prunes_large, seed), rows
+
+
+def applied(growth, rows):
+    """The rows after growth."""
+    after = {name: values[growth.source] for name, values in rows.items()}
+    for name, (first, values) in growth.changes.items():
+        assert values.dtype == np.float32
+        after[name][first:first + len(values)] = values
+    return after
+
+
+def parts(growth):
+    """The old rows of what stays, of clones and of children."""
+    first = growth.kept + growth.cloned
+    return growth.source[:growth.kept], growth.source[growth.kept:first], growth.source[first:]
 
 
 KINDS = [  # name, (scale, opacity, gradient), how often it is there afterwards
@@ -54,12 +73,10 @@ LARGE_KINDS = [
 ]
 
 
-@pytest.mark.parametrize("kinds, prune_large", [(KINDS, False), (LARGE_KINDS, True)])
-def test_decisions(kinds, prune_large):
-    growth, _ = grown([values for _, values, _ in kinds], prune_large)
-    stay, clones, children = (np.bincount(part, minlength=len(kinds)) for part in (
-        growth.source[:growth.kept], growth.source[growth.kept:growth.split.start],
-        growth.source[growth.split]))
+@pytest.mark.parametrize("kinds, prunes_large", [(KINDS, False), (LARGE_KINDS, True)])
+def test_decisions(kinds, prunes_large):
+    growth, _ = grown([values for _, values, _ in kinds], prunes_large)
+    stay, clones, children = (np.bincount(part, minlength=len(kinds)) for part in parts(growth))
     for k, (name, _, expected) in enumerate(kinds):
         assert [bool(stay[k]), clones[k], children[k]] == expected, name
 
@@ -68,9 +85,30 @@ def test_rows_come_in_order_and_are_counted():
     growth, _ = grown([values for _, values, _ in KINDS])
     assert growth.source.tolist() == [0, 1, 3, 7, 1, 2, 2, 8, 8]
     assert growth.source.dtype == np.uint32
-    assert (growth.kept, growth.split, growth.cloned) == (4, slice(5, 9), 1)
-    assert growth.pruned == 3
-    assert len(growth.source) == len(KINDS) + growth.cloned + 2 - growth.pruned
+    assert (growth.kept, growth.cloned, growth.split, growth.pruned) == (4, 1, 2, 3)
+    assert {name: (first, len(values)) for name, (first, values) in growth.changes.items()} == {
+        "positions": (5, 4), "log_scales": (5, 4)}
+
+
+@pytest.mark.parametrize("name, value", [
+    ("opacity_logits", np.nan), ("log_scales", np.nan), ("log_scales", np.inf)])
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+def test_what_is_no_number_is_pruned_with_its_children(name, value):
+    rows = rows_of([LARGE, SMALL] * 2, [SOLID] * 4)
+    rows[name][:2] = value
+    growth = growth_of(rows, [MOVING] * 4)
+    assert growth.source.tolist() == [3, 3, 2, 2]
+    assert growth.pruned == 2
+
+
+def test_what_is_spared_stays_and_what_is_not_chosen_does_not_grow():
+    """The masks decide, not the candidates' own pruning (Taming 3DGS spares half)."""
+    rows = rows_of([SMALL] * 4, [FAINT, FAINT, SOLID, SOLID])
+    candidates = Candidates(rows, EXTENT, TrainOptions(), False)
+    assert candidates.prunes.tolist() == [True, True, False, False]
+    growth = plan_growth(candidates, np.array([0, 0, 0, 1], bool), np.array([1, 0, 1, 0], bool),
+                         np.random.default_rng(0))
+    assert growth.source.tolist() == [1, 3, 3]
 
 
 def test_children_are_smaller_and_lie_as_the_parent_did():
@@ -80,48 +118,118 @@ def test_children_are_smaller_and_lie_as_the_parent_did():
     rows["log_scales"][:] = np.log(scales)
     count = 20000
     many = {name: np.repeat(values, count, axis=0) for name, values in rows.items()}
-    growth = plan_growth(np.ones(count), many, EXTENT, OPTIONS, False, np.random.default_rng(1))
-    assert len(growth.positions) == 2 * count
-    assert np.allclose(growth.log_scales, np.log(scales / 1.6), atol=1e-6)
+    after = applied(growth_of(many, np.ones(count), seed=1), many)
+    assert len(after["positions"]) == 2 * count
+    assert np.allclose(after["log_scales"], np.log(scales / 1.6), atol=1e-6)
 
     turn = rotations(rows["quaternions"].astype(float))[0][0]
-    local = (growth.positions - rows["positions"][0].astype(float)) @ turn / scales
+    local = (after["positions"] - rows["positions"][0].astype(float)) @ turn / scales
     error = 1 / np.sqrt(2 * count)  # of a mean of unit normal numbers
     assert np.abs(local.mean(axis=0)).max() < 5 * error
     assert np.abs(np.cov(local.T) - np.eye(3)).max() < 5 * np.sqrt(2) * error
 
 
-def test_cap_takes_the_highest_gradients():
-    gradients = np.array([1, 7, 3, 0.5, 9, 5, 8])
-    scales = [SMALL, SMALL, LARGE, SMALL, LARGE, SMALL, SMALL]
-    for cap, winners in ((7, []), (8, [4]), (9, [4, 6]), (11, [1, 4, 5, 6]), (5, []),
-                         (0, [0, 1, 2, 4, 5, 6]), (100, [0, 1, 2, 4, 5, 6])):
-        growth, _ = grown(list(zip(scales, [SOLID] * 7, gradients)), max_gaussians=cap)
-        assert len(growth.source) == 7 + len(winners)
-        assert sorted(set(growth.source[growth.kept:])) == winners, cap
-
-
-def test_cap_with_equal_gradients_takes_the_first():
-    growth, _ = grown([(SMALL, SOLID, 2.0)] * 6, max_gaussians=8)
-    assert growth.source[growth.kept:].tolist() == [0, 1]
+def test_what_stays_and_what_is_cloned_does_not_change():
+    growth, rows = grown([values for _, values, _ in KINDS])
+    after = applied(growth, rows)
+    for name, values in rows.items():
+        assert np.array_equal(after[name][:5], values[[0, 1, 3, 7, 1]]), name
 
 
 def test_the_generator_decides_places_and_nothing_else():
     kinds = [values for _, values, _ in KINDS]
     first, again, other = (grown(kinds, seed=seed)[0] for seed in (5, 5, 6))
-    assert np.array_equal(first.positions, again.positions)
+    assert np.array_equal(first.changes["positions"][1], again.changes["positions"][1])
     assert np.array_equal(first.source, other.source)
-    assert (first.positions != other.positions).all()
+    assert (first.changes["positions"][1] != other.changes["positions"][1]).all()
 
 
 def test_pruning_one_split_does_not_move_the_children_of_another():
     kinds = [(LARGE, SOLID, MOVING)] * 3
     faint = [kinds[0], (LARGE, FAINT, MOVING), kinds[2]]
-    (whole, _), (less, _) = grown(kinds), grown(faint)
-    assert np.array_equal(less.positions, whole.positions[[0, 1, 4, 5]])
+    whole, less = (grown(given)[0].changes["positions"][1] for given in (kinds, faint))
+    assert np.array_equal(less, whole[[0, 1, 4, 5]])
 
 
 def test_all_may_be_pruned():
-    growth, _ = grown([(SMALL, FAINT, STILL)] * 4)
+    growth, rows = grown([(SMALL, FAINT, STILL)] * 4)
     assert (len(growth.source), growth.kept, growth.pruned) == (0, 0, 4)
-    assert growth.positions.shape == (0, 3)
+    assert applied(growth, rows)["positions"].shape == (0, 3)
+
+
+# --- spheres
+
+
+def with_spheres(rows, distances, max_offset=1.0, axis=0):
+    """The rows with anchors so far from them along an axis, and distinct max_offsets."""
+    anchors = rows["positions"].copy()
+    anchors[:, axis] -= np.float32(distances)
+    count = len(anchors)
+    return {**rows, "anchors": anchors,
+            "max_offsets": np.float32(max_offset) * (1 + np.arange(count, dtype=np.float32) / 1024)}
+
+
+def test_the_strayed_are_pruned_whatever_else_they_do():
+    kinds = [(SMALL, STILL), (SMALL, MOVING), (LARGE, STILL), (LARGE, MOVING)]
+    scales, moving = zip(*kinds * 2)
+    rows = with_spheres(rows_of(scales, [SOLID] * 8), [0.0] * 4 + [2.5] * 4)
+    growth = growth_of(rows, moving, sphere_reach=2.0)
+    assert growth.source.tolist() == [0, 1, 2, 1, 3, 3]
+    assert growth.pruned == 4
+    wider = growth_of(rows, moving, sphere_reach=4.0)
+    assert wider.source.tolist() == [0, 1, 2, 4, 5, 6, 1, 5, 3, 3, 7, 7]
+
+
+def test_a_clone_is_anchored_where_it_stands_and_inherits_its_reach():
+    rows = with_spheres(rows_of([SMALL] * 3, [SOLID] * 3), [0.5, 0.25, 0.125])
+    growth = growth_of(rows, [MOVING, STILL, MOVING])
+    after = applied(growth, rows)
+    assert growth.source.tolist() == [0, 1, 2, 0, 2]
+    assert np.array_equal(after["anchors"][:3], rows["anchors"])
+    assert np.array_equal(after["anchors"][3:], rows["positions"][[0, 2]])
+    assert np.array_equal(after["max_offsets"], rows["max_offsets"][growth.source])
+
+
+@pytest.mark.parametrize("rule, shrink", [("paper", 0.7), ("release", 0.8)])
+def test_spheres_of_children_follow_the_rule(rule, shrink):
+    """And those of the clones before them in the same round stay right."""
+    rows = with_spheres(rows_of([SMALL, LARGE, LARGE, SMALL], [SOLID] * 4), [0.5] * 4)
+    growth = growth_of(rows, [MOVING, MOVING, STILL, STILL], sphere_rule=rule,
+                       sphere_shrink=shrink)
+    assert growth.source.tolist() == [0, 2, 3, 0, 1, 1]
+    after = applied(growth, rows)
+    own = after["positions"][4:]
+    assert np.array_equal(after["anchors"][4:], own if rule == "release"
+                          else rows["anchors"][[1, 1]])
+    assert np.allclose(after["max_offsets"][4:], shrink * rows["max_offsets"][1], rtol=1e-6)
+    assert np.array_equal(after["anchors"][:4], [*rows["anchors"][[0, 2, 3]],
+                                                 rows["positions"][0]])
+    assert np.array_equal(after["max_offsets"][:4], rows["max_offsets"][[0, 2, 3, 0]])
+
+
+def test_a_child_outside_the_shrunken_sphere_is_dropped_at_once():
+    """Of both children, of one or of none; the others do not move."""
+    count, reach, shrink = 300, 2.0, 0.7
+    rows = with_spheres(rows_of([LARGE] * count, [SOLID] * count),
+                        np.linspace(0, 1.9, count), max_offset=1.0)
+    given = dict(sphere_reach=reach, sphere_shrink=shrink)
+    free = {name: rows[name] for name in rows if name not in ("anchors", "max_offsets")}
+    places = growth_of(free, [MOVING] * count).changes["positions"][1]
+    parents = np.repeat(np.arange(count), 2)
+    distance = np.linalg.norm(places.astype(float) - rows["anchors"][parents], axis=1)
+    inside = distance <= reach * shrink * rows["max_offsets"][parents].astype(float)
+    both = np.bincount(parents[inside], minlength=count)
+    assert min(np.bincount(both)) > 3  # parents with none, one and two children inside
+
+    growth = growth_of(rows, [MOVING] * count, **given)
+    after = applied(growth, rows)
+    assert np.array_equal(growth.source, parents[inside])
+    assert np.array_equal(after["positions"], places[inside])
+    assert (growth.split, growth.pruned) == ((both > 0).sum(), (both == 0).sum())
+    released = growth_of(rows, [MOVING] * count, sphere_rule="release", **given)
+    assert len(released.source) == 2 * count
+
+
+def test_without_spheres_none_are_made():
+    growth, _ = grown([values for _, values, _ in KINDS])
+    assert set(growth.changes) == {"positions", "log_scales"}

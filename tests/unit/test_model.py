@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from clsplat.densify.grow import Growth
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.options import TrainOptions
 from clsplat.render.pipeline import Renderer
-from clsplat.schedule import Plan
+from clsplat.schedule import Plan, Subject
+from clsplat.schedule.constant import Constant
 from clsplat.train.model import Model
 from clsplat.train.step import Step
 from tests import cases
@@ -17,52 +18,58 @@ DEGREE = 1
 ENGINES = pytest.mark.parametrize("engine", ["device", "numpy"])
 
 
-def gaussians_of(count, seed=0):
+def gaussians_of(count, seed=0, fields=LEARNED):
     rng = np.random.default_rng(seed)
     return Gaussians({f.name: rng.normal(size=(count, *f.row_shape(DEGREE))).astype(np.float32)
-                      for f in LEARNED}, DEGREE)
+                      for f in fields}, DEGREE)
 
 
-def with_moments(device, engine, count):
+def with_moments(device, engine, count, fields=LEARNED):
     """(Model, its gaussians, m, v) with moments that differ in every place."""
-    given = gaussians_of(count)
+    given = gaussians_of(count, fields=fields)
     model = Model(device, given, engine)
     m, v = (gaussians_of(count, seed).rows for seed in (1, 2))
     model.adam.upload(m, v)
     return model, given, m, v
 
 
-def growth_of(source, kept, children, cloned=0):
-    """A Growth whose children lie at 100, 101, ... with log scales -1, -2, ..."""
+def growth_of(source, kept, children, spheres=False):
+    """A Growth whose children lie at 100, 101, ... with log scales -1, -2, ...; spheres: all new
+    rows have other anchors, children also other max_offsets."""
+    new, first = len(source) - kept, len(source) - children
     place = np.arange(3 * children, dtype=np.float32).reshape(-1, 3)
-    return Growth(np.array(source, np.uint32), kept, slice(len(source) - children, len(source)),
-                  100 + place, -1 - place, cloned, 0)
+    changes = {"positions": (first, 100 + place), "log_scales": (first, -1 - place)}
+    if spheres:
+        changes["anchors"] = kept, 200 + np.arange(3 * new, dtype=np.float32).reshape(-1, 3)
+        changes["max_offsets"] = first, 300 + np.arange(children, dtype=np.float32)
+    return Growth(np.array(source, np.uint32), kept, new - children, children, 0, changes)
 
 
 @ENGINES
+@pytest.mark.parametrize("fields", [LEARNED, FIELDS], ids=["plain", "spheres"])
 @pytest.mark.parametrize("source, kept, children", [
     ([0, 2, 5, 6, 2, 6, 1, 1, 4, 4], 4, 4),  # grows past the capacity
     ([6, 3], 2, 0),  # only prunes
     ([3, 3], 0, 2),  # only children are left
     ([], 0, 0),
 ])
-def test_rows_and_moments_follow_growth(float_device, engine, source, kept, children):
-    model, given, m, v = with_moments(float_device, engine, 7)
-    growth = growth_of(source, kept, children)
+def test_rows_and_moments_follow_growth(float_device, engine, fields, source, kept, children):
+    model, given, m, v = with_moments(float_device, engine, 7, fields)
+    growth = growth_of(source, kept, children, spheres=fields is FIELDS)
     model.regrow(growth)
     after = model.download()
     moments = model.adam.download(model.count)
     assert after.count == model.count == len(source)
-    old = slice(0, len(source) - children)
-    for name in after.rows:
-        replaced = children and name in ("positions", "log_scales")
-        shown = old if replaced else slice(None)
-        assert np.array_equal(after.rows[name][shown], given.rows[name][source][shown]), name
-        for values, before in zip(moments, (m, v)):
+    assert list(after.rows) == [field.name for field in fields]
+    for name, values in after.rows.items():
+        first, new = growth.changes.get(name, (len(source), values[:0]))
+        assert np.array_equal(values[:first], given.rows[name][source[:first]]), name
+        assert np.array_equal(values[first:], new), name
+    for values, before in zip(moments, (m, v)):
+        assert values.keys() == before.keys()  # what is only carried along has none
+        for name in before:
             assert np.array_equal(values[name][:kept], before[name][source[:kept]]), name
             assert not values[name][kept:].any(), name
-    assert np.array_equal(after.positions[growth.split], growth.positions)
-    assert np.array_equal(after.log_scales[growth.split], growth.log_scales)
 
 
 @ENGINES
@@ -109,20 +116,92 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
     case = cases.gaussians("degree_1")
     width, height = size_of(case)
     photo = np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8)
-    plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False)
     results = []
     for engine in ("device", "numpy"):
         renderer = Renderer(device, DEGREE, case["near"])
         given = Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()}, DEGREE)
+        given.rows.update(gaussians_of(given.count, fields=SPHERE).rows)
         model = Model(device, given, engine, optimizer == "dense")
         step = Step(renderer, model, 1.0, TrainOptions(iterations=100))
         for iteration in range(1, 6):
-            step.take(iteration, plan, renderer.pack(camera_of(case)), device.upload(photo))
+            plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False,
+                        prunes_large=False, decay=iteration / 100)
+            step.take(iteration, plan, 0, renderer.pack(camera_of(case)), device.upload(photo))
         results.append((model.download().rows, *model.adam.download(model.count)))
     before = given.rows
-    for name in before:
+    for field in SPHERE:  # carried along, never learned
+        for rows, _, _ in results:
+            assert np.array_equal(rows[field.name], before[field.name]), field.name
+    for name in (field.name for field in LEARNED):
         moved, again = (rows[name] - before[name] for rows, _, _ in results)
         assert np.abs(moved).max() > 0, name
         moments = ((own[name], other[name]) for own, other in zip(results[0][1:], results[1][1:]))
         for own, other in ((moved, again), *moments):
             assert np.abs(own - other).max() <= 1e-9 * np.abs(other).max(), name
+
+
+# --- a round of growth, from statistics to rows
+
+SMALL, LARGE, HUGE = 0.05, 0.2, 1.1  # of an extent of 10: cloned, split, pruned unless split
+GROWS = Plan(1.0, DEGREE, gathers=True, grows=True, resets_opacity=False, prunes_large=True,
+             decay=0.5)
+
+
+def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
+    """(event, Model, Gaussians before) of a step that grows at so many mean screen gradients."""
+    given = gaussians_of(len(gradients), fields=fields)
+    given.rows["log_scales"][:] = np.log(scales)[:, None]
+    logits = np.log(np.divide(opacities, np.subtract(1, opacities)))
+    given.rows["opacity_logits"][:] = logits
+    if "anchors" in given.rows:
+        given.rows["anchors"][:] = given.positions
+        given.rows["max_offsets"][:] = np.arange(1, given.count + 1)
+    options = TrainOptions(schedule="constant", grow_threshold=1.0, **changes)
+    step = Step(Renderer(device, DEGREE, 0.2), Model(device, given), 10.0, options)
+    # a mean over the views that saw each: sums of two views
+    step.statistics.grad_norm_sum.write(np.array(gradients, np.float32) * 2)
+    step.statistics.seen_count.write(np.full(given.count, 2, np.uint32))
+    schedule = Constant(options, Subject((640, 480), given.count, 1.0, photos=None, pixels=10**8))
+    event = step.follow(7, GROWS, schedule, look=None)
+    assert len(step.statistics.grad_norm_sum) == step.model.count
+    assert not step.statistics.grad_norm_sum.download().any()
+    return event, step.model, given
+
+
+GRADIENTS = [1, 7, 3, 0.5, 9, 5, 8]
+SCALES = [SMALL, SMALL, LARGE, SMALL, LARGE, SMALL, SMALL]
+
+
+@pytest.mark.parametrize("limit, cloned, split", [
+    (0, 4, 2), (100, 4, 2), (13, 4, 2), (11, 3, 1), (9, 1, 1), (8, 0, 1), (7, 0, 0), (5, 0, 0)])
+def test_the_limit_takes_the_highest_gradients(float_device, limit, cloned, split):
+    event, model, _ = follow(float_device, GRADIENTS, SCALES, max_gaussians=limit)
+    assert event == {"cloned": cloned, "split": split, "pruned": 0}
+    assert model.count == 7 + cloned + split
+
+
+def test_the_limit_counts_what_is_left_after_pruning(float_device):
+    event, model, _ = follow(float_device, [2] * 6, [SMALL] * 6, [0.5, 0.001] + [0.5] * 4,
+                             max_gaussians=7)
+    assert event["pruned"] == 1 and model.count <= 7
+
+
+@pytest.mark.parametrize("limit", [4, 5, 6, 7, 9, 11, 12])
+def test_the_limit_holds_where_too_large_ones_are_split(float_device, limit):
+    """Without a split they would go, so that each child counts."""
+    gradients, scales = [9, 8, 3, 4, 5, 0.5], [HUGE, HUGE, SMALL, LARGE, SMALL, SMALL]
+    event, model, _ = follow(float_device, gradients, scales, max_gaussians=limit)
+    assert model.count <= limit
+    if limit >= 11:
+        assert event == {"cloned": 2, "split": 3, "pruned": 0}
+
+
+def test_spheres_are_kept_through_growth(float_device):
+    gradients, scales = [0.5, 2, 2], [SMALL, SMALL, LARGE]
+    event, model, given = follow(float_device, gradients, scales, fields=FIELDS)
+    after = model.download()
+    assert event == {"cloned": 1, "split": 1, "pruned": 0}
+    assert np.array_equal(after.anchors, given.positions[[0, 1, 1, 2, 2]])
+    assert np.allclose(after.max_offsets, [1, 2, 2, 0.7 * 3, 0.7 * 3], rtol=1e-6)
+    assert np.array_equal(after.positions[:3], given.positions[[0, 1, 1]])
+    assert (after.positions[3:] != given.positions[2]).all()

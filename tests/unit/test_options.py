@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import click
 import pytest
@@ -10,7 +11,7 @@ from click.testing import CliRunner
 from clsplat.cli.flags import flag_name, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
-from clsplat.options import TrainOptions, from_toml, resolve
+from clsplat.options import CHOICES, TrainOptions, checked, from_toml, resolve, seconds_of
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
 
@@ -24,8 +25,8 @@ def toml(tmp_path):
     return write
 
 
-def parse(*arguments):
-    """What `given_options` finds in a command line."""
+def invoke(*arguments):
+    """(what `given_options` finds in a command line, click's result)."""
     found = {}
 
     @click.command(cls=SectionedCommand)
@@ -34,7 +35,12 @@ def parse(*arguments):
     def command(ctx, **_):
         found.update(given_options(ctx))
 
-    result = CliRunner().invoke(command, arguments, catch_exceptions=False)
+    return found, CliRunner().invoke(command, arguments, catch_exceptions=False)
+
+
+def parse(*arguments):
+    """What `given_options` finds in a command line, and what it prints."""
+    found, result = invoke(*arguments)
     assert result.exit_code == 0, result.output
     return found, result.output
 
@@ -47,7 +53,9 @@ def another(field):
     if meta["choices"]:
         return meta["choices"][-1], [flag, meta["choices"][-1]]
     if default == ():
-        return (7, 9), [flag, "7", flag, "9"]
+        return (9, 7, 1), [flag, "9,7", flag, "1"]
+    if field.name == "time_budget":
+        return "90s", [flag, "90s"]
     if isinstance(default, tuple):
         return (0.5, 0.25, 1.0), [flag, "0.5", "0.25", "1.0"]
     if isinstance(default, str):
@@ -65,7 +73,9 @@ def test_every_option_is_a_flag_and_a_key_that_agree(name, toml):
         if isinstance(value, tuple) else str(value))
     for key in (name, name.replace("_", "-")):
         assert from_toml(toml(f"{key} = {written}")) == {name: value}
-    assert getattr(resolve({}, {name: value}), name) == value
+    only = FIELDS[name].metadata["only"]
+    around = {"schedule": only[0]} if only and name != "schedule" else {}
+    assert getattr(resolve({}, {**around, name: value}), name) == value
 
 
 def test_no_flag_is_given_by_default():
@@ -167,3 +177,164 @@ def test_lists_of_a_run_s_record_become_tuples():
         TrainOptions(eval_at=(3, 5), background=(1, 0.5, 0)))))
     assert resolve(values, {}) == TrainOptions(eval_at=(3, 5), background=(1.0, 0.5, 0.0))
     assert all(type(v) is float for v in resolve(values, {}).background)
+
+
+# --- what a choice sets besides itself
+
+
+def test_choices_set_what_there_is_to_legal_values():
+    for choice, table in CHOICES.items():
+        for value, chosen in table.items():
+            assert value in FIELDS[choice].metadata["choices"]
+            for name, other in chosen.items():
+                assert checked("choice", name, other) == other
+                assert other != FIELDS[name].default, (choice, value, name)
+
+
+@pytest.mark.parametrize("given, chosen", [
+    ({"schedule": "constant"}, {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05}),
+    ({"schedule": "dash"}, {"reset_every": 3000, "exposure": "off"}),
+    ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off"}),
+    ({"schedule": "sig"}, {}),
+    ({"preset": "paper"}, CHOICES["preset"]["paper"]),
+    ({"preset": "release"}, CHOICES["preset"]["release"]),
+    ({"size": "L"}, {"grow_threshold": 1.25e-4}),
+    ({"schedule": "constant", "size": "L"},
+     {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
+      "grow_threshold": 1.25e-4}),
+])
+def test_a_choice_sets_its_own_and_nothing_else(given, chosen):
+    assert resolve({}, given) == TrainOptions(**given, **chosen)
+    assert resolve(given, {}) == TrainOptions(**given, **chosen)
+
+
+def test_presets_are_what_the_paper_and_the_release_say():
+    paper, release = (resolve({}, {"preset": preset}) for preset in ("paper", "release"))
+    assert paper.levels == (5, 4, 3, 2, 1) and release.levels == (5, 2.5, 5 / 3, 1.25, 1)
+    assert (paper.sphere_neighbours, paper.sphere_shrink, paper.sphere_rule) == (15, 0.7, "paper")
+    assert (release.sphere_neighbours, release.sphere_shrink, release.sphere_rule) == (
+        8, 0.8, "release")
+    assert paper.sphere_reach == release.sphere_reach == 15
+    assert paper.level_share == release.level_share == 1  # no deadlines
+
+
+@pytest.mark.parametrize("choice, own", [
+    ({"schedule": "constant"}, {"reset_every": 0}), ({"schedule": "dash"}, {"exposure": "auto"}),
+    ({"preset": "release"}, {"sphere_shrink": 0.7, "levels": ()}),
+    ({"preset": "paper"}, {"densify_every": 0}), ({"size": "L"}, {"grow_threshold": 2e-4})])
+def test_what_is_given_wins_even_if_it_is_the_default(choice, own):
+    for options in (resolve({}, {**choice, **own}), resolve(own, choice), resolve(choice, own)):
+        for name, value in own.items():
+            assert getattr(options, name) == value, name
+
+
+def test_a_flag_s_choice_replaces_the_file_s():
+    options = resolve({"schedule": "dash", "seed": 5}, {"schedule": "constant"})
+    assert options == resolve({}, {"schedule": "constant", "seed": 5})
+
+
+@pytest.mark.parametrize("given", [
+    {}, {"schedule": "constant"}, {"schedule": "dash"}, {"schedule": "taming"},
+    {"preset": "paper"}, {"preset": "release", "levels": (4, 1)}, {"size": "L"},
+    {"time_budget": "10m"}])
+def test_a_run_s_record_gives_the_same_options_again(given):
+    options = resolve({}, given)
+    assert resolve(json.loads(json.dumps(dataclasses.asdict(options))), {}) == options
+
+
+# --- what contradicts
+
+
+ONLY = [name for name, field in FIELDS.items() if field.metadata["only"]]
+
+
+@pytest.mark.parametrize("name", ONLY)
+@pytest.mark.parametrize("schedule", FIELDS["schedule"].metadata["choices"])
+def test_an_option_of_another_schedule_is_refused(name, schedule):
+    field = FIELDS[name]
+    only, (value, _) = field.metadata["only"], another(field)
+    if schedule in only:
+        resolve({}, {"schedule": schedule, name: value})
+        return
+    with pytest.raises(InputError) as caught:
+        resolve({}, {"schedule": schedule, name: value})
+    assert str(caught.value) == (
+        f"{flag_name(name)}: means nothing to --schedule {schedule}; leave it out, or use "
+        f"--schedule {only[0]}")
+    assert getattr(resolve({}, {"schedule": schedule, name: field.default}), name) == field.default
+
+
+def test_what_a_file_and_a_flag_say_together_is_refused(toml):
+    with pytest.raises(InputError, match="--levels: means nothing to --schedule constant"):
+        resolve(from_toml(toml("levels = [4, 2, 1]")), {"schedule": "constant"})
+
+
+@pytest.mark.parametrize("levels", [(1.0,), (2.0, 1.0), (5.0, 2.5, 5 / 3, 1.25, 1.0), ()])
+def test_levels_that_fall_to_1(levels):
+    assert resolve({}, {"levels": levels}).levels == levels
+
+
+@pytest.mark.parametrize("levels, shown", [
+    ((4, 2), "4,2"), ((1, 2, 4), "1,2,4"), ((4, 4, 1), "4,4,1"), ((2, 4, 1), "2,4,1"),
+    ((2.5, 1, 1), "2.5,1,1"), ((3,), "3")])
+def test_levels_that_do_not(levels, shown):
+    with pytest.raises(InputError) as caught:
+        resolve({}, {"levels": levels})
+    assert str(caught.value) == (f"--levels {shown}: wants factors that fall and end at 1, such as "
+                                 "4,2,1")
+
+
+@pytest.mark.parametrize("levels", [(4, 0.5), (math.nan, 1), (math.inf, 1), (4, 0), (-2, 1)])
+def test_levels_that_are_no_factors(levels):
+    with pytest.raises(InputError, match="'levels' wants factors of at least 1, coarse to fine"):
+        resolve({}, {"levels": levels})
+
+
+@pytest.mark.parametrize("arguments, expected", [
+    (["--levels", "4,2,1"], {"levels": (4.0, 2.0, 1.0)}),
+    (["--levels", "4", "--levels", "2.5,1"], {"levels": (4.0, 2.5, 1.0)}),
+    (["--eval-at", "7,30"], {"eval_at": (7, 30)}),
+    (["--eval-at", "30", "--eval-at", "7"], {"eval_at": (30, 7)}),
+    (["--eval-at", "5", "--levels", "2, 1"], {"eval_at": (5,), "levels": (2.0, 1.0)})])
+def test_lists_have_commas_or_come_in_parts(arguments, expected):
+    found = parse(*arguments)[0]
+    assert found == expected
+    assert {name: [type(v) for v in values] for name, values in found.items()} == {
+        name: [type(v) for v in values] for name, values in expected.items()}
+
+
+@pytest.mark.parametrize("flag, text", [
+    ("--levels", "4;2"), ("--levels", "4,,1"), ("--levels", ""), ("--levels", "a"),
+    ("--eval-at", "2.5"), ("--eval-at", "7,")])
+def test_what_is_no_list_is_refused(flag, text):
+    found, result = invoke(flag, text)
+    assert result.exit_code == 2 and not found
+    assert f"{text!r} is not a list of numbers such as 4,2,1" in " ".join(
+        result.output.replace("│", " ").split())
+
+
+# --- time budget
+
+
+@pytest.mark.parametrize("text, seconds", [
+    ("90", 90), ("90s", 90), ("10m", 600), ("2h", 7200), ("1.5h", 5400), ("0.5", 0.5),
+    ("1e3", 1000)])
+def test_seconds_of_a_time_budget(text, seconds):
+    assert seconds_of(text) == seconds
+    assert resolve({}, {"time_budget": text}).time_budget == text
+
+
+@pytest.mark.parametrize("text", ["0", "-5m", "m", "s", "10 minutes", "1h30m", "nan", "inf", "infh",
+                                  "2d", " ", "10M"])
+def test_what_is_no_time_is_refused(text):
+    with pytest.raises(InputError) as caught:
+        resolve({}, {"time_budget": text})
+    assert str(caught.value) == ("--time-budget: wants seconds, or a number with s, m or h such as "
+                                 f"90s, 10m or 2h; got {text!r}")
+
+
+def test_a_time_budget_and_a_number_of_steps_contradict():
+    with pytest.raises(InputError, match="--time-budget: decides the number of steps, as -n does; "
+                                         "leave one of them out"):
+        resolve({"iterations": 500}, {"time_budget": "10m"})
+    assert resolve({}, {"time_budget": ""}).iterations == 30000  # none: nothing to refuse

@@ -1,4 +1,7 @@
-"""Training photos: the same arrays whether they stay on the device or are read ahead of use."""
+"""Training photos: the same arrays whether they stay on the device or are read ahead of use, each
+level read once, while the one before it trains."""
+
+import threading
 
 import numpy as np
 import pytest
@@ -28,15 +31,38 @@ def views(tmp_path):
 
 @pytest.fixture
 def reads(monkeypatch):
-    """The names of the photos read so far."""
-    names = []
+    """(name, width) of the photos read so far."""
+    found = []
 
     def noted(source, size):
-        names.append(source.name)
+        found.append((source.name, size[0]))
         return read_image(source, size)
 
     monkeypatch.setattr(module, "read_image", noted)
-    return names
+    return found
+
+
+def all_at(width):
+    return [(f"{i}.png", width) for i in range(4)]
+
+
+def bytes_at(level):
+    return 4 * 3 * (WIDTH // level) * (HEIGHT // level)
+
+
+def idle(photos):
+    """Wait until the one thread has done what was asked before."""
+    photos._thread.submit(int).result(timeout=30)
+
+
+def is_at(photos, views, level):
+    """Whether all photos are those of a level, and their cameras too."""
+    size = WIDTH // level, HEIGHT // level
+    assert {(v.camera.width, v.camera.height) for v in photos.views} == {size}
+    assert photos.level == level
+    return all(np.array_equal(photos[i].download(),
+                              read_image(view.source, size).transpose(2, 0, 1))
+               for i, view in enumerate(views))
 
 
 def test_resident_and_streaming_give_the_same_planes(float_device, views):
@@ -53,9 +79,16 @@ def test_resident_and_streaming_give_the_same_planes(float_device, views):
 
 
 def test_the_budget_is_that_of_the_images_trained_on(float_device, views):
-    size = 4 * 3 * WIDTH * HEIGHT
-    assert Photos(float_device, views, size).resident
-    assert not Photos(float_device, views, size - 1).resident
+    for level in (1, 2):
+        size = bytes_at(level)
+        assert Photos(float_device, views, (level,), size).resident
+        assert not Photos(float_device, views, (level,), size - 1).resident
+
+
+def test_the_budget_is_a_quarter_of_the_device_unless_told(float_device, views, monkeypatch):
+    assert Photos(float_device, views)._budget == 0.25 * float_device.handle.global_mem_size
+    monkeypatch.setattr(module, "DEVICE_SHARE", 0)
+    assert not Photos(float_device, views).resident
 
 
 def test_resident_photos_are_decoded_once(float_device, views, reads):
@@ -63,27 +96,31 @@ def test_resident_photos_are_decoded_once(float_device, views, reads):
     for i in (0, 1, 0, 3):
         photos.expect(i)
         photos[i]
-    assert sorted(reads) == ["0.png", "1.png", "2.png", "3.png"]
+    assert sorted(reads) == all_at(WIDTH)
 
 
 def test_what_is_expected_is_read_ahead_once(float_device, views, reads):
     photos = Photos(float_device, views, budget_bytes=0)
+    assert sorted(reads) == all_at(WIDTH)  # at the start, for damage
+    reads.clear()
     photos.expect(2)
     photos.expect(2)
-    photos._thread.submit(int).result()  # one thread: what was asked before is done
-    assert reads == ["2.png"]
+    idle(photos)
+    assert reads == [("2.png", WIDTH)]
     photos[2]
-    assert reads == ["2.png"]
+    assert reads == [("2.png", WIDTH)]
     photos[2]
-    assert reads == ["2.png", "2.png"]
+    assert reads == [("2.png", WIDTH)] * 2
     photos.close()
 
 
-def test_a_damaged_photo_is_refused_at_the_start(float_device, views):
+@pytest.mark.parametrize("levels", [(1.0,), (2.0, 1.0)])
+@pytest.mark.parametrize("budget", [None, 0])
+def test_a_damaged_photo_is_refused_at_the_start(float_device, views, levels, budget):
     data = views[3].source.read_bytes()
     views[3].source.write_bytes(data[:len(data) * 2 // 3])
     with pytest.raises(InputError, match="3.png.*damaged or cut short"):
-        Photos(float_device, views)
+        Photos(float_device, views, levels, budget)
     with pytest.raises(InputError, match="3.png"):
         list(decoded(views))
 
@@ -94,4 +131,90 @@ def test_a_damaged_photo_read_ahead_is_reported_where_it_is_used(float_device, v
     photos.expect(1)
     with pytest.raises(InputError, match="1.png"):
         photos[1]
+    photos.close()
+
+
+# --- levels
+
+
+def test_each_level_is_read_once_and_ahead_of_its_use(float_device, views, reads):
+    photos = Photos(float_device, views, (4.0, 2.0, 1.0))
+    for level, following in ((4, 2), (2, 1), (1, None)):
+        photos.use(level)
+        idle(photos)
+        ahead = all_at(WIDTH // following) if following else []
+        assert sorted(reads) == sorted((all_at(WIDTH // 4) if level == 4 else []) + ahead)
+        reads.clear()
+        assert photos.resident and is_at(photos, views, level)
+        photos.use(level)
+        photos.expect(0)
+        assert not reads
+    photos.close()
+
+
+def test_a_level_trains_while_the_next_is_read(float_device, views, monkeypatch):
+    """Its photos are there though no photo of the next level can be read yet."""
+    may_read, readers = threading.Event(), set()
+
+    def held(source, size):
+        if size[0] == WIDTH:
+            readers.add(threading.get_ident())
+            assert may_read.wait(30)
+        return read_image(source, size)
+
+    monkeypatch.setattr(module, "read_image", held)
+    photos = Photos(float_device, views, (2.0, 1.0))
+    assert is_at(photos, views, 2)
+    may_read.set()
+    photos.use(1.0)
+    assert is_at(photos, views, 1)
+    assert len(readers) == 1 and threading.get_ident() not in readers
+    photos.close()
+
+
+@pytest.mark.parametrize("budget, resident", [
+    (bytes_at(2), True), (bytes_at(1) - 1, True), (bytes_at(2) - 1, False), (0, False)])
+def test_a_level_beyond_the_budget_is_streamed(float_device, views, reads, budget, resident):
+    photos = Photos(float_device, views, (2.0, 1.0), budget)
+    idle(photos)
+    start = all_at(WIDTH // 2) if resident else all_at(WIDTH)  # all of them once, for damage
+    assert sorted(reads) == start  # nothing of the next level
+    assert photos.resident is resident and is_at(photos, views, 2)
+    photos.expect(1)
+    photos.use(1.0)
+    idle(photos)
+    reads.clear()
+    assert not photos.resident and is_at(photos, views, 1)
+    assert sorted(reads) == all_at(WIDTH)
+    photos.expect(1)  # of this level, whatever was expected before
+    idle(photos)
+    assert reads[4:] == [("1.png", WIDTH)]
+    assert photos[1].shape == (3, HEIGHT, WIDTH)
+    assert len(reads) == 5
+    photos.close()
+
+
+def test_levels_may_be_left_out(float_device, views):
+    """As a resumed run does, which begins where it was."""
+    photos = Photos(float_device, views, (4.0, 2.0, 1.0))
+    photos.use(1.0)
+    assert is_at(photos, views, 1)
+    photos.close()
+
+
+def test_a_photo_that_is_gone_when_its_level_comes_is_named(float_device, views, monkeypatch):
+    gone = []
+
+    def sometimes(source, size):
+        if size[0] == WIDTH and source.name == "2.png":
+            gone.append(source)
+            raise InputError(f"{source}: no such file")
+        return read_image(source, size)
+
+    monkeypatch.setattr(module, "read_image", sometimes)
+    photos = Photos(float_device, views, (2.0, 1.0))
+    idle(photos)
+    assert gone and is_at(photos, views, 2)  # it is no error before it is needed
+    with pytest.raises(InputError, match="2.png: no such file"):
+        photos.use(1.0)
     photos.close()

@@ -6,7 +6,7 @@ import pytest
 from numpy.lib.recfunctions import repack_fields
 
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import LEARNED, SPHERE, Gaussians
 from clsplat.io.ply import read_ply, write_ply
 
 UTM = np.array([512345.678, 5212345.123, 431.5])
@@ -155,3 +155,73 @@ def test_absurd_header(tmp_path):
 def test_unwritable(tmp_path):
     with pytest.raises(InputError, match="nowhere"):
         write_ply(tmp_path / "nowhere" / "a.ply", random_gaussians())
+
+
+# --- columns of the sphere
+
+COLUMNS = ["anchor_x", "anchor_y", "anchor_z", "max_offset"]
+
+
+def with_spheres(gaussians):
+    rng = np.random.default_rng(8)
+    rows = {f.name: rng.normal(size=(gaussians.count, *f.shape)).astype(np.float32)
+            for f in SPHERE}
+    return Gaussians({**gaussians.rows, **rows}, gaussians.sh_degree)
+
+
+@pytest.mark.parametrize("gaussians, sphere", [
+    (with_spheres(random_gaussians()), False), (random_gaussians(), True)])
+def test_the_layout_is_the_standard_one_unless_asked_and_had(tmp_path, gaussians, sphere):
+    write_ply(tmp_path / "a.ply", random_gaussians(), UTM)
+    write_ply(tmp_path / "b.ply", gaussians, UTM, sphere=sphere)
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert set(read_ply(tmp_path / "b.ply").rows) == {f.name for f in LEARNED}
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_spheres_round_trip(tmp_path, degree, count):
+    gaussians = with_spheres(random_gaussians(count, degree))
+    write_ply(tmp_path / "a.ply", gaussians, sphere=True)
+    vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
+    assert [p.name for p in vertex.properties][-4:] == COLUMNS
+    found = read_ply(tmp_path / "a.ply")
+    assert equal(found, gaussians)
+    for f in SPHERE:
+        assert found.rows[f.name].dtype == np.float32
+        assert np.array_equal(found.rows[f.name], gaussians.rows[f.name]), f.name
+
+
+@pytest.mark.parametrize("log_scale, kind, error", [(-2.0, "f8", 1e-8), (8.0, "f4", 0.5)])
+def test_anchors_move_with_the_offset_and_sizes_do_not(tmp_path, log_scale, kind, error):
+    gaussians = with_spheres(random_gaussians(50, 0, log_scale))
+    write_ply(tmp_path / "a.ply", gaussians, UTM, sphere=True)
+    vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
+    assert [vertex.ply_property(n).val_dtype for n in COLUMNS] == [kind] * 3 + ["f4"]
+    world = np.stack([vertex[n] for n in COLUMNS[:3]], axis=1).astype(np.float64)
+    assert np.abs(world - (gaussians.anchors.astype(np.float64) + UTM)).max() <= error
+    local = read_ply(tmp_path / "a.ply")
+    assert np.abs(local.anchors - gaussians.anchors).max() <= max(error, 1e-6)
+    assert np.array_equal(local.max_offsets, gaussians.max_offsets)
+    other = read_ply(tmp_path / "a.ply", UTM + (100, 0, 0))
+    assert np.allclose(other.anchors, local.anchors - (100, 0, 0), atol=1e-4)
+    assert np.array_equal(other.max_offsets, gaussians.max_offsets)
+
+
+def test_many_rows_of_spheres(tmp_path):
+    gaussians = with_spheres(random_gaussians((1 << 16) + 1, 0))
+    write_ply(tmp_path / "a.ply", gaussians, sphere=True)
+    assert np.array_equal(read_ply(tmp_path / "a.ply").anchors, gaussians.anchors)
+
+
+@pytest.mark.parametrize("column", COLUMNS)
+def test_spheres_that_are_not_whole_or_not_finite(tmp_path, column):
+    path = tmp_path / "a.ply"
+    write_ply(path, with_spheres(random_gaussians(5, 1)), sphere=True)
+    table = np.array(plyfile.PlyData.read(path)["vertex"].data)
+    plyfile.PlyData([plyfile.PlyElement.describe(without(column)(table), "vertex")]).write(path)
+    assert equal(read_ply(path), random_gaussians(5, 1))
+    assert set(read_ply(path).rows) == {f.name for f in LEARNED}
+    table[column][2] = np.nan
+    plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")]).write(path)
+    refused(path, f"1 of 5 values in column {column}")

@@ -17,7 +17,7 @@ OPTIONS = scaled_steps(TrainOptions(
 
 def schedule_of(**changes):
     return Taming(dataclasses.replace(OPTIONS, **changes),
-                  Subject((640, 480), START, 1.0, photos=None))
+                  Subject((640, 480), START, 1.0, photos=None, pixels=10**8))
 
 
 def targets(schedule, count=0):
@@ -66,7 +66,7 @@ def test_a_moved_end_moves_the_curve():
 
 
 def test_everything_else_is_as_in_3dgs():
-    subject = Subject((640, 480), START, 1.0, photos=None)
+    subject = Subject((640, 480), START, 1.0, photos=None, pixels=10**8)
     constant = Constant(OPTIONS, subject)
     for iteration in (1, 501, 1001, 1002, 3001, 15001, 30000):
         assert schedule_of().plan(iteration) == constant.plan(iteration)

@@ -1,0 +1,234 @@
+"""A time budget: whole runs under a made-up clock end when they should."""
+
+import json
+import re
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.options import resolve
+from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.train import checkpoint
+from clsplat.train.budget import EVERY, TOO_LITTLE, TimeBudget
+from clsplat.train.loop import Training
+
+COUNT = 100_000  # gaussians at the start
+FREQUENCIES = {f"{variant}_mean": 30.0 for variant in ("paper", "release", "robust")}
+
+
+class Clock:
+    """What the loop tells the time by, and what each of its acts takes.
+
+    step: seconds of a step, called with (level, gaussians, iteration); evaluation, change (of the
+    level): seconds; disk: bytes a second.
+    """
+
+    def __init__(self, step, evaluation=2.0, disk=150e6, change=0.5):
+        self.step, self.evaluation, self.disk, self.change = step, evaluation, disk, change
+        self.now = 3.0  # of loading
+
+
+class Simulated:
+    """The parts of a `loop.Training` that a budget reads and moves, without a device."""
+
+    lay_over, estimate_end = Training.lay_over, Training.estimate_end
+
+    def __init__(self, seconds, clock, **options):
+        self.options = scaled_steps(resolve({}, {"time_budget": f"{seconds}s", **options}))
+        self.schedule = SCHEDULES[self.options.schedule](
+            self.options, Subject(
+                size=(1600, 1200), count=COUNT, inverse_distance=20.0, photos=None,
+                pixels=100 * 1600 * 1200))
+        self.model = SimpleNamespace(count=COUNT, sh_degree=3)
+        self.step = SimpleNamespace(model=self.model, options=self.options)
+        self.photos = SimpleNamespace(level=self.schedule.levels[0])
+        self.device = SimpleNamespace(finish=lambda: None)
+        self.clock, self.iteration, self.steps_at = clock, 0, {}
+        self.budget = TimeBudget(seconds, clock.evaluation, checkpoint.size(self.model))
+
+    def elapsed(self):
+        return self.clock.now
+
+    def take_step(self):
+        iteration = self.iteration + 1
+        plan = self.schedule.plan(iteration)
+        if plan.level != self.photos.level:
+            self.clock.now += self.clock.change
+            self.photos.level = plan.level
+        self.clock.now += self.clock.step(plan.level, self.model.count, iteration)
+        if plan.grows:
+            self.schedule.target(iteration, self.model.count, 0)
+            self.model.count = min(4 * COUNT, self.model.count * 21 // 20)
+        self.iteration = iteration
+        self.steps_at[plan.level] = self.steps_at.get(plan.level, 0) + 1
+        if iteration % self.schedule.look == 0:
+            self.schedule.observe(iteration, FREQUENCIES)
+        if iteration % EVERY == 0:
+            self.estimate_end()
+
+    def run(self, checkpoint_every=0, until=None):
+        """Seconds until the model is written, or until a step."""
+        while self.iteration < min(until or self.options.iterations, self.options.iterations):
+            self.take_step()
+            if checkpoint_every and self.iteration % checkpoint_every == 0:
+                self.save()
+        if until:
+            return self.clock.now
+        self.clock.now += self.clock.evaluation
+        self.save()
+        return self.clock.now
+
+    def save(self):
+        self.budget.skip()
+        size = checkpoint.size(self.model)
+        self.clock.now += size / self.clock.disk
+        self.budget.note_saved(size, size / self.clock.disk)
+
+
+def by_pixels(level, count, iteration, unit=0.03):
+    """A GPU's: a fixed part, one by pixels, one by gaussians."""
+    return unit * (0.1 + 0.5 / level**2 + 0.1 * count / COUNT)
+
+
+def by_level(level, count, iteration, unit=0.02):
+    return unit / level
+
+
+def slowing(level, count, iteration):
+    """A machine that gets hot, or a neighbour who starts something."""
+    return by_pixels(level, count, iteration) * (1.5 if iteration > 5000 else 1)
+
+
+def compiling(level, count, iteration):
+    """Kernels are built at the first step."""
+    return 15.0 if iteration == 1 else by_level(level, count, iteration)
+
+
+@pytest.mark.parametrize("step", [by_pixels, by_level, slowing, compiling])
+@pytest.mark.parametrize("options", [{}, {"levels": (2.0, 1.0)}, {"rounds": 0},
+                                     {"schedule": "constant"}], ids=str)
+def test_a_run_ends_when_it_should(step, options):
+    training = Simulated(240, Clock(step), **options)
+    assert 0.97 * 240 < training.run() < 1.01 * 240
+    assert set(training.steps_at) == set(training.schedule.levels)
+
+
+@pytest.mark.parametrize("seconds, unit", [(60, 0.001), (60, 0.01), (3600, 0.5), (20, 0.05)])
+def test_whatever_a_step_takes(seconds, unit):
+    clock = Clock(partial(by_pixels, unit=unit), evaluation=0.02 * seconds, disk=100e6,
+                  change=0.0)
+    assert 0.97 * seconds < Simulated(seconds, clock).run() < 1.03 * seconds
+
+
+def test_checkpoints_on_the_way_are_paid_for():
+    clock = Clock(by_level, disk=50e6)
+    assert 0.97 * 240 < Simulated(240, clock).run(checkpoint_every=500) < 1.01 * 240
+
+
+def test_the_schedule_is_laid_over_the_whole_run():
+    training = Simulated(240, Clock(by_pixels), schedule="constant", densify_every=50)
+    training.run()
+    assert training.options.iterations == training.iteration
+    assert training.schedule.options is training.step.options is training.options
+    assert training.options.densify_until == pytest.approx(training.iteration / 2, rel=0.02)
+    assert training.schedule.plan(training.iteration).decay == pytest.approx(1, abs=0.01)
+
+
+def test_the_finest_level_gets_its_share_of_the_steps():
+    training = Simulated(240, Clock(by_pixels))
+    training.run()
+    share = training.steps_at[1.0] / training.iteration
+    assert share > 0.9 * (1 - training.options.level_share)
+
+
+def test_a_resumed_run_keeps_to_the_budget():
+    """What it does not take over is only what the next steps tell anew."""
+    first = Simulated(240, Clock(by_pixels))
+    first.run(until=3000)
+    state = json.loads(json.dumps({"budget": first.budget.state(), "schedule": first.schedule.state(),
+                                   "iterations": first.options.iterations}))
+    again = Simulated(240, first.clock)
+    again.budget.load(state["budget"])
+    again.schedule.load(state["schedule"])
+    again.lay_over(state["iterations"])
+    again.model.count, again.iteration = first.model.count, first.iteration
+    assert again.budget.step_seconds == first.budget.step_seconds
+    assert again.budget.rate == first.budget.rate
+    assert again.options.iterations == first.options.iterations
+    again.photos.level = first.photos.level
+    assert 0.97 * 240 < again.run() < 1.01 * 240
+
+
+# --- the arithmetic
+
+def budget(seconds=100.0, evaluation=2.0, saved=0.0):
+    return TimeBudget(seconds, evaluation, saved)
+
+
+def test_steps_by_hand():
+    """100 s less 2 of evaluating and 0.5 spare: 97.5 s of steps of 0.1 s, from the start."""
+    made = budget()
+    made.note_steps(10, 1.0, 1.0)
+    made.note_steps(20, 1.0, 2.0)
+    assert made.step_seconds == {1.0: pytest.approx(0.1)}
+    assert made.steps(20, [(1.0, 500)], 2.0, 0) == pytest.approx(20 + 955, abs=1)
+    # of 100 steps at a quarter of the time and 300 whole ones, 95.5 s hold 955 / 325 times as many
+    made.step_seconds[4.0] = 0.025
+    assert made.steps(20, [(4.0, 100), (1.0, 300)], 2.0, 0) == pytest.approx(
+        20 + 400 * 955 / 325, abs=1)
+
+
+def test_a_level_not_seen_yet_is_judged_by_the_nearest():
+    made = budget()
+    made.step_seconds = {5.0: 0.01, 2.0: 0.03}
+    assert made.steps(0, [(1.0, 10)], 0.0, 0) == int(97.5 / 0.06)
+    assert made.steps(0, [(4.0, 10)], 0.0, 0) == int(97.5 / (0.01 * 5 / 4))
+
+
+def test_the_newest_measurement_counts_half():
+    made = budget()
+    for iteration, elapsed in ((0, 0.0), (10, 1.0), (20, 4.0)):
+        made.note_steps(iteration, 1.0, elapsed)
+    assert made.step_seconds[1.0] == pytest.approx(0.5 * 0.1 + 0.5 * 0.3)
+
+
+def test_what_is_no_step_is_skipped():
+    made = budget()
+    made.note_steps(10, 1.0, 1.0)
+    made.skip()
+    made.note_steps(20, 1.0, 50.0)
+    assert made.step_seconds == {}
+    made.note_steps(30, 1.0, 52.0)
+    assert made.step_seconds == {1.0: pytest.approx(0.2)}
+
+
+def test_time_spent_ends_the_run_at_once():
+    made = budget()
+    made.step_seconds = {1.0: 0.1}
+    for elapsed in (97.5, 99.0, 1000.0):
+        assert made.steps(60, [(1.0, 40)], elapsed, 0) == 60
+    assert made.steps(60, [], 0.0, 0) == made.steps(60, [(1.0, 0)], 0.0, 0) == 60
+
+
+def test_writing_is_reserved_by_what_it_took():
+    made = budget(saved=1e9)
+    before = made.reserve(1e9)
+    made.note_saved(5e8, 1.0)
+    assert before - made.reserve(1e9) == pytest.approx(1e9 / 100e6 - 2)
+
+
+@pytest.mark.parametrize("evaluation, saved", [(60.0, 0), (0.0, 6e9), (300.0, 3e10), (0.6, 0),
+                                               (1e4, 1e9)])
+def test_too_little_is_refused_and_the_cure_is_one(evaluation, saved):
+    with pytest.raises(InputError) as caught:
+        TimeBudget(1.0, evaluation, saved)
+    said = str(caught.value)
+    assert said.startswith("--time-budget 1s: evaluating and saving once take ")
+    assert f"{evaluation + saved / 100e6:.0f}" in said and "\n" not in said
+    least = float(re.search(r"give at least (\d+)s$", said)[1])
+    made = TimeBudget(least, evaluation, saved)
+    assert made.reserve(saved) <= TOO_LITTLE * least
+    with pytest.raises(InputError):
+        TimeBudget(0.9 * least - 3, evaluation, saved)

@@ -1,0 +1,88 @@
+"""The sphere around each anchor: its size at the start, what is outside, what children get."""
+
+import numpy as np
+import pytest
+
+from clsplat.constrain.sphere import children, outside, with_spheres
+from clsplat.errors import InputError
+from clsplat.gaussians import SPHERE, Gaussians
+from clsplat.options import TrainOptions, resolve
+
+LARGEST = np.finfo(np.float32).max
+
+
+def cloud(count, seed=0):
+    rng = np.random.default_rng(seed)
+    return Gaussians.from_points(rng.normal(size=(count, 3)),
+                                 np.zeros((count, 3), np.uint8), sh_degree=1)
+
+
+@pytest.mark.parametrize("neighbours", [1, 3, 15])
+def test_spheres_at_the_start(neighbours):
+    given = cloud(40)
+    gaussians = with_spheres(given, neighbours)
+    p = given.positions.astype(float)
+    apart = np.sort(np.linalg.norm(p[:, None] - p, axis=2), axis=1)[:, 1:]
+    assert np.allclose(gaussians.max_offsets, apart[:, :neighbours].mean(axis=1), rtol=1e-6)
+    assert np.array_equal(gaussians.anchors, given.positions)
+    assert gaussians.anchors is not given.positions  # training moves one, not the other
+    assert gaussians.sh_degree == 1
+    for field in SPHERE:
+        values = gaussians.rows[field.name]
+        assert values.dtype == np.float32 and values.shape == (40, *field.shape)
+    assert gaussians.rows.keys() == given.rows.keys() | {"anchors", "max_offsets"}
+    assert all(gaussians.rows[name] is values for name, values in given.rows.items())
+    assert not outside(gaussians.positions, gaussians.anchors, gaussians.max_offsets, 0.0).any()
+
+
+def test_one_point_more_than_neighbours_is_needed():
+    assert with_spheres(cloud(16), 15).max_offsets.all()
+    with pytest.raises(InputError, match="15 distinct points, --sphere-neighbours 15 needs at "
+                                         "least 16; use a smaller number or --no-sphere"):
+        with_spheres(cloud(15), 15)
+
+
+def test_beyond_reach_times_max_offset_is_outside():
+    """On it is not; distance is Euclidean."""
+    anchors = np.float32([[1, 2, 3]] * 6)
+    moved = np.float32([[3, 0, 4], [3, 0, 4], [0, 0, 0], [-5, 0, 0], [0, 5.0001, 0], [2.9] * 3])
+    offsets = np.float32([2.5, 2.4999, 0, 2.5, 2.5, 2.5])
+    assert outside(anchors + moved, anchors, offsets, 2.0).tolist() == [
+        False, True, False, False, True, True]
+    assert outside(anchors + moved, anchors, offsets, 3.0).tolist() == [False] * 6
+    assert outside(anchors + moved, anchors, offsets, 0.0).tolist() == [
+        True, True, False, True, True, True]
+    assert outside(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 2.0).shape == (0,)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["positions", "anchors", "max_offsets"])
+def test_what_is_no_number_is_outside(name, value):
+    rows = {"positions": np.zeros((3, 3), np.float32), "anchors": np.zeros((3, 3), np.float32),
+            "max_offsets": np.ones(3, np.float32)}
+    rows[name][1] = value
+    # a sphere without end holds everything
+    expected = [False, not (name == "max_offsets" and value == np.inf), False]
+    assert outside(*rows.values(), 15.0).tolist() == expected
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_largest_numbers_are_compared_as_others_are():
+    far = np.array([[LARGEST, -LARGEST, LARGEST]])
+    for offset, expected in ((LARGEST, False), (LARGEST / 20, True)):
+        assert outside(far, -far, np.array([offset]), 15.0).tolist() == [expected]
+    assert outside(far, far, np.float32([0]), 15.0).tolist() == [False]
+
+
+def test_children_by_either_rule():
+    parents = {"anchors": np.float32([[1, 2, 3], [4, 5, 6]]), "max_offsets": np.float32([2, 10])}
+    places = np.float32([[1.5, 2, 3], [4, 5.5, 6]])
+    for options, anchors, share in (
+            (TrainOptions(), parents["anchors"], 0.7),
+            (resolve({}, {"preset": "release"}), places, 0.8),
+            (TrainOptions(sphere_shrink=0.5), parents["anchors"], 0.5)):
+        found, offsets = children(parents, places, options)
+        assert np.array_equal(found, anchors)
+        assert np.allclose(offsets, share * parents["max_offsets"], rtol=1e-6)
+        assert found.dtype == offsets.dtype == np.float32

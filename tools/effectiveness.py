@@ -1,0 +1,125 @@
+"""Which scene frequency tells when to go on: trains scenes at five fixed resolutions.
+
+    python -m tools.effectiveness OUT SCENE[:DOWNSCALE] ...
+
+DOWNSCALE is of what counts as full resolution. Each scene's OUT/SCENE/effectiveness.png has the
+nine frequencies over iterations, a line a resolution, as Xue et al. (2026) draw theirs;
+OUT/effectiveness.md says of each whether it orders the resolutions and whether it saturates.
+"""
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from clsplat.frequency import AXES, VARIANTS
+from clsplat.io.atomic import replacing
+from clsplat.report.curves import frequency_curves, value_at
+from clsplat.report.figures import LOOK
+from clsplat.report.page import Table
+from tools.evidence import outermost, parsed, parser, refuse, write
+from tools.runs import trained, wanted
+
+FACTORS = (5, 4, 3, 2, 1)
+FLAGS = ("--schedule", "constant", "--reset-every", "0")
+SATURATED = 0.1  # share of the growth while densifying that the last quarter may still add
+
+
+def main(argv):
+    given = parsed(parser(__doc__, 4000), argv)
+    groups, failed = trained(
+        [wanted(given, scene, f"fixed{factor}", 0,
+                [*FLAGS, "-r", f"{factor * scene.downscale:g}"])
+         for scene in given.scenes for factor in FACTORS], given.jobs, given.gpus)
+    rows = []
+    for scene, found in groups.items():
+        runs = {factor: found[f"fixed{factor}"][0] for factor in FACTORS if found[f"fixed{factor}"]}
+        lines = {factor: frequency_curves(run.records) for factor, run in runs.items()}
+        grows = next(iter(growing(run.options) for run in runs.values()), None)
+        with replacing(given.out / scene / "effectiveness.png") as file:
+            drawn(scene, lines, grows).savefig(file, format="png", dpi=150)
+        for variant in VARIANTS:
+            for axis in AXES:
+                chosen = [line[variant][axis] for line in lines.values()
+                          if axis in line.get(variant, {})]
+                rows.append((scene, f"{variant} {axis}", *verdicts(chosen, grows)))
+    table = Table(
+        "Scene frequencies", ("scene", "frequency", "ordered at the end", "at half", "saturates",
+                              "last quarter / growing", "at the end, coarse to fine"), rows, (), (
+            "Ordered: each resolution has a higher frequency than the coarser one before it. "
+            f"Saturates: what the last quarter adds is less than {SATURATED:g} of what was added "
+            "while densifying; beside it that share, the median of the resolutions and its range.",
+            f"Fixed factors {', '.join(map(str, FACTORS))}; one seed."))
+    # each run by itself: the runs of a scene are meant to differ in what `write` warns of
+    alone = {f"{scene} {name}": {name: runs} for scene, found in groups.items()
+             for name, runs in found.items()}
+    write(given.out / "effectiveness.md", "Effectiveness of the scene frequency", given, alone,
+          [table])
+    refuse(failed)
+
+
+def growing(options):
+    """(first, last) step that may grow, of a run's options."""
+    return options["densify_from"], options["densify_until"] or options["iterations"] // 2
+
+
+def verdicts(lines, grows):
+    """Cells of one frequency: lines, curves over iterations from the coarsest resolution to the
+    finest; grows: (first, last) step that may grow."""
+    if len(lines) < 2:
+        return ("-",) * 5
+    end = min(x[-1] for x, _ in lines)
+    last = [value_at(line, end) for line in lines]
+    shares = [share for share in (late_share(line, end, grows) for line in lines)
+              if share is not None]
+    saturated = sum(abs(share) < SATURATED for share in shares)
+    span = (f"{np.median(shares):.2f} ({min(shares):.2f} to {max(shares):.2f})" if shares else "-")
+    return (ordered(last), ordered([value_at(line, end / 2) for line in lines]),
+            _of(saturated, len(shares)), span, " ".join(f"{value:.3g}" for value in last))
+
+
+def late_share(line, end, grows):
+    """What the last quarter until `end` adds, over what densifying added; None where that is
+    unknown or nothing."""
+    first, until = max(grows[0], line[0][0]), grows[1]
+    points = [value_at(line, x) for x in (first, until, 0.75 * end, end)]
+    if None in points or first >= until or points[1] == points[0]:
+        return None
+    return (points[3] - points[2]) / (points[1] - points[0])
+
+
+def ordered(values):
+    """How many neighbours of a list rise: "yes" for all of them."""
+    if None in values:
+        return "-"
+    return _of(sum(a < b for a, b in zip(values, values[1:])), len(values) - 1)
+
+
+def _of(count, total):
+    return "-" if not total else "yes" if count == total else f"{count} of {total}"
+
+
+def drawn(scene, lines, grows):
+    """The figure of a scene; lines: {factor: {variant: {axis: curve}}}."""
+    colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(FACTORS)))
+    with matplotlib.rc_context(LOOK):
+        figure = Figure(figsize=(11, 9), layout="constrained")
+        panels = figure.subplots(len(VARIANTS), len(AXES), sharex=True)
+        for row, variant in zip(panels, VARIANTS):
+            for axes, axis in zip(row, AXES):
+                for factor, colour in zip(FACTORS, colours):
+                    if axis in lines.get(factor, {}).get(variant, {}):
+                        axes.plot(*lines[factor][variant][axis], color=colour,
+                                  label=f"{factor}x smaller" if factor > 1 else "full")
+                if grows:
+                    axes.axvline(grows[1], color="#8b9095", linewidth=0.9, linestyle=(0, (4, 3)))
+                axes.set_title(f"{variant}, {axis}")
+        for axes in panels[-1]:
+            axes.set_xlabel("iteration")
+        figure.suptitle(f"{scene}: scene frequency, 1 / world unit; dashed: growth ends")
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center",
+                      ncols=len(FACTORS))
+    return figure
+
+
+if __name__ == "__main__":
+    outermost(main)
