@@ -97,10 +97,12 @@ class TrainOptions:
                                      "step than this share of it", minimum=0.0, only=SIG)
     convergence_hits: int = option(2, "Levels", "tests in a row that must agree", minimum=1,
                                    only=SIG)
-    level_share: float = option(0.5, "Levels", "share of the run that the lower levels may take "
+    level_share: float = option(0.7, "Levels", "share of the run that the lower levels may take "
                                 "together (1: no deadlines)", minimum=0.0, maximum=1.0, only=SIG)
     rounds: int = option(12, "Levels", "at most so many rounds of growth a level (0: grow as "
                          "constant does)", minimum=0, only=SIG)
+    level_reset: bool = option(True, "Levels", "lower all opacities where a level begins: what its "
+                               "images do not ask for again is pruned", only=SIG)
     pixels_per_gaussian: float = option(
         40.0, "Levels", "training pixels, at the level's size, that a gaussian must have for the "
         "model to grow (0: any)", minimum=0.0, only=SIG)
@@ -158,11 +160,12 @@ CHOICES = {
         "paper": {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
                   "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0,
                   "opacity_rate": 0.05, "sphere_reach": 15.0,
-                  "densify_every": 200, "pixels_per_gaussian": 0.0, "reproject": "on",
+                  "densify_every": 200, "level_reset": False, "pixels_per_gaussian": 0.0, "reproject": "on",
                   "exposure": "off"},
         "release": {"levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release",
                     "convergence": "release", "convergence_hits": 5, "level_share": 1.0,
-                    "densify_every": 200, "pixels_per_gaussian": 0.0, "sphere_neighbours": 8,
+                    "densify_every": 200, "level_reset": False, "pixels_per_gaussian": 0.0,
+                    "sphere_neighbours": 8,
                     "sphere_reach": 15.0, "sphere_shrink": 0.8, "sphere_rule": "release", "reproject": "off", "exposure": "off",
                     "optimizer": "sparse", "prune_size": 0.05, "ssim_weight": 0.33,
                     "grow_threshold": 1.25e-4, "opacity_rate": 0.02},

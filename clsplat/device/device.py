@@ -1,5 +1,6 @@
 """An open device: context, queue, memory, built programs, checked launches, profiling."""
 
+import time
 import warnings
 import weakref
 from contextlib import contextmanager
@@ -45,6 +46,7 @@ class Device:
         self._held = weakref.WeakSet()
         self._kernels = {}
         self._programs = {}
+        self.build_seconds = 0.0  # spent on compiling so far
         self._profile = None
         self._dtypes = {**SCALARS, "real": self.real.type}
         self._base_options = [
@@ -133,6 +135,7 @@ class Device:
             self.launch(kernel, elements, self.group_size, defines, **values)
 
     def _build(self, kernel, defines):
+        begin = time.perf_counter()
         program = self._programs.get((kernel.file, defines))
         if program is None:
             options = self._base_options + [f"-D{name}={value}" for name, value in defines]
@@ -149,6 +152,7 @@ class Device:
             [None if kernel.is_array[n] else self._dtypes[kernel.arguments[n]]
              for n in kernel.names])
         self._kernels[kernel, defines] = built
+        self.build_seconds += time.perf_counter() - begin
         return built
 
     def finish(self):

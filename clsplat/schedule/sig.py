@@ -99,11 +99,18 @@ class Sig(Schedule):
         progress = super().decay(iteration)
         return Plan(
             level=self.levels[self.index], degree=self.degree(iteration), gathers=growing,
-            grows=grows, resets_opacity=bool(growing and o.reset_every and iteration > 1
-                                             and (iteration - 1) % o.reset_every == 0),
+            grows=grows, resets_opacity=self._resets(iteration, growing),
             prunes_large=not self.guarded, decay=self.decay(iteration) if self.guarded else progress,
             regularises=o.reproject_weight * REPROJECT_DECAY**progress
             if growing and o.reproject == "on" else 0.0)
+
+    def _resets(self, iteration, growing):
+        """Whether opacities are lowered after a step: the first of a level, or every so many."""
+        o, before = self.options, iteration - 1
+        if before == 0:
+            return False
+        return (o.level_reset and before == self.began) or (
+            growing and o.reset_every > 0 and before % o.reset_every == 0)
 
     def decay(self, iteration):
         """The position rate falls at the finest level only: what has settled at a coarse one must

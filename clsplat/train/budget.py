@@ -62,7 +62,7 @@ class TimeBudget:
         return iteration + max(0, int(steps * left / predicted)) if predicted > 0 else iteration
 
     def _step_seconds(self, level):
-        """Of a level not seen yet: as if time grew with the side of the images, from the nearest."""
+        """Of a level not seen yet: as if time grew with the image's side, from the nearest."""
         if level in self.step_seconds:
             return self.step_seconds[level]
         if not self.step_seconds:

@@ -20,7 +20,7 @@ def save(training):
               for name, values in fields.items()}
     training.run.save_checkpoint(arrays, {
         "fingerprint": training.fingerprint, "iteration": training.iteration,
-        "evaluated_at": training.evaluated_at, "level": training.photos.level,
+        "evaluated_at": training.evaluated_at, "level": training.level,
         "train_seconds": training.train_seconds, "wall_seconds": training.elapsed(),
         "skipped_rows": int(training.renderer.skipped.download()[0]),
         "schedule": training.schedule.state(),

@@ -109,12 +109,13 @@ class Training:
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
         self.unchanged = device.upload(np.eye(3, 4))  # colours of an adjacent view
+        self.level = None
         self.use_level(self.schedule.levels[0])
         self.iteration = 0
         self.evaluated_at = None
         self.train_seconds = self.wall_seconds = 0.0
-        self._clock = self.started
         self.budget = self._measured_budget() if options.time_budget else None
+        self.unpause()
 
     def view_of(self, iteration):
         """Index of the view of a step (from 1): shuffled epochs, each view once an epoch."""
@@ -124,8 +125,9 @@ class Training:
 
     def use_level(self, level):
         """Train on images `level` times smaller from now on."""
-        if level == self.photos.level and hasattr(self, "cameras"):
+        if level == self.level:
             return
+        self.level = level
         self.photos.use(level)
         self.geometries = {}
         self.cameras = [self.renderer.pack(view.camera) for view in self.photos.views]
@@ -133,7 +135,7 @@ class Training:
 
     def run_to_end(self):
         """Steps until done, `stop_at` or Ctrl-C, which waits for its step; then saves the state."""
-        self._clock = time.perf_counter()
+        self.unpause()
         try:
             with deferred_interrupt() as interrupted:
                 while not (self.finished() or self.stops() or interrupted()):
@@ -227,18 +229,18 @@ class Training:
     def _measured_budget(self):
         """A TimeBudget that knows what evaluating takes here."""
         seconds = seconds_of(self.options.time_budget)
-        for views in (self.test_views[:1], self.test_views[:1]):  # the first one builds kernels
+        each = 0.0
+        for view in 2 * self.test_views[:1]:  # the first time builds kernels
             begin = time.perf_counter()
-            evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree,
-                           views) if views else None
-        each = time.perf_counter() - begin
+            evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree, [view])
+            each = time.perf_counter() - begin
         return TimeBudget(seconds, each * len(self.test_views), checkpoint.size(self.step.model))
 
     def estimate_end(self):
         """Lay the schedule over the time that is left."""
         self.device.finish()
         elapsed = self.elapsed()
-        self.budget.note_steps(self.iteration, self.photos.level, elapsed)
+        self.budget.note_steps(self.iteration, self.level, elapsed)
         self.lay_over(self.budget.steps(self.iteration, self.schedule.ahead(self.iteration),
                                         elapsed, checkpoint.size(self.step.model)))
 
@@ -258,11 +260,10 @@ class Training:
 
     def log(self, event, **values):
         """One record of metrics.jsonl; its first keys are those of every record."""
-        now = time.perf_counter()
         self.run.log({
             "event": event, "iteration": self.iteration,
-            "train_seconds": round(self.train_seconds + now - self._clock, 3),
-            "wall_seconds": round(self.elapsed(), 3), "level": self.photos.level,
+            "train_seconds": round(self.train_seconds + self._unpaused(), 3),
+            "wall_seconds": round(self.elapsed(), 3), "level": self.level,
             "gaussians": self.step.model.count, **values})
 
     def report(self):
@@ -277,7 +278,7 @@ class Training:
         if self.progress:
             self.progress(iteration=self.iteration, total=self.options.iterations, loss=loss,
                           gaussians=self.step.model.count, memory_bytes=memory,
-                          level=self.photos.level)
+                          level=self.level)
         if self.due(LOG_EVERY) or self.iteration == 1:
             skipped = int(self.renderer.skipped.download()[0])
             self.log("step", loss=loss, l1=l1, ssim=ssim, memory_bytes=memory,
@@ -289,10 +290,14 @@ class Training:
         self.device.finish()
         if self.budget:
             self.budget.skip()
-        self.train_seconds += time.perf_counter() - self._clock
+        self.train_seconds += self._unpaused()
 
     def unpause(self):
-        self._clock = time.perf_counter()
+        self._clock = time.perf_counter() - self.device.build_seconds
+
+    def _unpaused(self):
+        """Seconds of training since `unpause`; compiling kernels is none."""
+        return time.perf_counter() - self.device.build_seconds - self._clock
 
     def evaluate(self):
         """Metrics of the held-out views, outside of training time."""

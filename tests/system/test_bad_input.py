@@ -152,13 +152,14 @@ def test_spoilt_scene(tmp_path, case):
     assert not content(tmp_path / "run"), "nothing half written"
 
 
-@pytest.mark.parametrize("points", [2, 16])
-def test_few_points_suffice(tmp_path, points):
-    """Spheres and the first sizes ask for up to 15 others."""
-    folder = write_scene(tmp_path / "town", left(points, reconstruction()))
-    result = clsplat("train", folder, "-o", tmp_path / "run", *TRAIN)
-    assert result.exit_code == 0, result.output
-    assert read_ply(tmp_path / "run/point_cloud.ply").count == points
+def test_a_sphere_wants_neighbours(tmp_path):
+    """Its radius is a mean over 15 others, or as many as are asked for."""
+    folder = write_scene(tmp_path / "town", left(15, reconstruction()))
+    words = ("train", folder, "-o", tmp_path / "run", *TRAIN)
+    line = refused(*words, naming=("15 distinct points", "--sphere-neighbours 15", "at least 16",
+                                   "--no-sphere"))
+    assert ";" in line and not content(tmp_path / "run")
+    assert clsplat(*words, "--sphere-neighbours", "14").exit_code == 0
 
 
 def test_grey_photos_are_widened(tmp_path):

@@ -24,7 +24,9 @@ from clsplat.schedule.sig import (
 
 SUBJECT = Subject(size=(640, 480), count=1000, inverse_distance=20.0, photos=None,
                   pixels=10 * 640 * 480)
-SHORT = {"iterations": 6000, "levels": (4.0, 2.0, 1.0)}
+# what the defaults may become must not matter
+SHORT = {"iterations": 6000, "levels": (4.0, 2.0, 1.0), "level_share": 0.5, "level_reset": False,
+         "rounds": 8}
 RECORD = {"level", "reason", "since", "rounds", "frequency", "slope", "threshold", "hits"}
 PRESETS = ("ours", "paper", "release")
 
@@ -345,6 +347,13 @@ def test_opacities_are_reset_while_growing_only():
         assert plan.resets_opacity == (
             plan.gathers and iteration > 1 and (iteration - 1) % 300 == 0)
     assert not any(plan.resets_opacity for _, plan, _ in drive(sig()))
+
+
+def test_opacities_are_reset_where_a_level_begins():
+    """Except the first, which begins with the model."""
+    taken = drive(sig(level_reset=True))
+    assert [iteration - 1 for iteration, plan, _ in taken if plan.resets_opacity] == [
+        iteration for iteration, _ in decisions(taken)]
 
 
 def test_photos_are_compared_while_growing_with_less_weight_later():
