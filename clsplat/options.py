@@ -93,8 +93,9 @@ class TrainOptions:
                             choices=("robust", "paper", "release"))
     convergence: str = option("robust", "Levels", "test of its convergence", only=SIG,
                               choices=("robust", "paper", "release"))
-    convergence_rate: float = option(1e-4, "Levels", "converged when the frequency grows by less a "
-                                     "step than this share of it", minimum=0.0, only=SIG)
+    convergence_rate: float = option(
+        1e-4, "Levels", "converged when the frequency grows by less a step than this share of it "
+        "(paper: of the points' mean 1 / distance; release: not used)", minimum=0.0, only=SIG)
     convergence_hits: int = option(2, "Levels", "tests in a row that must agree", minimum=1,
                                    only=SIG)
     level_share: float = option(0.7, "Levels", "share of the run that the lower levels may take "
@@ -130,7 +131,8 @@ class TrainOptions:
     max_gaussians: int = option(0, "Growth", "never more gaussians than this (0: no limit)",
                                 minimum=0)
     densify_from: int = option(500, "Growth", "first step that may grow", minimum=0)
-    densify_until: int = option(0, "Growth", "last step that may grow (0: half of -n)", minimum=0)
+    densify_until: int = option(0, "Growth", "last step that may grow (0: half of -n, "
+                               "dash 0.9 of it, sig any)", minimum=0)
     densify_every: int = option(0, "Growth", "steps between rounds of growth (0: 100, and under "
                                 "sig up to 200 where the levels are long)", minimum=0)
     grow_threshold: float = option(2e-4, "Growth", "mean screen gradient that grows, NDC units",
@@ -139,8 +141,8 @@ class TrainOptions:
                                minimum=0.0)
     prune_opacity: float = option(0.005, "Growth", "fainter gaussians are removed", minimum=0.0,
                                   maximum=1.0)
-    prune_size: float = option(0.1, "Growth", "larger gaussians are removed once opacities were "
-                               "reset; x extent", minimum=0.0)
+    prune_size: float = option(0.0, "Growth", "larger gaussians are removed, under constant once "
+                               "opacities were reset; x extent (0: none)", minimum=0.0)
     reset_every: int = option(0, "Growth", "steps between opacity resets (0: never)", minimum=0)
 
     device: str = option("auto", "Device", "auto, cpu, gpu, a number of `clsplat devices`, or part "
@@ -152,14 +154,16 @@ class TrainOptions:
 # what a choice sets besides itself, unless the user says otherwise; later ones win
 CHOICES = {
     "schedule": {
-        "constant": {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05},
+        "constant": {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
+                     "prune_size": 0.1},
         "dash": {"reset_every": 3000, "exposure": "off"},
-        "taming": {"reset_every": 3000, "exposure": "off"},
+        "taming": {"reset_every": 3000, "exposure": "off", "prune_size": 0.1},
     },
+    "convergence": {"paper": {"convergence_rate": 5e-5}},
     "preset": {
         "paper": {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
                   "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0,
-                  "opacity_rate": 0.05, "sphere_reach": 15.0,
+                  "opacity_rate": 0.05, "sphere_reach": 15.0, "prune_size": 0.1,
                   "densify_every": 200, "level_reset": False, "pixels_per_gaussian": 0.0, "reproject": "on",
                   "exposure": "off"},
         "release": {"levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release",

@@ -3,7 +3,8 @@
     python -m tools.ablate OUT SCENE[:DOWNSCALE] ... [-- FLAGS]
 
 Parts, after Xue et al. (2026): FARS, levels that follow the frequency; DS, rounds of growth a
-level; SCG, spheres; DR, reprojection. Exposure is ours.
+level; SCG, spheres; DR, reprojection. Ours are exposure, the ceiling of gaussians a level, and that
+opacities are lowered where a level begins.
 """
 
 import math
@@ -38,6 +39,8 @@ ROWS = {
     "w/o SCG": ["--no-sphere"],
     "w/o DR": ["--reproject", "off"],
     "w/o exposure": ["--exposure", "off"],
+    "w/o ceiling": ["--pixels-per-gaussian", "0"],
+    "w/o level resets": ["--no-level-reset"],
 }
 HEAD = ("", "runs", TITLES[0], "to full, dB", *TITLES[1:])
 

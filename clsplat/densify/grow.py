@@ -42,7 +42,8 @@ class Candidates:
         self.rows, self.options = rows, options
         self.scales = np.exp(rows["log_scales"].astype(np.float64))
         self.largest = self.scales.max(axis=1)
-        self.limit = options.prune_size * extent if prunes_large else np.finfo(float).max
+        limited = prunes_large and options.prune_size > 0
+        self.limit = options.prune_size * extent if limited else np.finfo(float).max
         self.is_small = self.largest <= options.split_size * extent
         opacity = 1 / (1 + np.exp(-rows["opacity_logits"].astype(np.float64)))
         # written to drop what is not a number, too
@@ -71,7 +72,9 @@ def plan_growth(candidates, grows, prunes, rng):
     offsets = _rotated(rows["quaternions"][children],
                        rng.standard_normal((len(children), 3)) * scales[children])
     positions = (rows["positions"][children] + offsets).astype(np.float32)
-    keeps = (candidates.visible & (candidates.largest / SPLIT_SHRINK <= candidates.limit))[children]
+    # a parent that goes only for its size may leave children
+    lives = (candidates.visible | ~prunes) & (candidates.largest / SPLIT_SHRINK <= candidates.limit)
+    keeps = lives[children]
     spheres = {}
     if "anchors" in rows:
         parents = {name: rows[name][children] for name in ("anchors", "max_offsets")}

@@ -66,13 +66,16 @@ def level_table(records):
                 f"{'-' if before is None else format(before, 'g')} → "
                 f"{_number(record, 'level', 'g')}", str(record.get("reason") or "-"),
                 _number(record, "since", ",.0f"), _number(record, "slope", ".3g"),
-                _number(record, "threshold", ".3g"), _number(record, "gaussians", ",.0f")))
+                _number(record, "threshold", ".3g"), _number(record, "frequency", ".3g"),
+                _number(record, "hits", ".0f"), _number(record, "rounds", ".0f"),
+                _number(record, "gaussians", ",.0f")))
         before = record.get("level") if record.get("level") is not None else before
     return Table("Level changes", (
-        "step", "training, s", "level", "reason", "steps at it", "slope", "threshold",
-        "gaussians"), rows, (0, 1, 4, 5, 6, 7),
+        "step", "training, s", "level", "reason", "steps at it", "slope", "threshold", "frequency",
+        "hits", "rounds", "gaussians"), rows, (0, 1, *range(4, 11)),
         ("A level has converged when the slope of the scene frequency, per step, is below the "
-         "threshold.",)) if rows else None
+         "threshold as often in a row as asked for (hits). Rounds: of growth, at that level.",)
+        ) if rows else None
 
 
 def option_table(options):

@@ -6,10 +6,10 @@ Each is a `plan.Schedule`, pure numpy. `sig` follows the scene's frequency, `con
 
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.dash import Dash
-from clsplat.schedule.plan import Plan, Subject, scaled_steps
+from clsplat.schedule.plan import Plan, Subject, laid_over, scaled_steps
 from clsplat.schedule.sig import Sig
 from clsplat.schedule.taming import Taming
 
 SCHEDULES = {"sig": Sig, "constant": Constant, "dash": Dash, "taming": Taming}
 
-__all__ = ["SCHEDULES", "Plan", "Subject", "scaled_steps"]
+__all__ = ["SCHEDULES", "Plan", "Subject", "laid_over", "scaled_steps"]

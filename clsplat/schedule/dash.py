@@ -23,6 +23,7 @@ BINS = 1024  # of a spectrum
 LEAST_GAIN = 1e-3  # of a spectrum: less is nothing, or rounding
 MOMENTUM, MOST_ADDED = 0.98, 10**6  # of the final number of gaussians
 FIRST_GROWTH = 5  # final number to begin with: initial gaussians times (1 + this)
+AHEAD = 64  # samples of the curve
 MOST_GROWTH = 5  # a round adds at most one gaussian in so many
 
 
@@ -53,12 +54,13 @@ class Dash(Constant):
     def plan(self, iteration):
         """See `Schedule.plan`. The factor changes with rounds of growth only, and never rises."""
         plan, steps = super().plan(iteration), iteration - 1
+        plan = dataclasses.replace(plan, level=float(self.factor), prunes_large=False)
+        # for the next step: the round after this one goes by statistics of the factor before
         if plan.grows or steps >= self.options.densify_until:
             self.factor = min(self.factor, self._factor(steps))
         if self.factor < 2 and self.decay_began is None:
             self.decay_began = steps
-        return dataclasses.replace(plan, level=float(self.factor), prunes_large=False,
-                                   decay=self.decay(iteration))
+        return dataclasses.replace(plan, decay=self.decay(iteration))
 
     def decay(self, iteration):
         if self.decay_began is None:
@@ -77,6 +79,12 @@ class Dash(Constant):
         if steps + o.densify_every < o.densify_until:
             growth /= self.factor ** (2 - steps / o.densify_until)
         return max(count, min(initial + int(growth), count + count // MOST_GROWTH))
+
+    def ahead(self, iteration):
+        """See `Schedule.ahead`: along the curve."""
+        left = self.options.iterations - iteration
+        places = iteration + left * (np.arange(AHEAD) + 0.5) / AHEAD
+        return [(float(max(1, self._factor(place))), left / AHEAD) for place in places]
 
     def state(self):
         return {"factor": self.factor, "decay_began": self.decay_began,

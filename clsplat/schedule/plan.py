@@ -92,18 +92,38 @@ class Schedule:
 
 STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densify_every",
                "reset_every")
-GROWS_UNTIL = {"dash": 0.9}  # share of the run; half of it for the others
-EVERY = {"sig": 0}  # steps between rounds of growth; 0: for the schedule to decide
+GROWS_UNTIL = {"sig": 1.0, "dash": 0.9}  # share of the run; half of it for the others
+EVERY = 100  # steps between rounds of growth
+TAMING_ROUNDS = 60  # ... but one in 500 of 30,000 steps, so many a run, under `taming`
 
 
 def scaled_steps(options):
     """TrainOptions with every step count times `steps_scale`, `densify_until` and `densify_every`
     filled in."""
-    until = options.densify_until or int(
-        options.iterations * GROWS_UNTIL.get(options.schedule, 0.5))
-    every = options.densify_every or EVERY.get(options.schedule, 100)
+    steps = options.iterations
+    by_rounds = options.schedule == "sig" and options.rounds > 0
+    share = 0.5 if options.schedule == "sig" and not by_rounds else GROWS_UNTIL.get(
+        options.schedule, 0.5)
+    until = options.densify_until or int(steps * share)
+    every = options.densify_every or (
+        0 if by_rounds else max(EVERY, steps // TAMING_ROUNDS) if options.schedule == "taming"
+        else EVERY)
     scaled = {name: getattr(options, name) for name in STEP_COUNTS} | {
         "densify_until": until, "densify_every": every}
     scaled = {name: max(1, round(value * options.steps_scale)) if value else 0
               for name, value in scaled.items()}
     return dataclasses.replace(options, **scaled, steps_scale=1.0)
+
+
+WHOLE = 7000  # steps from which on step counts are as given
+
+
+def laid_over(options, iterations):
+    """TrainOptions, as of `scaled_steps`, for a run of another length: the end of growth keeps its
+    share of it, and step counts shrink with a run of fewer than WHOLE steps."""
+    shrink = min(1.0, iterations / min(WHOLE, options.iterations))
+    counts = {name: max(1, round(getattr(options, name) * shrink)) if getattr(options, name) else 0
+              for name in STEP_COUNTS}
+    until = round(options.densify_until * iterations / options.iterations)
+    return dataclasses.replace(options, **counts | {"iterations": iterations,
+                                                    "densify_until": until})

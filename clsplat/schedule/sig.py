@@ -19,8 +19,7 @@ SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns a
 TILE = 16  # pixels
 LOOK = 100  # steps between looks at the frequency, fewer where levels are short
 LOOKS_A_LEVEL = 8
-SETTLE_STEPS = 500  # before a level's first round of growth, but no more than this share of it
-SETTLE_SHARE = 0.2
+SETTLE_SHARE = 0.2  # of a level at most pass before its first round of growth (densify_from)
 GROWS_SHARE = 0.7  # of a level's time; the rest is for what has grown
 EVERY = (100, 200)  # limits of the steps between rounds
 MOST_GROWTH = 5  # a round adds at most one gaussian in so many (as DashGaussian)
@@ -64,7 +63,7 @@ class Sig(Schedule):
         if not self.options.pixels_per_gaussian:
             return math.inf
         pixels = self.subject.pixels / self.levels[self.index] ** 2
-        return pixels / self.options.pixels_per_gaussian
+        return math.floor(pixels / self.options.pixels_per_gaussian)
 
     @property
     def look(self):
@@ -78,38 +77,43 @@ class Sig(Schedule):
         o = self.options
         if o.densify_every:
             return o.densify_every
-        share = o.level_share * o.iterations / max(1, len(self.levels) - 1)
         low, high = EVERY
-        return max(1, int(min(max(GROWS_SHARE * share / max(1, o.rounds),
-                                  min(low, share / LOOKS_A_LEVEL)), high)))
+        evenly = GROWS_SHARE * self.allotment / max(1, o.rounds)
+        return max(1, int(min(max(evenly, min(low, self.allotment / LOOKS_A_LEVEL)), high)))
 
     def plan(self, iteration):
-        o = self.options
-        since = iteration - 1 - self.began
+        o, before = self.options, iteration - 1
+        since = before - self.began
         if o.rounds:
-            rounds_left = self.rounds_taken < o.rounds + self.carried
-            settle = min(SETTLE_STEPS, SETTLE_SHARE * self.allotment)
-            growing = rounds_left and not self.full and since <= GROWS_SHARE * self.allotment
+            settle = min(o.densify_from, SETTLE_SHARE * self.allotment)
+            in_rounds = self._rounds_left(since) and before < o.densify_until
             last = max(self.grown_at - 1, self.began + settle)
-            grows = growing and iteration - 1 >= last + self.every
+            grows = in_rounds and before >= last + self.every
+            growing = in_rounds and not self.full
         else:
-            before = iteration - 1
             growing = before < o.densify_until
             grows = growing and before > o.densify_from and before % self.every == 0
         progress = super().decay(iteration)
         return Plan(
             level=self.levels[self.index], degree=self.degree(iteration), gathers=growing,
-            grows=grows, resets_opacity=self._resets(iteration, growing),
-            prunes_large=not self.guarded, decay=self.decay(iteration) if self.guarded else progress,
+            grows=grows, resets_opacity=self._resets(before, growing),
+            prunes_large=o.prune_size > 0,
+            decay=self.decay(iteration) if self.guarded else progress,
             regularises=o.reproject_weight * REPROJECT_DECAY**progress
             if growing and o.reproject == "on" else 0.0)
 
-    def _resets(self, iteration, growing):
-        """Whether opacities are lowered after a step: the first of a level, or every so many."""
-        o, before = self.options, iteration - 1
+    def _rounds_left(self, since):
+        """Whether this level, so many steps old, still has rounds of growth to come."""
+        in_time = since <= GROWS_SHARE * self.allotment or not self.guarded
+        return in_time and self.rounds_taken < self.options.rounds + self.carried
+
+    def _resets(self, before, growing):
+        """Whether opacities are lowered after a step: where a level begins that will prune what
+        does not recover, or every so many steps."""
+        o = self.options
         if before == 0:
             return False
-        return (o.level_reset and before == self.began) or (
+        return (o.level_reset and before == self.began and (o.rounds > 0 or growing)) or (
             growing and o.reset_every > 0 and before % o.reset_every == 0)
 
     def decay(self, iteration):
@@ -126,7 +130,7 @@ class Sig(Schedule):
         self.full = count >= self.ceiling
         if self.ceiling == math.inf:
             return None
-        return max(count, min(int(self.ceiling), count + count // MOST_GROWTH))
+        return max(count, min(self.ceiling, count + count // MOST_GROWTH))
 
     def observe(self, iteration, frequency):
         """See `Schedule.observe`. The decision: dict for an event "level"."""
@@ -144,7 +148,7 @@ class Sig(Schedule):
                        "threshold": verdict.threshold, "hits": self.hits}
         if self.hits >= o.convergence_hits:
             reason = "converged"
-        elif o.level_share < 1 and since >= self.allotment:
+        elif o.level_share < 1 and since + self.look > self.allotment:
             reason = "deadline"
         else:
             return None
@@ -157,9 +161,8 @@ class Sig(Schedule):
         """See `Schedule.ahead`: lower levels until their deadline, the rest at the finest."""
         lower = []
         if not self.last:
-            share = self.options.level_share * self.options.iterations / (len(self.levels) - 1)
-            lower = [(level, share) for level in self.levels[self.index:-1]]
-            lower[0] = lower[0][0], max(0, share - (iteration - self.began))
+            lower = [(level, self.allotment) for level in self.levels[self.index:-1]]
+            lower[0] = lower[0][0], max(0, self.allotment - (iteration - self.began))
         rest = self.options.iterations - iteration - sum(steps for _, steps in lower)
         return [*lower, (self.levels[-1], max(0, rest))]
 
@@ -168,9 +171,9 @@ class Sig(Schedule):
         since = iteration - self.began
         if not self.options.rounds:
             return since >= GROWS_SHARE * self.allotment
-        over = self.full or self.rounds_taken >= self.options.rounds + self.carried \
-            or since > GROWS_SHARE * self.allotment
-        return over and iteration >= self.grown_at + 2 * self.look
+        # rounds that only prune disturb little
+        return self.full or (not self._rounds_left(since)
+                             and iteration >= self.grown_at + 2 * self.look)
 
     def _advance(self, iteration):
         if self.options.convergence == "release":  # its unused rounds pile up, and stay

@@ -9,44 +9,51 @@ import math
 
 from clsplat.errors import InputError
 
-EVERY = 20  # steps between estimates
+EVERY = 0.005  # of the budget passes between estimates
 MEMORY = 0.5  # weight of the newest measurement of a level
 FIRST_STEP_SECONDS = 0.05  # until one was measured
+REPORT_SECONDS = 1.0  # of drawing the run's page
 BYTES_PER_SECOND = 100e6  # of writing checkpoint and model, until one was written
 SPARE = 0.005  # of the budget, for what no estimate foresees
-TOO_LITTLE = 0.5  # share of the budget that evaluating and saving once may take
+TOO_LITTLE = 0.5  # share of the budget that all but training may take
 
 
 class TimeBudget:
-    """seconds: all there is; evaluation_seconds: of evaluating once."""
+    """seconds: all there is; evaluation_seconds: of evaluating once, to be kept up to date; elapsed:
+    seconds spent before the first step; saved_bytes: of checkpoint and model."""
 
-    def __init__(self, seconds, evaluation_seconds, saved_bytes):
+    def __init__(self, seconds, evaluation_seconds, elapsed, saved_bytes):
         self.seconds, self.evaluation_seconds = seconds, evaluation_seconds
         self.rate = BYTES_PER_SECOND
         self.step_seconds = {}  # level -> seconds
         self._since = None  # (iteration, seconds) of the last measurement
-        needed = evaluation_seconds + saved_bytes / self.rate
-        least = math.ceil(1.05 * needed / (TOO_LITTLE - SPARE))  # the next try may measure more
-        if needed > (TOO_LITTLE - SPARE) * seconds:
+        needed = elapsed + self.reserve(saved_bytes)
+        if needed > TOO_LITTLE * seconds:
+            least = math.ceil(1.1 * needed / TOO_LITTLE)  # the next try may measure more
             raise InputError(
-                f"--time-budget {seconds:g}s: evaluating and saving once take {needed:.1f} s here; "
-                f"give at least {least}s")
+                f"--time-budget {seconds:g}s: reading the photos, evaluating and saving once take "
+                f"{needed:.1f} s here; give at least {least}s")
 
     def reserve(self, saved_bytes):
-        """Seconds to keep for the last evaluation and the files."""
-        return self.evaluation_seconds + saved_bytes / self.rate + SPARE * self.seconds
+        """Seconds to keep for the last evaluation, the files and the page."""
+        return (self.evaluation_seconds + saved_bytes / self.rate + REPORT_SECONDS
+                + SPARE * self.seconds)
+
+    def is_due(self, elapsed):
+        """Whether it is time for another estimate."""
+        return self._since is None or elapsed - self._since[1] > EVERY * self.seconds
+
+    def begin_steps(self, iteration, elapsed):
+        """What comes from now on are steps."""
+        self._since = iteration, elapsed
 
     def note_steps(self, iteration, level, elapsed):
-        """Measure the steps since the last note, all at `level`; pauses go unnoticed by `skip`."""
+        """Measure the steps since the last note, all at `level`."""
         if self._since and iteration > self._since[0]:
             latest = (elapsed - self._since[1]) / (iteration - self._since[0])
             before = self.step_seconds.get(level, latest)
             self.step_seconds[level] = before + MEMORY * (latest - before)
         self._since = iteration, elapsed
-
-    def skip(self):
-        """What happens until the next note is no step."""
-        self._since = None
 
     def note_saved(self, saved_bytes, seconds):
         self.rate = max(saved_bytes / max(seconds, 1e-3), 1e6)

@@ -21,10 +21,9 @@ from clsplat.options import seconds_of
 from clsplat.regularise.reproject import pack_pair
 from clsplat.render.pipeline import Renderer
 from clsplat.report.run import write_report
-from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule import SCHEDULES, Subject, laid_over, scaled_steps
 from clsplat.train import checkpoint
 from clsplat.train.begin import initial_gaussians
-from clsplat.train.budget import EVERY as ESTIMATE_EVERY
 from clsplat.train.budget import TimeBudget
 from clsplat.train.interrupt import deferred_interrupt
 from clsplat.train.model import Model
@@ -47,7 +46,7 @@ def train(scene, options, device, run, progress=None):
     run.write_options({"scene": scene.path, **dataclasses.asdict(options),
                        "fingerprint": training.fingerprint, "opencl_device": device.name,
                        "kernel_form": device.form, "extent": scene.extent,
-                       "offset": scene.offset.tolist()})
+                       "offset": scene.offset.tolist(), "needs": training.needs.found})
     training.log("plan", reasons=training.needs.reasons, levels=training.schedule.levels)
     training.run_to_end()
 
@@ -81,6 +80,9 @@ class Training:
 
     def __init__(self, scene, options, device, run, progress, gaussians=None):
         self.started = time.perf_counter()
+        self.iteration = 0
+        self.evaluated_at = self.level = None
+        self.train_seconds = self.wall_seconds = 0.0
         self.fingerprint = fingerprint(scene)
         self.scene = scene = scene.reduced(options.downscale, options.max_resolution)
         self.device, self.run, self.progress = device, run, progress
@@ -96,25 +98,21 @@ class Training:
         initial = gaussians or initial_gaussians(scene, options)
         if options.sphere and options.schedule == "sig" and "anchors" not in initial.rows:
             initial = with_spheres(initial, options.sphere_neighbours)
+        views = self.train_views
         self.schedule = SCHEDULES[options.schedule](options, Subject(
-            smallest_size(self.train_views), initial.count, mean_inverse_distance(scene.points),
-            lambda: decoded(self.train_views),
-            sum(view.camera.width * view.camera.height for view in self.train_views)))
+            smallest_size(views), initial.count, mean_inverse_distance(scene.points),
+            lambda: decoded(views), sum(v.camera.width * v.camera.height for v in views)))
         self.renderer = Renderer(device, options.sh_degree, options.near or scene.near_plane,
                                  options.antialiased, options.background)
         model = Model(device, initial, options.engine, options.optimizer == "dense")
         exposures = Exposures(device, len(self.train_views)) if options.exposure == "on" else None
         self.step = Step(self.renderer, model, scene.extent, options, exposures)
-        self.photos = Photos(device, self.train_views, self.schedule.levels)
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
-        self.unchanged = device.upload(np.eye(3, 4))  # colours of an adjacent view
-        self.level = None
-        self.use_level(self.schedule.levels[0])
-        self.iteration = 0
-        self.evaluated_at = None
-        self.train_seconds = self.wall_seconds = 0.0
         self.budget = self._measured_budget() if options.time_budget else None
+        self.photos = Photos(device, views, self.schedule.levels)
+        self.unchanged = device.upload(np.eye(3, 4))  # colours of an adjacent view
+        self.use_level(self.schedule.levels[0])
         self.unpause()
 
     def view_of(self, iteration):
@@ -152,10 +150,10 @@ class Training:
         if not complete:
             raise Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
                               f"{self.scene.path} -o {self.run.path} --resume")
+        write_report(self.run)
         gaussians = self.step.model.download()
         self.run.save_model(gaussians, self.scene.offset, self.comments(),
                             self.options.sphere_columns)
-        write_report(self.run)
 
     def finished(self):
         """Whether all steps are taken, or all time is spent."""
@@ -173,10 +171,12 @@ class Training:
         photo = self.photos[index]
         if not self.photos.resident:
             self.photos.expect(self.view_of(iteration + 1))
+            if plan.regularises:
+                self.photos.expect(self.neighbour_of(iteration + 1))
         exposures = self.step.exposures
         if exposures and self.iteration % len(self.train_views) == 0:
             exposures.recentre()
-        pair = self.pair(iteration, index) if plan.regularises else None
+        pair = self.pair(iteration) if plan.regularises else None
         self.sums = self.step.take(iteration, plan, index, self.cameras[index], photo, pair)
         self.values = 3 * photo.shape[1] * photo.shape[2]
         event = self.step.follow(iteration, plan, self.schedule, self.look)
@@ -184,18 +184,23 @@ class Training:
         if event:
             self.log("grow", **event)
         self.observe()
-        if self.budget and self.due(ESTIMATE_EVERY):
+        if self.budget and self.budget.is_due(self.elapsed()):
             self.estimate_end()
         if self.due(self.options.eval_every) or iteration in self.options.eval_at:
             self.evaluate()
 
-    def pair(self, iteration, index):
-        """What `Step.take` compares view `index` with: one of its neighbours, drawn; or None."""
-        adjacent = self.needs.neighbours[index]
-        if not len(adjacent):
-            return None
+    def neighbour_of(self, iteration):
+        """Index of the view that a step's view is compared with, drawn from its neighbours; or
+        None."""
+        adjacent = self.needs.neighbours[self.view_of(iteration)]
         rng = np.random.default_rng([self.options.seed, 2, iteration])
-        other = int(adjacent[rng.integers(len(adjacent))])
+        return int(rng.choice(adjacent)) if len(adjacent) else None
+
+    def pair(self, iteration):
+        """What `Step.take` compares a step's view with, or None."""
+        index, other = self.view_of(iteration), self.neighbour_of(iteration)
+        if other is None:
+            return None
         if (index, other) not in self.geometries:
             cameras = [self.photos.views[i].camera for i in (index, other)]
             self.geometries[index, other] = pack_pair(self.device, *cameras)
@@ -234,7 +239,8 @@ class Training:
             begin = time.perf_counter()
             evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree, [view])
             each = time.perf_counter() - begin
-        return TimeBudget(seconds, each * len(self.test_views), checkpoint.size(self.step.model))
+        return TimeBudget(seconds, each * len(self.test_views), self.elapsed(),
+                          checkpoint.size(self.step.model))
 
     def estimate_end(self):
         """Lay the schedule over the time that is left."""
@@ -246,10 +252,7 @@ class Training:
 
     def lay_over(self, iterations):
         """Make the whole schedule one of so many steps."""
-        share = iterations / self.options.iterations
-        self.options = dataclasses.replace(
-            self.options, iterations=iterations,
-            densify_until=round(self.options.densify_until * share))
+        self.options = laid_over(self.needs.options, iterations)
         self.schedule.options = self.step.options = self.options
 
     def elapsed(self):
@@ -288,12 +291,12 @@ class Training:
     def pause(self):
         """Stop the training clock: what follows is not training."""
         self.device.finish()
-        if self.budget:
-            self.budget.skip()
         self.train_seconds += self._unpaused()
 
     def unpause(self):
         self._clock = time.perf_counter() - self.device.build_seconds
+        if self.budget:
+            self.budget.begin_steps(self.iteration, self.elapsed())
 
     def _unpaused(self):
         """Seconds of training since `unpause`; compiling kernels is none."""
@@ -304,9 +307,12 @@ class Training:
         if not self.test_views:
             return
         self.pause()
+        begin = time.perf_counter()
         result = evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree,
                                 self.test_views)
         self.unpause()
+        if self.budget:
+            self.budget.evaluation_seconds = time.perf_counter() - begin
         self.evaluated_at = self.iteration
         means = {key: value for key, value in result.items() if key != "per_view"}
         self.log("eval", **means)

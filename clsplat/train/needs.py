@@ -22,6 +22,11 @@ class Needs:
     neighbours: list | None
     reasons: dict
 
+    @property
+    def found(self):
+        """What `auto` came to, for the record."""
+        return {name: getattr(self.options, name) for name in self.reasons}
+
 
 def find_needs(scene, views, options):
     """The Needs of a training on `views` of `scene`; InputError where an option cannot be met."""

@@ -1,5 +1,6 @@
 """Training photos at one level after another, kept on the device while they fit."""
 
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -20,7 +21,13 @@ def decode(view):
 def decoded(views):
     """Yields `decode` of each view, by a few threads; raises InputError at a damaged photo."""
     with ThreadPoolExecutor(THREADS) as threads:
-        yield from threads.map(decode, views)
+        ahead = deque()  # no longer than the threads need: photos are large
+        for view in views:
+            ahead.append(threads.submit(decode, view))
+            if len(ahead) > 2 * THREADS:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
 
 
 def at_level(views, level):
@@ -44,12 +51,12 @@ class Photos:
                         else budget_bytes)
         self._thread = ThreadPoolExecutor(1)
         self._ahead = {}
-        self._next = None  # (level, future of its photos)
+        self._next = None  # (level, futures of its photos)
         self.level = None
-        self.use(levels[0])
-        if not self.resident:
+        if not self._fits(at_level(views, levels[0])):
             for _ in decoded(views):
                 pass
+        self.use(levels[0])
 
     def use(self, level):
         """Go to a level, and begin to read the one that follows it."""
@@ -61,20 +68,20 @@ class Photos:
         self._arrays = []
         if self.resident:
             expected, self._next = self._next, None
-            photos = (expected[1].result() if expected and expected[0] == level
-                      else decoded(self.views))
+            photos = ((future.result() for future in expected[1])
+                      if expected and expected[0] == level else decoded(self.views))
             self._arrays = [self.device.upload(photo) for photo in photos]
         following = [new for new in self._levels if new < level]
         if following and self._fits(at_level(self._full, following[0])):
-            views = at_level(self._full, following[0])
-            self._next = following[0], self._thread.submit(lambda: [decode(v) for v in views])
+            self._next = following[0], [self._thread.submit(decode, view)
+                                        for view in at_level(self._full, following[0])]
 
     def _fits(self, views):
         return sum(3 * v.camera.width * v.camera.height for v in views) <= self._budget
 
     def expect(self, index):
-        """Begin decoding a photo that will be asked for soon."""
-        if not self.resident and index not in self._ahead:
+        """Begin decoding a photo that will be asked for soon; None: of none."""
+        if index is not None and not self.resident and index not in self._ahead:
             self._ahead[index] = self._thread.submit(decode, self.views[index])
 
     def __getitem__(self, index):
