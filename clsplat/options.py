@@ -64,7 +64,7 @@ class TrainOptions:
     schedule: str = option("sig", "Method", "how resolution and growth are decided: sig follows "
                            "the scene's frequency; constant is 3DGS",
                            choices=("sig", "constant", "dash", "taming"))
-    preset: str = option("ours", "Method", "choices of the SIG paper, of its released code, or ours",
+    preset: str = option("ours", "Method", "choices of the SIG paper, its released code, or ours",
                          choices=("ours", "paper", "release"), only=SIG)
     size: str = option("S", "Method", "growth threshold of the paper's small or large model",
                        choices=("S", "L"))
@@ -83,7 +83,8 @@ class TrainOptions:
     near: float = option(0.0, "Method", "near plane, world units (0: 1/500 of the scene extent)",
                          minimum=0.0)
 
-    opacity_rate: float = option(0.025, "Method", "learning rate of the opacity logits", minimum=0.0)
+    opacity_rate: float = option(0.025, "Method", "learning rate of the opacity logits",
+                                 minimum=0.0)
 
     levels: tuple[float, ...] = option(
         (), "Levels", "down-sampling factors, coarse to fine, ending at 1; repeatable (none given: "
@@ -115,8 +116,9 @@ class TrainOptions:
     sphere_reach: float = option(30.0, "Sphere", "... times this", minimum=0.0, only=SIG)
     sphere_shrink: float = option(0.7, "Sphere", "radius of split children, share of the parent's",
                                   minimum=0.0, only=SIG)
-    sphere_rule: str = option("paper", "Sphere", "anchor of split children: the parent's (paper) or "
-                              "their own place (release)", choices=("paper", "release"), only=SIG)
+    sphere_rule: str = option("paper", "Sphere", "anchor of split children: the parent's (paper) "
+                              "or their own place (release)", choices=("paper", "release"),
+                              only=SIG)
     sphere_columns: bool = option(False, "Sphere", "also write anchors and radii to the PLY",
                                   only=SIG)
 
@@ -161,18 +163,20 @@ CHOICES = {
     },
     "convergence": {"paper": {"convergence_rate": 5e-5}},
     "preset": {
-        "paper": {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
-                  "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0,
-                  "opacity_rate": 0.05, "sphere_reach": 15.0, "prune_size": 0.1,
-                  "densify_every": 200, "level_reset": False, "pixels_per_gaussian": 0.0, "reproject": "on",
-                  "exposure": "off"},
-        "release": {"levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release",
-                    "convergence": "release", "convergence_hits": 5, "level_share": 1.0,
-                    "densify_every": 200, "level_reset": False, "pixels_per_gaussian": 0.0,
-                    "sphere_neighbours": 8,
-                    "sphere_reach": 15.0, "sphere_shrink": 0.8, "sphere_rule": "release", "reproject": "off", "exposure": "off",
-                    "optimizer": "sparse", "prune_size": 0.05, "ssim_weight": 0.33,
-                    "grow_threshold": 1.25e-4, "opacity_rate": 0.02},
+        "paper": {
+            "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
+            "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0,
+            "densify_every": 200, "level_reset": False, "pixels_per_gaussian": 0.0,
+            "prune_size": 0.1, "opacity_rate": 0.05, "sphere_reach": 15.0, "reproject": "on",
+            "exposure": "off"},
+        "release": {
+            "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release",
+            "convergence": "release", "convergence_hits": 5, "level_share": 1.0,
+            "densify_every": 200, "level_reset": False, "pixels_per_gaussian": 0.0,
+            "prune_size": 0.05, "opacity_rate": 0.02, "grow_threshold": 1.25e-4,
+            "sphere_neighbours": 8, "sphere_reach": 15.0, "sphere_shrink": 0.8,
+            "sphere_rule": "release", "reproject": "off", "exposure": "off",
+            "optimizer": "sparse", "ssim_weight": 0.33},
     },
     "size": {"L": {"grow_threshold": 1.25e-4}},
 }
@@ -265,8 +269,8 @@ def _check_agreement(options, given):
         if only and options.schedule not in only and given.get(
                 known.name, known.default) != known.default:
             raise InputError(
-                f"--{known.name.replace('_', '-')}: means nothing to --schedule {options.schedule}; "
-                f"leave it out, or use --schedule {' or '.join(only)}")
+                f"--{known.name.replace('_', '-')}: means nothing to --schedule "
+                f"{options.schedule}; leave it out, or use --schedule {' or '.join(only)}")
     levels = options.levels
     if levels and (levels[-1] != 1 or any(a <= b for a, b in zip(levels, levels[1:]))):
         raise InputError(f"--levels {','.join(f'{v:g}' for v in levels)}: wants factors that fall "

@@ -65,6 +65,12 @@ def records(run, event):
 
 def flags(**changes):
     """The command line's words for EVENTFUL's options, changed."""
-    return [word for name, value in {**EVENTFUL, **changes}.items()
-            for one in (value if isinstance(value, tuple) else (value,))
-            for word in (f"--{name.replace('_', '-')}", str(one))]
+    words = []
+    for name, value in {**EVENTFUL, **changes}.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            words += [f"--{flag}" if value else f"--no-{flag}"]
+        else:
+            for one in value if isinstance(value, tuple) else (value,):
+                words += [f"--{flag}", str(one)]
+    return words

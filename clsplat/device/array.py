@@ -1,5 +1,7 @@
 """Typed arrays in device memory."""
 
+import math
+
 import numpy as np
 import pyopencl as cl
 
@@ -20,7 +22,7 @@ class Array:
 
     @property
     def nbytes(self):
-        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+        return math.prod(self.shape) * self.dtype.itemsize
 
     def narrow(self, rows):
         """The first `rows` rows: the same memory, no copy."""
@@ -30,7 +32,7 @@ class Array:
 
     def reshaped(self, *shape):
         """The same memory under another shape of equal size."""
-        if int(np.prod(shape)) != int(np.prod(self.shape)):
+        if math.prod(shape) != math.prod(self.shape):
             raise ShapeError(f"cannot reshape {self.shape} to {shape}")
         return Array(self.device, self.buffer, tuple(shape), self.dtype)
 
@@ -54,7 +56,7 @@ class Array:
         if values.shape[1:] != self.shape[1:] or first_row + len(values) > self.shape[0]:
             raise ShapeError(f"cannot write {values.shape} at row {first_row} of {self.shape}")
         if values.size:
-            stride = int(np.prod(self.shape[1:], dtype=np.int64)) * self.dtype.itemsize
+            stride = math.prod(self.shape[1:]) * self.dtype.itemsize
             cl.enqueue_copy(self.device.queue, self.buffer, values, dst_offset=first_row * stride,
                             is_blocking=True)
 

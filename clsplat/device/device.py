@@ -1,5 +1,6 @@
 """An open device: context, queue, memory, built programs, checked launches, profiling."""
 
+import math
 import time
 import warnings
 import weakref
@@ -77,7 +78,7 @@ class Device:
     def _allocate(self, shape, dtype, allocate):
         shape = tuple(int(s) for s in (shape if np.iterable(shape) else (shape,)))
         dtype = self.real if dtype is None else np.dtype(dtype)
-        size = max(int(np.prod(shape, dtype=np.int64)) * dtype.itemsize, 64)
+        size = max(math.prod(shape) * dtype.itemsize, 64)
         limit = self.handle.max_mem_alloc_size
         if size > limit:
             raise DeviceError(

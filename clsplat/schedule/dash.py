@@ -54,13 +54,14 @@ class Dash(Constant):
     def plan(self, iteration):
         """See `Schedule.plan`. The factor changes with rounds of growth only, and never rises."""
         plan, steps = super().plan(iteration), iteration - 1
-        plan = dataclasses.replace(plan, level=float(self.factor), prunes_large=False)
-        # for the next step: the round after this one goes by statistics of the factor before
-        if plan.grows or steps >= self.options.densify_until:
+        # after the round, which goes by statistics of the factor before
+        grew = iteration > 1 and super().plan(iteration - 1).grows
+        if grew or steps >= self.options.densify_until:
             self.factor = min(self.factor, self._factor(steps))
         if self.factor < 2 and self.decay_began is None:
             self.decay_began = steps
-        return dataclasses.replace(plan, decay=self.decay(iteration))
+        return dataclasses.replace(plan, level=float(self.factor), prunes_large=False,
+                                   decay=self.decay(iteration))
 
     def decay(self, iteration):
         if self.decay_began is None:

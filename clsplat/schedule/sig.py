@@ -3,9 +3,10 @@
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS), and each level grows for a number of rounds, then settles (DS), to no more gaussians
 than its pixels can tell apart: at 59 numbers a gaussian and 3 a pixel, fewer than 20 pixels each
-would leave more unknowns than measurements. The paper gives no guards; ours: rounds of growth disturb the frequency, so nothing is tested before they are over,
-several tests in a row must agree, and each lower level has a deadline, a share of the run, so that
-the finest always gets its time. The tests `paper` and `release` are unguarded, as published.
+would leave more unknowns than measurements. The paper gives no guards; ours: rounds of growth
+disturb the frequency, so nothing is tested before they are over, several tests in a row must agree,
+and each lower level has a deadline, a share of the run, so that the finest always gets its time.
+The tests `paper` and `release` are unguarded, as published.
 """
 
 import math

@@ -19,8 +19,8 @@ TOO_LITTLE = 0.5  # share of the budget that all but training may take
 
 
 class TimeBudget:
-    """seconds: all there is; evaluation_seconds: of evaluating once, to be kept up to date; elapsed:
-    seconds spent before the first step; saved_bytes: of checkpoint and model."""
+    """seconds: all there is; evaluation_seconds: of evaluating once, to be kept up to date;
+    elapsed: seconds spent before the first step; saved_bytes: of checkpoint and model."""
 
     def __init__(self, seconds, evaluation_seconds, elapsed, saved_bytes):
         self.seconds, self.evaluation_seconds = seconds, evaluation_seconds

@@ -5,6 +5,7 @@ resumed run ends in the same bytes as one that was never stopped.
 """
 
 import dataclasses
+import functools
 import time
 
 import numpy as np
@@ -47,6 +48,7 @@ def train(scene, options, device, run, progress=None):
                        "fingerprint": training.fingerprint, "opencl_device": device.name,
                        "kernel_form": device.form, "extent": scene.extent,
                        "offset": scene.offset.tolist(), "needs": training.needs.found})
+    training.unpause()  # no time of training yet
     training.log("plan", reasons=training.needs.reasons, levels=training.schedule.levels)
     training.run_to_end()
 
@@ -70,6 +72,12 @@ def resume(scene, options, device, run, progress=None):
                          "start again with --overwrite") from None
     run.rewind(training.iteration)
     training.run_to_end()
+
+
+@functools.lru_cache(maxsize=2)  # this step's epoch, and the next one's
+def epoch_order(seed, epoch, count):
+    """int[count]: the order of the views in an epoch."""
+    return np.random.default_rng([seed, 1, epoch]).permutation(count)
 
 
 class Training:
@@ -118,8 +126,7 @@ class Training:
     def view_of(self, iteration):
         """Index of the view of a step (from 1): shuffled epochs, each view once an epoch."""
         epoch, place = divmod(iteration - 1, len(self.train_views))
-        return np.random.default_rng([self.options.seed, 1, epoch]).permutation(
-            len(self.train_views))[place]
+        return epoch_order(self.options.seed, epoch, len(self.train_views))[place]
 
     def use_level(self, level):
         """Train on images `level` times smaller from now on."""
@@ -184,7 +191,7 @@ class Training:
         if event:
             self.log("grow", **event)
         self.observe()
-        if self.budget and self.budget.is_due(self.elapsed()):
+        if self.budget and self.budget.is_due(self.stepped()):
             self.estimate_end()
         if self.due(self.options.eval_every) or iteration in self.options.eval_at:
             self.evaluate()
@@ -245,15 +252,18 @@ class Training:
     def estimate_end(self):
         """Lay the schedule over the time that is left."""
         self.device.finish()
-        elapsed = self.elapsed()
-        self.budget.note_steps(self.iteration, self.level, elapsed)
+        self.budget.note_steps(self.iteration, self.level, self.stepped())
         self.lay_over(self.budget.steps(self.iteration, self.schedule.ahead(self.iteration),
-                                        elapsed, checkpoint.size(self.step.model)))
+                                        self.elapsed(), checkpoint.size(self.step.model)))
 
     def lay_over(self, iterations):
         """Make the whole schedule one of so many steps."""
         self.options = laid_over(self.needs.options, iterations)
         self.schedule.options = self.step.options = self.options
+
+    def stepped(self):
+        """`elapsed` less compiling, by which the first step would foretell a run of few."""
+        return self.elapsed() - self.device.build_seconds
 
     def elapsed(self):
         """Wall seconds since the run began, those before a resume included."""
@@ -296,7 +306,7 @@ class Training:
     def unpause(self):
         self._clock = time.perf_counter() - self.device.build_seconds
         if self.budget:
-            self.budget.begin_steps(self.iteration, self.elapsed())
+            self.budget.begin_steps(self.iteration, self.stepped())
 
     def _unpaused(self):
         """Seconds of training since `unpause`; compiling kernels is none."""

@@ -26,7 +26,7 @@ def rows_of(scales, opacities, seed=0):
 
 
 def growth_of(rows, moving, prunes_large=False, seed=0, **changes):
-    candidates = Candidates(rows, EXTENT, TrainOptions(**changes), prunes_large)
+    candidates = Candidates(rows, EXTENT, TrainOptions(prune_size=0.1, **changes), prunes_large)
     return plan_growth(candidates, np.array(moving, bool), candidates.prunes,
                        np.random.default_rng(seed))
 

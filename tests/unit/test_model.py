@@ -156,7 +156,8 @@ def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
     if "anchors" in given.rows:
         given.rows["anchors"][:] = given.positions
         given.rows["max_offsets"][:] = np.arange(1, given.count + 1)
-    options = TrainOptions(schedule="constant", grow_threshold=1.0, **changes)
+    options = TrainOptions(schedule="constant", grow_threshold=1.0, prune_size=0.1,
+                           **changes)
     step = Step(Renderer(device, DEGREE, 0.2), Model(device, given), 10.0, options)
     # a mean over the views that saw each: sums of two views
     step.statistics.grad_norm_sum.write(np.array(gradients, np.float32) * 2)

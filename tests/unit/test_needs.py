@@ -76,10 +76,11 @@ def test_what_is_asked_for_is_not_measured(city, drift, answer):
 def test_few_small_photos_stand_for_all(city, drift):
     seen = drift(0.0)
     large = replace(city.views[0], camera=city.views[0].camera.resized(4 * SMALL_SIDE, 100))
-    many = replace(city, views=tuple(city.views) * 5 + (large,))
+    many = replace(city, views=(large, *city.views * 5))
     find_needs(many, many.views, resolve({}, {"reproject": "off"}))
     (views, _, points), = seen
     assert 0.5 * LOOKED_AT <= len(views) <= LOOKED_AT and points is many.points
+    assert [view.name for view in views] == [view.name for view in many.views[::3]]
     assert max(max(v.camera.width, v.camera.height) for v in views) <= SMALL_SIDE
 
 

@@ -192,16 +192,17 @@ def test_choices_set_what_there_is_to_legal_values():
 
 
 @pytest.mark.parametrize("given, chosen", [
-    ({"schedule": "constant"}, {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05}),
+    ({"schedule": "constant"}, {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
+                                "prune_size": 0.1}),
     ({"schedule": "dash"}, {"reset_every": 3000, "exposure": "off"}),
-    ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off"}),
+    ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off", "prune_size": 0.1}),
     ({"schedule": "sig"}, {}),
     ({"preset": "paper"}, CHOICES["preset"]["paper"]),
     ({"preset": "release"}, CHOICES["preset"]["release"]),
     ({"size": "L"}, {"grow_threshold": 1.25e-4}),
     ({"schedule": "constant", "size": "L"},
      {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
-      "grow_threshold": 1.25e-4}),
+      "prune_size": 0.1, "grow_threshold": 1.25e-4}),
 ])
 def test_a_choice_sets_its_own_and_nothing_else(given, chosen):
     assert resolve({}, given) == TrainOptions(**given, **chosen)

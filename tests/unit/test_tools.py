@@ -83,11 +83,13 @@ def test_a_matrix_trains_what_is_missing_and_says_how_it_compares(tmp_path, trai
     assert len(trainings.options) == 6
     assert "6 runs, 6 of them finished before" in capsys.readouterr().out
     ablate.main([str(tmp_path), f"{CITY}:2", "-n", "1000", "--seeds", "1", "--", "--near", "0.5"])
-    assert [o.schedule for o in trainings.options[6:]] == ["sig"] * 5  # the full one was there
+    assert [o.schedule for o in trainings.options[6:]] == ["sig"] * 7  # the full one was there
     flags = dict(zip(list(ablate.ROWS)[1:], trainings.options[6:]))
     assert flags["w/o FARS"].levels == (1,) and flags["w/o FARS"].rounds == 0
     assert flags["w/o DS"].levels == () and flags["w/o DS"].densify_every == 200
     assert not flags["w/o SCG"].sphere and flags["w/o SCG"].reproject == "auto"
+    assert flags["w/o ceiling"].pixels_per_gaussian == 0
+    assert not flags["w/o level resets"].level_reset
     assert flags["w/o DR"].reproject == "off" and flags["w/o exposure"].exposure == "off"
 
 
