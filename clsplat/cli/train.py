@@ -29,8 +29,8 @@ FOLDER = {"cls": SectionedOption, "section": "Run folder"}
               help="Go on from the run's last checkpoint, with its options.")
 @click.option("--overwrite", is_flag=True, **FOLDER, help="Replace a run that is there.")
 @click.option("--schedules", **FOLDER, help="Several schedules, commas between them: each with "
-              "each seed becomes OUTPUT/SCHEDULE.SEED, then they are compared. The same command goes "
-              "on where the last one ended.")
+              "each seed becomes OUTPUT/SCHEDULE.SEED, then they are compared. The same command "
+              "goes on where the last one ended.")
 @click.option("--seeds", type=int, default=1, show_default=True, **FOLDER,
               help="How many seeds, with --schedules.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress line.")

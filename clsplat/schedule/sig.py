@@ -136,6 +136,7 @@ class Sig(Schedule):
     def observe(self, iteration, frequency):
         """See `Schedule.observe`. The decision: dict for an event "level"."""
         if self.last:
+            self.latest = None
             return None
         o = self.options
         value = frequency[f"{o.frequency}_mean"]

@@ -37,8 +37,9 @@ def test_kernels_give_them(device):
     renderer = Renderer(device, golden.DEGREE, golden.NEAR, background=golden.BACKGROUND)
     model = Model(device, Gaussians(rows, golden.DEGREE))
     options = TrainOptions(iterations=golden.STEPS, sh_every=golden.SH_EVERY,
-                           sh_degree=golden.DEGREE, ssim_weight=golden.SSIM_WEIGHT)
-    step, schedule = Step(renderer, model, golden.EXTENT, options), Constant(options)
+                           sh_degree=golden.DEGREE, ssim_weight=golden.SSIM_WEIGHT,
+                           opacity_rate=golden.RATES["opacity_logits"])
+    step, schedule = Step(renderer, model, golden.EXTENT, options), Constant(options, None)
     packed = [renderer.pack(Camera(
         c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]), c["rotation"],
         c["translation"])) for c in cameras]
@@ -46,7 +47,8 @@ def test_kernels_give_them(device):
     losses = []
     for iteration in range(1, golden.STEPS + 1):
         view = iteration % 3
-        sums = step.take(iteration, schedule.plan(iteration), packed[view], planes[view])
+        sums = step.take(iteration, schedule.plan(iteration), view, packed[view],
+                         planes[view])
         losses.append(loss_value(sums, photos[view].size, options.ssim_weight)[0])
     assert np.allclose(losses, stored(), rtol=RELATIVE[precision_of(device)], atol=0), (
         f"{losses}\nexpected {stored()}")
