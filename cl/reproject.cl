@@ -9,8 +9,8 @@
 // NEAREST z, which bounds z ds/dz to some tens of image sizes; if all four texels of the sample
 // exist; and if what comes of it is finite. Others count nothing and have no gradient.
 //
-// geometry: real[12], H row-major and e; colour: real[3, 4], M and m in its last column; photo:
-// uchar[3, H, W]; neighbour: uchar[3, H2, W2]; partials: real[H, 2], a row's sum of squares and
+// geometries: real[P, 12], rows H row-major and e; colours: real[P, 12], rows of [M | m]; `pair`
+// says which row; photo: uchar[3, H, W]; neighbour: uchar[3, H2, W2]; partials: real[H, 2], a row's sum of squares and
 // number. Item form: a work-item owns a row. Group form: a group does.
 #include "real.h"
 #include "each.h"
@@ -83,9 +83,9 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void reproject(int width, int height, int neighbour_width, int neighbour_height,
                __global const real *restrict depth, __global const real *restrict transmittance,
                __global const uchar *restrict photo, __global const uchar *restrict neighbour,
-               __global const real *restrict geometry, __global const real *restrict colour,
-               __global real *restrict grad_depth, __global real *restrict grad_transmittance,
-               __global real *restrict partials)
+               __global const real *restrict geometries, __global const real *restrict colours,
+               uint pair, __global real *restrict grad_depth, 
+               __global real *restrict grad_transmittance, __global real *restrict partials)
 {
 #if !FORM_ITEM
     __local real scratch[GROUP];
@@ -96,7 +96,8 @@ void reproject(int width, int height, int neighbour_width, int neighbour_height,
         const long pixel = (long)row * width + x;
         real2 grads;
         sum += reproject_pixel(x, row, width, height, neighbour_width, neighbour_height, depth[pixel],
-                               transmittance[pixel], photo, neighbour, geometry, colour, &grads);
+                               transmittance[pixel], photo, neighbour, geometries + 12 * (ulong)pair,
+                               colours + 12 * (ulong)pair, &grads);
         grad_depth[pixel] = grads.x;
         grad_transmittance[pixel] = grads.y;
     }

@@ -75,17 +75,19 @@ class Exposures:
         self.transforms.write(transforms)
         self._recentred = transforms.reshape(-1, 3, 4)
 
-    def between(self, i, j):
-        """real[3, 4] on the device: takes colours of view j's photo to those of view i's, as they
-        were when last recentred: to ask the device at every step would make it wait.
+    def between(self, pairs):
+        """real[P, 12] on the device, of P pairs (i, j): rows of 3 x 4 that take colours of view j's
+        photo to those of view i's, as they were when last recentred.
 
         E_i after the inverse of E_j; the identity where E_j cannot be inverted well.
         """
-        to, back = self._recentred[i], self._recentred[j]
-        if not np.linalg.cond(back[:, :3]) < WORST_CONDITION:
-            return self.device.upload(IDENTITY)
-        matrix = to[:, :3] @ np.linalg.inv(back[:, :3])
-        return self.device.upload(np.column_stack([matrix, to[:, 3] - matrix @ back[:, 3]]))
+        maps = np.tile(IDENTITY, (len(pairs), 1, 1))
+        for row, (i, j) in enumerate(pairs):
+            to, back = self._recentred[i], self._recentred[j]
+            if np.linalg.cond(back[:, :3]) < WORST_CONDITION:
+                matrix = to[:, :3] @ np.linalg.inv(back[:, :3])
+                maps[row] = np.column_stack([matrix, to[:, 3] - matrix @ back[:, 3]])
+        return self.device.upload(maps.reshape(-1, 12))
 
     def download(self):
         """Name -> host array of everything learned: what `upload` takes over."""

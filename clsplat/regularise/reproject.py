@@ -14,24 +14,29 @@ _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W
 REPROJECT = Kernel("reproject.cl", "reproject", width="int", height="int", neighbour_width="int",
                    neighbour_height="int", depth=("real", "H", "W"),
                    transmittance=("real", "H", "W"), photo=("uchar", 3, "H", "W"),
-                   neighbour=("uchar", 3, "J", "K"), geometry=("real", 12), colour=("real", 3, 4),
-                   **_GRADS, partials=("real", "H", 2))
+                   neighbour=("uchar", 3, "J", "K"), geometries=("real", "P", 12),
+                   colours=("real", "P", 12), pair="uint", **_GRADS, partials=("real", "H", 2))
 SCALE = Kernel("reproject.cl", "scale_gradients", count="uint", weight="real", sums=("real", 2),
                **_GRADS)
 
 
-def pack_pair(device, camera, neighbour):
-    """real[12] on the device: what takes a pixel of `camera` at a depth to one of `neighbour`.
+def pack_pairs(device, pairs):
+    """real[P, 12] on the device, of P pairs (camera, neighbour): what takes a pixel of the first at
+    a depth to one of the second.
 
     Both are clsplat.camera.Camera at the sizes of the images to be compared. H = K_j R K_i^-1,
     row-major, and K_j t, with R and t from camera to camera, K about pixel centres at whole
     numbers; formed in float64, so that far world origins cost nothing.
     """
+    return device.upload(np.array([_geometry(*pair) for pair in pairs]).reshape(-1, 12))
+
+
+def _geometry(camera, neighbour):
     rotation = neighbour.rotation @ camera.rotation.T
     translation = neighbour.translation - rotation @ camera.translation
     to_neighbour = _calibration(neighbour)
     homography = to_neighbour @ rotation @ np.linalg.inv(_calibration(camera))
-    return device.upload(np.concatenate([homography.reshape(-1), to_neighbour @ translation]))
+    return np.concatenate([homography.reshape(-1), to_neighbour @ translation])
 
 
 def _calibration(camera):
@@ -39,15 +44,16 @@ def _calibration(camera):
     return np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])
 
 
-def reproject(device, depth, transmittance, photo, neighbour, geometry, colour, weight):
+def reproject(device, depth, transmittance, photo, neighbour, geometries, colours, pair, weight):
     """(sums real[2], grad_depth real[H, W], grad_transmittance real[H, W]) of a rendered depth
     channel and transmittance real[H, W].
 
     photo: uchar[3, H, W] of the rendered view; neighbour: uchar[3, H2, W2] of the adjacent one;
-    geometry: `pack_pair` of their cameras; colour: real[3, 4], takes the neighbour's display values
-    to the photo's exposure (last column added). sums: of squared colour differences, and the number
-    of valid pixels. The loss is weight * sums[0] / max(sums[1], 1), and the gradients are of it:
-    zero where a pixel is not valid (cl/reproject.cl), and always finite for a finite weight.
+    geometries: `pack_pairs`; colours: real[P, 12], rows of 3 x 4 that take a neighbour's display
+    values to the photo's exposure (last column added); pair: the row of both. sums: of squared
+    colour differences, and the number of valid pixels. The loss is weight * sums[0] /
+    max(sums[1], 1), and the gradients are of it: zero where a pixel is not valid
+    (cl/reproject.cl), and always finite for a finite weight.
     """
     height, width = depth.shape
     _, neighbour_height, neighbour_width = neighbour.shape
@@ -59,7 +65,7 @@ def reproject(device, depth, transmittance, photo, neighbour, geometry, colour, 
     device.launch(REPROJECT, height * group, group, defines, width=width, height=height,
                   neighbour_width=neighbour_width, neighbour_height=neighbour_height, depth=depth,
                   transmittance=transmittance, photo=photo, neighbour=neighbour,
-                  geometry=geometry, colour=colour, **grads, partials=partials)
+                  geometries=geometries, colours=colours, pair=pair, **grads, partials=partials)
     sums = sum_columns(device, partials)
     device.launch_each(SCALE, height * width, defines, count=height * width, weight=weight,
                        sums=sums, **grads)

@@ -39,6 +39,8 @@ def load(training, arrays, state):
     if step.exposures:
         step.exposures.upload({name.partition(".")[2]: values for name, values in arrays.items()
                                if name.startswith("exposure.")})
+        if training.adjacent:
+            training.adjacent.compare_colours()
     training.renderer.skipped.write(np.array([state["skipped_rows"]], np.uint32))
     training.iteration, training.evaluated_at = state["iteration"], state["evaluated_at"]
     training.train_seconds, training.wall_seconds = state["train_seconds"], state["wall_seconds"]

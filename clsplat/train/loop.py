@@ -19,11 +19,11 @@ from clsplat.io.scenes import fingerprint
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
 from clsplat.options import seconds_of
-from clsplat.regularise.reproject import pack_pair
 from clsplat.render.pipeline import Renderer
 from clsplat.report.run import write_report
 from clsplat.schedule import SCHEDULES, Subject, laid_over, scaled_steps
 from clsplat.train import checkpoint
+from clsplat.train.adjacent import Adjacent
 from clsplat.train.begin import initial_gaussians
 from clsplat.train.budget import TimeBudget
 from clsplat.train.interrupt import deferred_interrupt
@@ -119,7 +119,8 @@ class Training:
             pass  # a damaged one would end the run at its evaluation
         self.budget = self._measured_budget() if options.time_budget else None
         self.photos = Photos(device, views, self.schedule.levels)
-        self.unchanged = device.upload(np.eye(3, 4))  # colours of an adjacent view
+        self.adjacent = self.needs.neighbours and Adjacent(
+            device, self.needs.neighbours, exposures, options.seed)
         self.use_level(self.schedule.levels[0])
         self.unpause()
 
@@ -134,8 +135,10 @@ class Training:
             return
         self.level = level
         self.photos.use(level)
-        self.geometries = {}
-        self.cameras = [self.renderer.pack(view.camera) for view in self.photos.views]
+        cameras = [view.camera for view in self.photos.views]
+        if self.adjacent:
+            self.adjacent.use(cameras)
+        self.cameras = [self.renderer.pack(camera) for camera in cameras]
         self.step.statistics.clear(self.step.model.count)
 
     def run_to_end(self):
@@ -177,13 +180,16 @@ class Training:
         index = self.view_of(iteration)
         photo = self.photos[index]
         if not self.photos.resident:
-            self.photos.expect(self.view_of(iteration + 1))
+            following = self.view_of(iteration + 1)
+            self.photos.expect(following)
             if plan.regularises:
-                self.photos.expect(self.neighbour_of(iteration + 1))
+                self.photos.expect(self.adjacent.drawn(iteration + 1, following)[1])
         exposures = self.step.exposures
         if exposures and self.iteration % len(self.train_views) == 0:
             exposures.recentre()
-        pair = self.pair(iteration) if plan.regularises else None
+            if self.adjacent:
+                self.adjacent.compare_colours()
+        pair = self.pair(iteration, index) if plan.regularises else None
         self.sums = self.step.take(iteration, plan, index, self.cameras[index], photo, pair)
         self.values = 3 * photo.shape[1] * photo.shape[2]
         event = self.step.follow(iteration, plan, self.schedule, self.look)
@@ -196,24 +202,11 @@ class Training:
         if self.due(self.options.eval_every) or iteration in self.options.eval_at:
             self.evaluate()
 
-    def neighbour_of(self, iteration):
-        """Index of the view that a step's view is compared with, drawn from its neighbours; or
-        None."""
-        adjacent = self.needs.neighbours[self.view_of(iteration)]
-        rng = np.random.default_rng([self.options.seed, 2, iteration])
-        return int(rng.choice(adjacent)) if len(adjacent) else None
-
-    def pair(self, iteration):
-        """What `Step.take` compares a step's view with, or None."""
-        index, other = self.view_of(iteration), self.neighbour_of(iteration)
-        if other is None:
-            return None
-        if (index, other) not in self.geometries:
-            cameras = [self.photos.views[i].camera for i in (index, other)]
-            self.geometries[index, other] = pack_pair(self.device, *cameras)
-        exposures = self.step.exposures
-        colour = exposures.between(index, other) if exposures else self.unchanged
-        return self.photos[other], self.geometries[index, other], colour
+    def pair(self, iteration, index):
+        """What `Step.take` compares view `index` with, or None."""
+        row, other = self.adjacent.drawn(iteration, index)
+        return None if row is None else (
+            self.photos[other], self.adjacent.geometries, self.adjacent.colours, row)
 
     def look(self):
         """[(packed camera, photo), ...]: some training views, others at each step."""

@@ -29,8 +29,8 @@ class Step:
     def take(self, iteration, plan, view, camera, photo, pair=None):
         """Step `iteration` (from 1) on one view; returns the loss sums, still on the device.
 
-        view: index of the view; camera: packed; photo: uchar[3, H, W]; pair: (photo, geometry,
-        colour) of an adjacent view for `reproject`, or None.
+        view: index of the view; camera: packed; photo: uchar[3, H, W]; pair: (photo,
+        geometries, colours, row of both) of an adjacent view for `reproject`, or None.
         """
         model, exposures = self.model, self.exposures
         _, height, width = photo.shape

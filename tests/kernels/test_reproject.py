@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.regularise.reproject import pack_pair, reproject
+from clsplat.regularise.reproject import pack_pairs, reproject
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import (
@@ -49,11 +49,14 @@ def camera(values):
 def run(device, values, weight=WEIGHT, geometry=None):
     """(sums, grad_depth, grad_transmittance) as numpy arrays."""
     if geometry is None:
-        geometry = pack_pair(device, *map(camera, values["cameras"]))
+        geometry = pack_pairs(device, [map(camera, values["cameras"])]).download()[0]
+    # the pair stands between others that would be noticed
+    geometries = device.upload(np.stack([np.full(12, 7.0), geometry, np.full(12, 7.0)]))
+    colours = device.upload(np.stack([np.full((3, 4), 9.0), values["colour"], np.zeros((3, 4))]))
     arrays = (device.upload(values[name])
               for name in ("depth", "transmittance", "photo", "neighbour"))
     return tuple(array.download() for array in reproject(
-        device, *arrays, geometry, device.upload(values["colour"]), weight))
+        device, *arrays, geometries, colours.reshaped(3, 12), 1, weight))
 
 
 def check(device, values, what):
@@ -170,8 +173,8 @@ def test_world_units_do_not_matter(device, scale):
 def test_a_far_world_origin_costs_nothing(float_device):
     values = an_input((48, 40), seed=5)
     cameras = [camera(c) for c in values["cameras"]]
-    near = pack_pair(float_device, *cameras).download()
-    far = pack_pair(float_device, *(c.shifted([3e5, -4e6, 200]) for c in cameras)).download()
+    moved = [c.shifted([3e5, -4e6, 200]) for c in cameras]
+    near, far = pack_pairs(float_device, [cameras, moved]).download()
     np.testing.assert_allclose(far, near, rtol=1e-6, atol=1e-6)
 
 
@@ -195,10 +198,10 @@ def test_poison_stays_with_its_pixel(device, name):
                                          ("geometry", 8), ("geometry", 11)])
 def test_poison_in_what_all_pixels_share_is_never_nan(device, name, index):
     values = an_input((17, 9), seed=7)
-    values["geometry"] = pack_pair(device, *map(camera, values["cameras"])).download()
+    values["geometry"] = pack_pairs(device, [map(camera, values["cameras"])]).download()[0]
     for label, poison in cases.POISON.items():
         changed = cases.poisoned(values, name, index, poison)
-        found = run(device, changed, geometry=device.upload(changed["geometry"]))
+        found = run(device, changed, geometry=changed["geometry"])
         assert np.isfinite(found[1:]).all(), f"{name}[{index}] = {label}"
         assert not np.isnan(found[0]).any(), f"{name}[{index}] = {label}"
         with np.errstate(over="ignore"):
@@ -233,8 +236,8 @@ def test_through_the_renderer_to_the_gaussians(double_device):
     first = camera_of(case)
     other = Camera(45, 30, (40.0, 44.0), (22.0, 15.5), first.rotation,
                    first.translation + [0.3, -0.1, 0.4])
-    shared = (device.upload(photo), device.upload(ramp), pack_pair(device, first, other),
-              device.upload(COLOUR), WEIGHT)
+    shared = (device.upload(photo), device.upload(ramp), pack_pairs(device, [(first, other)]),
+              device.upload(np.reshape(COLOUR, (1, 12))), 0, WEIGHT)
     renderer, rows, frame = render(device, case, with_depth=True, smooth_cutoff=True)
     assert frame.blended.transmittance.download().min() > 2e-4  # none ends early: that is a step
     sums, *grads = reproject(device, frame.blended.depth, frame.blended.transmittance, *shared)

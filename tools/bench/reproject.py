@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsplat.regularise.reproject import pack_pair, reproject
+from clsplat.regularise.reproject import pack_pairs, reproject
 
 from .measure import arguments, milliseconds, open_device, report
 from .workloads import ring_camera
@@ -18,13 +18,15 @@ def main(argv):
     # about as far as the middle of the city
     depth = device.upload(0.75 * rng.normal(125, 3, (height, width)))
     transmittance = device.upload(np.full((height, width), 0.25))
-    geometry = pack_pair(device, *(ring_camera(angle, (width, height)) for angle in (0, 0.1)))
-    colour = device.upload(np.eye(3, 4))
-    times = milliseconds(
-        device, lambda: reproject(device, depth, transmittance, photo, neighbour, geometry, colour,
-                                  1.0), options.repeats)
-    valid = reproject(
-        device, depth, transmittance, photo, neighbour, geometry, colour, 1.0)[0].last()
+    geometries = pack_pairs(device, [[ring_camera(angle, (width, height)) for angle in (0, 0.1)]])
+    colours = device.upload(np.eye(3, 4).reshape(1, 12))
+
+    def run():
+        return reproject(device, depth, transmittance, photo, neighbour, geometries, colours, 0,
+                         1.0)
+
+    times = milliseconds(device, run, options.repeats)
+    valid = run()[0].last()
     # depth and transmittance read, two gradients written, read and written; both photos read
     report(options, device, "reproject", f"{width}x{height}", times,
            bytes=(2 + 2 * 3) * depth.nbytes + 2 * photo.nbytes, valid=int(valid))
