@@ -38,7 +38,11 @@ FOLDER = {"cls": SectionedOption, "section": "Run folder"}
               help="Which log messages to show.")
 @click.pass_context
 def train(ctx, scene, output, config, resume, overwrite, schedules, seeds, quiet, log_level, **_):
-    """Train gaussians on SCENE, a COLMAP folder with sparse/ and images/."""
+    """Train gaussians on SCENE, a COLMAP folder with sparse/ and images/.
+
+    Defaults are those of --schedule sig; other schedules, --preset and --size L bring some of their
+    own, and what was used stands in the run's options.json.
+    """
     logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
     if resume and (overwrite or config):
         raise InputError(f"{'--overwrite' if overwrite else '--config'}: cannot go with --resume, "

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clsplat.constrain.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ply import read_ply
@@ -12,7 +13,8 @@ from clsplat.io.ply import read_ply
 def initial_gaussians(scene, options):
     """Gaussians on the sparse points, on random points within their bounds, or from a PLY file.
 
-    Raises InputError for fewer gaussians allowed than given, or a file that cannot be used.
+    With spheres where the options want them. Raises InputError for fewer gaussians allowed than
+    given, or a file that cannot be used.
     """
     if options.init == "sfm":
         gaussians = Gaussians.from_points(scene.points, scene.colours, options.sh_degree)
@@ -27,9 +29,12 @@ def initial_gaussians(scene, options):
             raise InputError(
                 f"{options.init}: no such file; --init wants sfm, random or a PLY file")
         gaussians = of_degree(read_ply(options.init, scene.offset), options.sh_degree)
-        if not (options.sphere and options.schedule == "sig"):  # the file's hold nothing back
-            rows = {field.name: gaussians.rows[field.name] for field in LEARNED}
-            gaussians = Gaussians(rows, gaussians.sh_degree)
+    constrained = options.sphere and options.schedule == "sig"
+    if constrained and "anchors" not in gaussians.rows:
+        gaussians = with_spheres(gaussians, options.sphere_neighbours)
+    if not constrained:  # what spheres a file has hold nothing back
+        gaussians = Gaussians({field.name: gaussians.rows[field.name] for field in LEARNED},
+                              gaussians.sh_degree)
     if options.max_gaussians and gaussians.count > options.max_gaussians:
         raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
                          f"{gaussians.count}; allow at least that many")

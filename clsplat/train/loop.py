@@ -10,7 +10,6 @@ import time
 
 import numpy as np
 
-from clsplat.constrain.sphere import with_spheres
 from clsplat.errors import InputError, Interrupted
 from clsplat.evaluate.views import evaluate_views
 from clsplat.frequency import scene_frequency
@@ -104,8 +103,6 @@ class Training:
         self.needs = find_needs(scene, self.train_views, scaled_steps(options))
         self.options = options = self.needs.options
         initial = gaussians or initial_gaussians(scene, options)
-        if options.sphere and options.schedule == "sig" and "anchors" not in initial.rows:
-            initial = with_spheres(initial, options.sphere_neighbours)
         views = self.train_views
         self.schedule = SCHEDULES[options.schedule](options, Subject(
             smallest_size(views), initial.count, mean_inverse_distance(scene.points),
