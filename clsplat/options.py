@@ -135,8 +135,9 @@ class TrainOptions:
     densify_from: int = option(500, "Growth", "first step that may grow", minimum=0)
     densify_until: int = option(0, "Growth", "last step that may grow (0: half of -n, "
                                "dash 0.9 of it, sig any)", minimum=0)
-    densify_every: int = option(0, "Growth", "steps between rounds of growth (0: 100, and under "
-                                "sig up to 200 where the levels are long)", minimum=0)
+    densify_every: int = option(0, "Growth", "steps between rounds of growth (0: 100, under sig "
+                                "up to 200 where the levels are long, under taming a 60th of -n "
+                                "if that is more)", minimum=0)
     grow_threshold: float = option(2e-4, "Growth", "mean screen gradient that grows, NDC units",
                                    minimum=0.0)
     split_size: float = option(0.01, "Growth", "larger ones split, smaller ones clone; x extent",
