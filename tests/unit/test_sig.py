@@ -239,6 +239,14 @@ def test_a_model_grows_no_larger_than_its_pixels_can_tell_apart():
     assert sig(pixels_per_gaussian=0.0).target(1, 10**6, 10**6) is None
 
 
+def test_a_level_fills_up_and_pruning_makes_room_again():
+    schedule = sig(pixels_per_gaussian=50.0)
+    schedule.target(1, int(schedule.ceiling), 0)
+    assert not schedule.plan(2).gathers and schedule.plan(900).grows, "rounds go on, to prune"
+    schedule.target(2, int(schedule.ceiling) - 1, 0)
+    assert schedule.plan(3).gathers
+
+
 def test_a_full_level_gathers_nothing_and_waits_for_no_round():
     full = drive(sig(pixels_per_gaussian=200.0))  # 960 at the first level, where 1000 begin
     roomy = drive(sig(pixels_per_gaussian=0.0))
