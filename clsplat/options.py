@@ -122,8 +122,8 @@ class TrainOptions:
     sphere_columns: bool = option(False, "Sphere", "also write anchors and radii to the PLY",
                                   only=SIG)
 
-    reproject: str = option("auto", "Regularisation", "while growing, compare each photo with an "
-                            "adjacent one through the rendered depth",
+    reproject: str = option("off", "Regularisation", "while growing, compare each photo with an "
+                            "adjacent one through the rendered depth; auto: where there are any",
                             choices=("auto", "on", "off"), only=SIG)
     reproject_weight: float = option(0.1, "Regularisation", "its weight, which decays to a tenth",
                                      minimum=0.0, only=SIG)

@@ -1,10 +1,10 @@
-"""Trains scenes with the SIG schedule whole and without each of its parts; writes OUT/ablation.md.
+"""Trains scenes with the SIG schedule and with each part left out; writes OUT/ablation.md.
 
     python -m tools.ablate OUT SCENE[:DOWNSCALE] ... [-- FLAGS]
 
 Parts, after Xue et al. (2026): FARS, levels that follow the frequency; DS, rounds of growth a
-level; SCG, spheres; DR, reprojection. Ours are exposure, the ceiling of gaussians a level, and that
-opacities are lowered where a level begins.
+level; SCG, spheres; DR, reprojection, which is off by default and therefore added. Ours are
+exposure, the ceiling of gaussians a level, and that opacities are lowered where a level begins.
 """
 
 import math
@@ -37,7 +37,7 @@ ROWS = {
     "w/o FARS": ["--levels", "1", *GROWS_AS_CONSTANT],
     "w/o DS": GROWS_AS_CONSTANT,
     "w/o SCG": ["--no-sphere"],
-    "w/o DR": ["--reproject", "off"],
+    "and DR": ["--reproject", "auto"],
     "w/o exposure": ["--exposure", "off"],
     "w/o ceiling": ["--pixels-per-gaussian", "0"],
     "w/o level resets": ["--no-level-reset"],

@@ -53,8 +53,8 @@ def _exposure(scene, views, options):
 
 def _neighbours(scene, views, options):
     """(indices of adjacent views by view or None, why)."""
-    if options.schedule != "sig" or options.reproject == "off" or not options.reproject_weight:
-        return None, "off: not part of this schedule or set to off"
+    if options.reproject == "off" or not options.reproject_weight:
+        return None, "off: not asked for"
     found = adjacent_views(scene, views)
     paired = sum(len(adjacent) > 0 for adjacent in found)
     if paired:

@@ -87,10 +87,10 @@ def test_a_matrix_trains_what_is_missing_and_says_how_it_compares(tmp_path, trai
     flags = dict(zip(list(ablate.ROWS)[1:], trainings.options[6:]))
     assert flags["w/o FARS"].levels == (1,) and flags["w/o FARS"].rounds == 0
     assert flags["w/o DS"].levels == () and flags["w/o DS"].densify_every == 200
-    assert not flags["w/o SCG"].sphere and flags["w/o SCG"].reproject == "auto"
+    assert not flags["w/o SCG"].sphere and flags["w/o SCG"].reproject == "off"
     assert flags["w/o ceiling"].pixels_per_gaussian == 0
     assert not flags["w/o level resets"].level_reset
-    assert flags["w/o DR"].reproject == "off" and flags["w/o exposure"].exposure == "off"
+    assert flags["and DR"].reproject == "auto" and flags["w/o exposure"].exposure == "off"
 
 
 def test_runs_share_the_gpus_evenly(tmp_path, trainings):
