@@ -124,7 +124,7 @@ class TrainOptions:
 
     reproject: str = option("off", "Regularisation", "while growing, compare each photo with an "
                             "adjacent one through the rendered depth; auto: where there are any",
-                            choices=("auto", "on", "off"), only=SIG)
+                            choices=("off", "auto", "on"), only=SIG)
     reproject_weight: float = option(0.1, "Regularisation", "its weight, which decays to a tenth",
                                      minimum=0.0, only=SIG)
 
@@ -176,7 +176,7 @@ CHOICES = {
             "densify_every": 200, "level_reset": False, "pixels_per_gaussian": 0.0,
             "prune_size": 0.05, "opacity_rate": 0.02, "grow_threshold": 1.25e-4,
             "sphere_neighbours": 8, "sphere_reach": 15.0, "sphere_shrink": 0.8,
-            "sphere_rule": "release", "reproject": "off", "exposure": "off",
+            "sphere_rule": "release", "exposure": "off",
             "optimizer": "sparse", "ssim_weight": 0.33},
     },
     "size": {"L": {"grow_threshold": 1.25e-4}},
