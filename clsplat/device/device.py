@@ -37,6 +37,7 @@ class Device:
         self.queue = cl.CommandQueue(self.context, handle, properties=properties)
         self.capabilities = probe_capabilities(self.context, handle)
         self.compute_units = handle.max_compute_units
+        self.largest_buffer = handle.max_mem_alloc_size  # bytes
         self.group_size = min(128, handle.max_work_group_size)
         # a group owns a 16 x 16 tile, or 8 x 8 where groups are small; the item form's rows are 16
         self.tile = 16 if self.form == "item" or handle.max_work_group_size >= 256 else 8
@@ -76,10 +77,10 @@ class Device:
         return array
 
     def _allocate(self, shape, dtype, allocate):
-        shape = tuple(int(s) for s in (shape if np.iterable(shape) else (shape,)))
+        shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
         dtype = self.real if dtype is None else np.dtype(dtype)
         size = max(math.prod(shape) * dtype.itemsize, 64)
-        limit = self.handle.max_mem_alloc_size
+        limit = self.largest_buffer
         if size > limit:
             raise DeviceError(
                 f"{self.name}: one buffer of {size >> 20} MiB is asked for, the limit is "
@@ -117,13 +118,10 @@ class Device:
         """
         if items <= 0:
             return
-        kernel.check_call(self.real, values)
+        arguments = kernel.checked(self.real, values)
         built = self._kernels.get((kernel, defines)) or self._build(kernel, defines)
         group = group or self.group_size
-        arrays = kernel.is_array
-        event = built(
-            self.queue, (-(-items // group) * group,), (group,),
-            *[values[n].buffer if arrays[n] else values[n] for n in kernel.names])
+        event = built(self.queue, (-(-items // group) * group,), (group,), *arguments)
         if self._profile is not None:
             self._profile.append((kernel.function, event))
 
@@ -150,8 +148,7 @@ class Device:
         built = cl.Kernel(program, kernel.function)
         kernel.check_built(built)
         built.set_scalar_arg_dtypes(
-            [None if kernel.is_array[n] else self._dtypes[kernel.arguments[n]]
-             for n in kernel.names])
+            [self._dtypes[a] if isinstance(a, str) else None for a in kernel.arguments.values()])
         self._kernels[kernel, defines] = built
         self.build_seconds += time.perf_counter() - begin
         return built

@@ -13,24 +13,28 @@ class Kernel:
     """One kernel function: Kernel(file, function, count="uint", points=("real", "N", 3), ...).
 
     Arguments in the order of the OpenCL signature. A string is a scalar of that type; a tuple is
-    an array: its type, then its shape, where equal letters must agree and a trailing "..." allows
-    any further axes. `real` is float, or double on a device opened for double precision. A scalar
-    may bind a letter by carrying its name: count=("uint", "N") equals the length of the others.
+    an array: its type, then its shape, where equal letters must agree. `real` is float, or double
+    on a device opened for double precision.
     """
 
     def __init__(self, file, function, **arguments):
         self.file, self.function, self.arguments = file, function, arguments
-        self.names = tuple(arguments)
-        self.is_array = {n: not isinstance(a, str) for n, a in arguments.items()}
+        # (name, dtype or None for the device's real, shape or None for a scalar)
+        self._contract = [
+            (name, None, None) if isinstance(a, str) else
+            (name, None if a[0] == "real" else np.dtype(SCALARS[a[0]]), a[1:])
+            for name, a in arguments.items()]
+        self._fixed = {n: n for _, _, shape in self._contract for n in shape or ()
+                       if isinstance(n, int)}
 
     def __repr__(self):
         return f"{self.function} in {self.file}"
 
     def check_built(self, built):
         """Compare with the compiler's own signature, so that no two arguments can be swapped."""
-        if built.num_args != len(self.names):
+        if built.num_args != len(self.arguments):
             raise DeviceError(
-                f"{self}: takes {built.num_args} arguments, {len(self.names)} declared")
+                f"{self}: takes {built.num_args} arguments, {len(self.arguments)} declared")
         for index, (name, argument) in enumerate(self.arguments.items()):
             actual, kind = _signature(built, index)
             if actual is None:  # a driver that withholds names
@@ -40,29 +44,30 @@ class Kernel:
                 raise DeviceError(
                     f"{self}: argument {index} is '{kind} {actual}', declared '{wanted} {name}'")
 
-    def check_call(self, real, values):
-        """Bind letters to lengths over all arrays; ShapeError names the argument that disagrees."""
+    def checked(self, real, values):
+        """The arguments in their order, arrays as buffers. ShapeError names the argument whose type
+        or shape is wrong; equal letters must be equal lengths."""
         if values.keys() != self.arguments.keys():
             wrong = values.keys() ^ self.arguments.keys()
             raise ShapeError(f"{self}: missing or unknown arguments {sorted(wrong)}")
-        lengths = {}
-        for name, argument in self.arguments.items():
-            if not self.is_array[name]:
-                continue
+        lengths, arguments = self._fixed.copy(), []
+        for name, dtype, shape in self._contract:  # every launch comes by: no step to spare
             value = values[name]
-            dtype = real if argument[0] == "real" else SCALARS[argument[0]]
-            shape = argument[1:]
-            if value.dtype != dtype:
-                raise ShapeError(f"{self}: '{name}' is {value.dtype}, wants {np.dtype(dtype)}")
-            actual = value.shape
-            fits = len(actual) == len(shape)
-            for wanted, length in zip(shape, actual):
-                if isinstance(wanted, str):
-                    wanted = lengths.setdefault(wanted, length)
-                fits = fits and wanted == length
+            if shape is None:
+                arguments.append(value)
+                continue
+            if value.dtype != (dtype or real):
+                raise ShapeError(f"{self}: '{name}' is {value.dtype}, wants {dtype or real}")
+            fits = len(value.shape) == len(shape)
+            for wanted, length in zip(shape, value.shape):
+                if lengths.setdefault(wanted, length) != length:
+                    fits = False
             if not fits:
-                raise ShapeError(f"{self}: '{name}' has shape {actual}, wants {shape} "
-                                 f"where {lengths}")
+                bound = {k: v for k, v in lengths.items() if isinstance(k, str)}
+                raise ShapeError(f"{self}: '{name}' has shape {value.shape}, wants {shape} "
+                                 f"where {bound}")
+            arguments.append(value.buffer)
+        return arguments
 
 
 def _signature(built, index):

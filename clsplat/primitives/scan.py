@@ -6,7 +6,6 @@ from clsplat.device import Kernel
 
 REDUCE = Kernel("scan.cl", "scan_reduce", count="uint", chunk="uint", values=("uint", "N"),
                 totals=("ulong", "T"))
-TOTALS = Kernel("scan.cl", "scan_totals", chunks="uint", totals=("ulong", "T"))
 APPLY = Kernel("scan.cl", "scan_apply", count="uint", chunk="uint", values=("uint", "N"),
                totals=("ulong", "T"), offsets=("uint", "N"))
 
@@ -41,7 +40,6 @@ def exclusive_scan(device, values):
     items = chunks * group
     device.launch(REDUCE, items, group, defines, count=count, chunk=chunk, values=values,
                   totals=totals)
-    device.launch(TOTALS, group, group, defines, chunks=chunks, totals=totals)
     device.launch(APPLY, items, group, defines, count=count, chunk=chunk, values=values,
                   totals=totals, offsets=offsets)
     return offsets, totals
