@@ -3,6 +3,9 @@
 // stable sort of the pairs by tile leaves every tile's pairs in depth order, and a splat's pairs are
 // contiguous (its slots).
 //
+// Only tiles [first_tile, end_tile), numbered row by row, are looked at: all of a frame, or a band of
+// it (clsplat/render/bands.py). Within a band tiles are numbered from its first.
+//
 // counts: uint[V], tiles the v-th splat from the front touches; offsets: their exclusive scan;
 // pair_tiles, pair_splats: uint[P] in emission order (a pair's index there is its slot). One writer a
 // slot: deterministic.
@@ -11,37 +14,74 @@
 #include "splat.h"
 #include "tiles.h"
 
-__kernel void count_pairs(uint count, int tiles_x, int tiles_y, __global const uint *restrict order,
-                          __global const real *restrict splats, __global uint *restrict counts)
+// Rows of tiles [*begin, *end) in which the ellipse can reach the band.
+inline void band_rows(Ellipse e, int tiles_x, int first_tile, int end_tile, int *begin, int *end)
+{
+    tile_rows(e, (end_tile + tiles_x - 1) / tiles_x, begin, end);
+    *begin = max(*begin, first_tile / tiles_x);
+}
+
+// Tiles [*begin, *end) of the band that the ellipse touches in a row; none where *end <= *begin.
+inline void band_tiles(Ellipse e, int row, int tiles_x, int first_tile, int end_tile, int *begin,
+                       int *end)
+{
+    tile_columns(e, row, tiles_x, begin, end);
+    *begin = max(row * tiles_x + *begin, first_tile);
+    *end = min(row * tiles_x + *end, end_tile);
+}
+
+__kernel void count_pairs(uint count, int tiles_x, int first_tile, int end_tile,
+                          __global const uint *restrict order, __global const real *restrict splats,
+                          __global uint *restrict counts)
 {
     FOR_EACH(v, count) {
         const Ellipse e = ellipse_of(splats + (ulong)order[v] * SPLAT_REALS);
-        int row, row_end, column, column_end;
+        int row, row_end, tile, tile_end;
         uint touched = 0;
-        tile_rows(e, tiles_y, &row, &row_end);
+        band_rows(e, tiles_x, first_tile, end_tile, &row, &row_end);
         for (; row < row_end; row++) {
-            tile_columns(e, row, tiles_x, &column, &column_end);
-            touched += max(0, column_end - column);
+            band_tiles(e, row, tiles_x, first_tile, end_tile, &tile, &tile_end);
+            touched += max(0, tile_end - tile);
         }
         counts[v] = touched;
     }
 }
 
-__kernel void emit_pairs(uint count, int tiles_x, int tiles_y, __global const uint *restrict order,
-                         __global const real *restrict splats, __global uint *restrict counts,
-                         __global const uint *restrict offsets,
+// How many splats begin to touch tiles at each tile, less those that end there: the pairs of each
+// tile are the running sums, in uint arithmetic. steps: uint[tiles + 1], zero before. Integer sums:
+// the order of the atomics does not matter.
+__kernel void count_tiles(uint count, int tiles_x, int tiles_y,
+                          __global const real *restrict splats, __global uint *restrict steps)
+{
+    FOR_EACH(i, count) {
+        const Ellipse e = ellipse_of(splats + i * SPLAT_REALS);
+        int row, row_end, column, column_end;
+        tile_rows(e, tiles_y, &row, &row_end);
+        for (; row < row_end; row++) {
+            tile_columns(e, row, tiles_x, &column, &column_end);
+            if (column < column_end) {
+                atomic_inc(&steps[row * tiles_x + column]);
+                atomic_dec(&steps[row * tiles_x + column_end]);
+            }
+        }
+    }
+}
+
+__kernel void emit_pairs(uint count, int tiles_x, int first_tile, int end_tile,
+                         __global const uint *restrict order, __global const real *restrict splats,
+                         __global uint *restrict counts, __global const uint *restrict offsets,
                          __global uint *restrict pair_tiles, __global uint *restrict pair_splats)
 {
     FOR_EACH(v, count) {
         const Ellipse e = ellipse_of(splats + (ulong)order[v] * SPLAT_REALS);
         uint slot = offsets[v];
         const uint end = slot + counts[v];
-        int row, row_end, column, column_end;
-        tile_rows(e, tiles_y, &row, &row_end);
+        int row, row_end, tile, tile_end;
+        band_rows(e, tiles_x, first_tile, end_tile, &row, &row_end);
         for (; row < row_end; row++) {
-            tile_columns(e, row, tiles_x, &column, &column_end);
-            for (; column < column_end && slot < end; column++, slot++) {
-                pair_tiles[slot] = row * tiles_x + column;
+            band_tiles(e, row, tiles_x, first_tile, end_tile, &tile, &tile_end);
+            for (; tile < tile_end && slot < end; tile++, slot++) {
+                pair_tiles[slot] = tile - first_tile;
                 pair_splats[slot] = order[v];
             }
         }
@@ -49,7 +89,7 @@ __kernel void emit_pairs(uint count, int tiles_x, int tiles_y, __global const ui
         // only those emitted are summed
         counts[v] = slot - offsets[v];
         for (; slot < end; slot++) {
-            pair_tiles[slot] = tiles_x * tiles_y;
+            pair_tiles[slot] = end_tile - first_tile;
             pair_splats[slot] = order[v];
         }
     }

@@ -6,6 +6,7 @@
 // splats: real[V, SPLAT_REALS]; ranges: uint[tiles, 2] into sorted_splats and slots: uint[P];
 // image: real[3, H, W]; transmittance, depth: real[H, W]; last: int[H, W]: no later pair was blended.
 // The adjoint writes every pair's sums (splat.h) at the pair's slot, one writer each: no atomics.
+// The tiles are those from first_tile on: a frame whose pairs are too many comes in bands of tiles.
 // WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by the
 // final transmittance, so that a loss may read their ratio; otherwise these arrays are not touched.
 //
@@ -32,36 +33,46 @@
 #endif
 
 // Sums of each splat over its pairs, in slot order: totals[order[v], :] from the rows of `sums` that
-// begin at offsets[v].
-// Item form: an element is a splat. Group form: it is a splat's column.
+// begin at offsets[v]. carried: go on from what earlier bands left in `totals`; slots are in the
+// order of tiles, and so are bands: the additions are those of a frame in one piece.
+// Item form: an element is a splat; eight columns are one vector, or Intel's compiler would sum every
+// column over several slots at a time, in another order. Group form: it is a splat's column.
 #if FORM_ITEM
-__kernel void sum_pairs(uint count, __global const uint *restrict order,
+__kernel void sum_pairs(uint count, uint carried, __global const uint *restrict order,
                         __global const uint *restrict counts,
                         __global const uint *restrict offsets, __global const real *restrict sums,
                         __global real *restrict totals)
 {
     FOR_EACH(v, count) {
-        real total[SUMS] = {0};
+        __global real *own = totals + (ulong)order[v] * SUMS;
+        real8 total = carried ? vload8(0, own) : (real8)(0);
+        real rest[SUMS - 8];
+        for (int j = 0; j < SUMS - 8; j++)
+            rest[j] = carried ? own[8 + j] : 0;
         const ulong begin = (ulong)offsets[v] * SUMS, end = begin + (ulong)counts[v] * SUMS;
-        for (ulong i = begin; i < end; i += SUMS)
-            for (int column = 0; column < SUMS; column++)
-                total[column] += sums[i + column];
-        for (int column = 0; column < SUMS; column++)
-            totals[(ulong)order[v] * SUMS + column] = total[column];
+        for (ulong i = begin; i < end; i += SUMS) {
+            total += vload8(0, sums + i);
+            for (int j = 0; j < SUMS - 8; j++)
+                rest[j] += sums[i + 8 + j];
+        }
+        vstore8(total, 0, own);
+        for (int j = 0; j < SUMS - 8; j++)
+            own[8 + j] = rest[j];
     }
 }
 #else
-__kernel void sum_pairs(uint count, __global const uint *restrict order,
+__kernel void sum_pairs(uint count, uint carried, __global const uint *restrict order,
                         __global const uint *restrict counts,
                         __global const uint *restrict offsets, __global const real *restrict sums,
                         __global real *restrict totals)
 {
     FOR_EACH(i, (ulong)count * SUMS) {
         const ulong v = i / SUMS, begin = offsets[v], end = begin + counts[v];
-        real total = 0;
+        __global real *own = totals + (ulong)order[v] * SUMS + i % SUMS;
+        real total = carried ? *own : 0;
         for (ulong slot = begin; slot < end; slot++)
             total += sums[slot * SUMS + i % SUMS];
-        totals[(ulong)order[v] * SUMS + i % SUMS] = total;
+        *own = total;
     }
 }
 #endif

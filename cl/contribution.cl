@@ -18,12 +18,14 @@
 #define IOTA (real16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void contribution(int width, int height, int tiles_x, __global const uint *restrict ranges,
-                  __global const uint *restrict sorted_splats, __global const uint *restrict slots,
-                  __global const real *restrict splats, __global const int *restrict last,
-                  __global const real *restrict weights, __global real *restrict sums)
+void contribution(int width, int height, int tiles_x, int first_tile,
+                  __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
+                  __global const uint *restrict slots, __global const real *restrict splats,
+                  __global const int *restrict last, __global const real *restrict weights,
+                  __global real *restrict sums)
 {
-    const int tile = get_global_id(0), x0 = tile % tiles_x * TILE, y0 = tile / tiles_x * TILE;
+    const int tile = get_global_id(0), place = first_tile + tile;
+    const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
     const int begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const real16 x = IOTA + (real)(x0 + 0.5);
@@ -72,14 +74,16 @@ void contribution(int width, int height, int tiles_x, __global const uint *restr
 DEFINE_GROUP_SUM(group_sum4, real4)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void contribution(int width, int height, int tiles_x, __global const uint *restrict ranges,
-                  __global const uint *restrict sorted_splats, __global const uint *restrict slots,
-                  __global const real *restrict splats, __global const int *restrict last,
-                  __global const real *restrict weights, __global real *restrict sums)
+void contribution(int width, int height, int tiles_x, int first_tile,
+                  __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
+                  __global const uint *restrict slots, __global const real *restrict splats,
+                  __global const int *restrict last, __global const real *restrict weights,
+                  __global real *restrict sums)
 {
     __local real4 scratch[GROUP];
-    const int tile = get_group_id(0), lane = get_local_id(0);
-    const int column = tile % tiles_x * TILE + lane % TILE, row = tile / tiles_x * TILE + lane / TILE;
+    const int tile = get_group_id(0), lane = get_local_id(0), place = first_tile + tile;
+    const int column = place % tiles_x * TILE + lane % TILE;
+    const int row = place / tiles_x * TILE + lane / TILE;
     const bool inside = column < width && row < height;
     const long pixel = (long)row * width + column;
     const int begin = ranges[2 * tile], end = ranges[2 * tile + 1];
@@ -106,14 +110,15 @@ void contribution(int width, int height, int tiles_x, __global const uint *restr
 #endif
 
 // Sums of each splat over its pairs, in slot order: totals[order[v]] from the rows of `sums` that
-// begin at offsets[v].
-__kernel void sum_contributions(uint count, __global const uint *restrict order,
+// begin at offsets[v]. carried: go on from what earlier bands left in `totals`.
+__kernel void sum_contributions(uint count, uint carried,
+                                __global const uint *restrict order,
                                 __global const uint *restrict counts,
                                 __global const uint *restrict offsets,
                                 __global const real *restrict sums, __global real *restrict totals)
 {
     FOR_EACH(v, count) {
-        real4 total = (real4)(0);
+        real4 total = carried ? vload4(order[v], totals) : (real4)(0);
         const ulong begin = offsets[v], end = begin + counts[v];
         for (ulong slot = begin; slot < end; slot++)
             total += vload4(slot, sums);

@@ -1,8 +1,10 @@
 // Gaussians to splats, and the adjoint. One work-item a gaussian; elementwise, hence deterministic.
 //
-// EWA splatting (Zwicker et al. 2002) with M = J W R S (2 x 3), covariance M M^T + low_pass I. Its
-// determinant comes from Lagrange's identity, |m1 x m2|^2 + e(|m1|^2 + |m2|^2) + e^2, which keeps
-// its digits for needles, where A C - B^2 cancels.
+// EWA splatting (Zwicker et al. 2002) with B = J W R and M = B S (2 x 3), covariance M M^T + e I,
+// e the low-pass. Its determinant comes from Lagrange's identity, |m1 x m2|^2 + e(|m1|^2 + |m2|^2)
+// + e^2, which keeps its digits for needles, where A C - B^2 cancels; so does m1 x m2 = (b1 x b2)
+// times two scales each, and K B for the adjoint, K = (M M^T + e I)^-1:
+// K B = [e b1 + (S^2 b2) x (b1 x b2); e b2 + (b1 x b2) x (S^2 b1)] / det.
 //
 // Parameters are real[N, ...] rows; splats real[V, SPLAT_REALS] and all gradients real[V, ...] are
 // rows of visible gaussians; rows[v], ascending, is the gaussian of splat v.
@@ -29,7 +31,7 @@ typedef struct {
     real3 scale;
     real3 b1, b2; // rows of J W R
     real3 m1, m2; // rows of J W R S
-    real3 cross_m;
+    real3 cross_b, cross_m;
     real xx, xy, yy, det, blur; // covariance, determinant, and what the low-pass added to it
     real opacity, area_ratio;
 } Footprint;
@@ -57,7 +59,8 @@ inline Footprint footprint_of(uint row, __global const real *camera, __global co
 
     const real e = camera[CAMERA_LOW_PASS];
     const real m11 = dot(f.m1, f.m1), m22 = dot(f.m2, f.m2);
-    f.cross_m = cross(f.m1, f.m2);
+    f.cross_b = cross(f.b1, f.b2);
+    f.cross_m = f.cross_b * f.scale.yzx * f.scale.zxy;
     f.xx = m11 + e;
     f.xy = dot(f.m1, f.m2);
     f.yy = m22 + e;
@@ -95,7 +98,8 @@ inline real2 largest_extent(__global const real *camera, real3 p, real3 log_scal
     const real scale = exp(max(log_scale.x, max(log_scale.y, log_scale.z)));
     const real2 ratio = clamped_ratio(camera, p);
     const real2 reach = vload2(0, camera + CAMERA_FOCAL) / p.z * scale;
-    return sqrt((real)(2 * 5.55) * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS]));
+    const real cutoff = 2.003 * log((real)ALPHA_STEPS); // of an opacity of 1, and a hair more
+    return sqrt(cutoff * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS]));
 }
 
 // Depth keys uint[N] (positive floats order as their bits) and flags uint[N]: 1 where the
@@ -117,7 +121,7 @@ __kernel void cull(uint count, __global const real *restrict camera,
         const Footprint f =
             footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
         const real opacity = f.opacity * sqrt(f.area_ratio);
-        const real cutoff = 2 * log(255 * opacity);
+        const real cutoff = 2 * log(ALPHA_STEPS * opacity);
         const real2 extent = sqrt(cutoff * (real2)(f.xx, f.yy));
         // a footprint past the float range has no usable conic
         const bool finite = isfinite(f.det) && f.det > 0 && isfinite(extent.x) &&
@@ -141,7 +145,7 @@ __kernel void project(uint count, uint degree, __global const uint *restrict row
         const Footprint f =
             footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
         const real opacity = f.opacity * sqrt(f.area_ratio);
-        const real cutoff = 2 * log(255 * opacity);
+        const real cutoff = 2 * log(ALPHA_STEPS * opacity);
 
         real3 colour = (real)0.5 + SH_C0 * vload3(row, sh_constant);
 #if SH_REST > 0
@@ -163,8 +167,8 @@ __kernel void project(uint count, uint degree, __global const uint *restrict row
 }
 
 // From the pair sums of each splat (sums: real[V, S], see splat.h) to gradients of the parameters.
-// grad_means gets the pixel gradient of the mean, for densification. Where any gradient is not
-// finite the row is left alone: active[v] is NO_ROW and `skipped` counts it.
+// grad_means gets the pixel gradient of the mean, for densification. Where any gradient or the
+// colour is not finite the row is left alone: active[v] is NO_ROW and `skipped` counts it.
 __kernel void project_adjoint(
     uint count, uint degree, uint sum_count, __global const uint *restrict rows,
     __global const real *restrict camera, __global const real *restrict positions,
@@ -187,42 +191,45 @@ __kernel void project_adjoint(
         const real3 conic = (real3)(f.yy, -f.xy, f.xx) / f.det;
         const real2 grad_mean = (real2)(conic.x * sum[SUM_X] + conic.y * sum[SUM_Y],
                                         conic.y * sum[SUM_X] + conic.z * sum[SUM_Y]);
-        // dK = -K dC K, so grad C = -K G K with G = -1/2 sum(grad_power d d^T)
-        const real gxx = 0.5 * sum[SUM_XX], gxy = 0.5 * sum[SUM_XY], gyy = 0.5 * sum[SUM_YY];
-        const real t11 = conic.x * gxx + conic.y * gxy, t12 = conic.x * gxy + conic.y * gyy;
-        const real t21 = conic.y * gxx + conic.z * gxy, t22 = conic.y * gxy + conic.z * gyy;
-        const real c11 = t11 * conic.x + t12 * conic.y, c12 = t11 * conic.y + t12 * conic.z;
-        const real c22 = t21 * conic.y + t22 * conic.z;
-        real3 grad_m1 = 2 * (c11 * f.m1 + c12 * f.m2);
-        real3 grad_m2 = 2 * (c12 * f.m1 + c22 * f.m2);
+        // dK = -K dC K, so grad B = 2 K G Q S^2 with Q = K B and G = 1/2 sum(grad_power d d^T). By
+        // scales and by turns only Q^T G Q counts, where the long axis of a needle does not cancel
+        const real e = camera[CAMERA_LOW_PASS];
+        const real3 q1 = (e * f.b1 + cross(f.m2 * f.scale, f.cross_b)) / f.det;
+        const real3 q2 = (e * f.b2 + cross(f.cross_b, f.m1 * f.scale)) / f.det;
+        const real3 u1 = sum[SUM_XX] * q1 + sum[SUM_XY] * q2; // rows of 2 G Q
+        const real3 u2 = sum[SUM_XY] * q1 + sum[SUM_YY] * q2;
+        const real3 variance = f.scale * f.scale;
+        real3 grad_b1 = variance * (conic.x * u1 + conic.y * u2);
+        real3 grad_b2 = variance * (conic.y * u1 + conic.z * u2);
+        real3 grad_log_scale = variance * (q1 * u1 + q2 * u2);
+        real3 grad_turn =
+            (variance.yzx - variance.zxy) * (q1.yzx * u1.zxy + q2.yzx * u2.zxy);
 
         real grad_opacity = sum[SUM_OPACITY];
 #if ANTIALIASED
         const real root = sqrt(f.area_ratio), sharp = dot(f.cross_m, f.cross_m);
         if (f.area_ratio > AREA_RATIO_MIN) {
-            const real e = camera[CAMERA_LOW_PASS];
             const real g = grad_opacity * f.opacity * 0.5 / (root * f.det);
             const real by_sharp = 2 * g * f.blur / f.det, by_blur = -2 * g * e * (sharp / f.det);
-            grad_m1 += by_sharp * cross(f.m2, f.cross_m) + by_blur * f.m1;
-            grad_m2 += by_sharp * cross(f.cross_m, f.m1) + by_blur * f.m2;
+            const real3 by_cross = by_sharp * f.cross_m * f.scale.yzx * f.scale.zxy;
+            const real3 more_b1 = cross(f.b2, by_cross) + by_blur * variance * f.b1;
+            const real3 more_b2 = cross(by_cross, f.b1) + by_blur * variance * f.b2;
+            grad_b1 += more_b1;
+            grad_b2 += more_b2;
+            grad_log_scale += more_b1 * f.b1 + more_b2 * f.b2;
+            grad_turn += cross(more_b1, f.b1) + cross(more_b2, f.b2);
         }
         grad_opacity *= root;
 #endif
         // 1 - opacity would cancel where the opacity saturates
         const real grad_logit = grad_opacity * f.opacity / (1 + exp(opacity_logits[row]));
 
-        const real3 grad_log_scale = (grad_m1 * f.b1 + grad_m2 * f.b2) * f.scale;
-        const real3 grad_b1 = grad_m1 * f.scale, grad_b2 = grad_m2 * f.scale;
+        const real4 grad_quaternion = turn_adjoint(f.q, f.q_length, grad_turn);
+
+        // through A = J W to the camera-frame position
         __global const real *w = camera + CAMERA_ROTATION;
         const real3 w3 = vload3(2, w);
         const real2 focal = vload2(0, camera + CAMERA_FOCAL) / f.p.z;
-        const real3 a1 = focal.x * (vload3(0, w) - f.ratio.x * w3);
-        const real3 a2 = focal.y * (vload3(1, w) - f.ratio.y * w3);
-        const real4 grad_quaternion = rotation_rows_adjoint(
-            f.q, f.q_length, a1.x * grad_b1 + a2.x * grad_b2, a1.y * grad_b1 + a2.y * grad_b2,
-            a1.z * grad_b1 + a2.z * grad_b2);
-
-        // through A = J W to the camera-frame position
         const real3 grad_a1 = (real3)(dot(f.r0, grad_b1), dot(f.r1, grad_b1), dot(f.r2, grad_b1));
         const real3 grad_a2 = (real3)(dot(f.r0, grad_b2), dot(f.r1, grad_b2), dot(f.r2, grad_b2));
         const real inverse_z = 1 / f.p.z;
@@ -273,7 +280,8 @@ __kernel void project_adjoint(
 
         const real3 size = fabs(grad_position) + fabs(grad_constant) + fabs(grad_log_scale);
         const bool finite = size.x + size.y + size.z + fabs(grad_logit) +
-                            dot(fabs(grad_quaternion), (real4)(1)) < (real)GRADIENT_MAX;
+                                    dot(fabs(grad_quaternion), (real4)(1)) < (real)GRADIENT_MAX &&
+                            isfinite(colour.x + colour.y + colour.z);
         active[v] = finite ? row : NO_ROW;
         if (!finite)
             atomic_inc(skipped);

@@ -6,8 +6,9 @@
 
 // Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth.
 __kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1)))
-void blend(int width, int height, int tiles_x, __global const real *restrict background,
-           __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
+void blend(int width, int height, int tiles_x, int first_tile,
+           __global const real *restrict background, __global const uint *restrict ranges,
+           __global const uint *restrict sorted_splats,
            __global const uint *restrict bucket_offsets, __global const real *restrict splats,
            __global real *restrict image, __global real *restrict transmittance,
            __global int *restrict last, __global real *restrict depth,
@@ -15,8 +16,9 @@ void blend(int width, int height, int tiles_x, __global const real *restrict bac
 {
     __local real4 shape[PIXELS], colour[PIXELS], conic[PIXELS];
     __local int open;
-    const int tile = get_group_id(0), lane = get_local_id(0);
-    const int column = tile % tiles_x * TILE + lane % TILE, row = tile / tiles_x * TILE + lane / TILE;
+    const int tile = get_group_id(0), lane = get_local_id(0), place = first_tile + tile;
+    const int column = place % tiles_x * TILE + lane % TILE;
+    const int row = place / tiles_x * TILE + lane / TILE;
     const bool inside = column < width && row < height;
     const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const real x = column + 0.5, y = row + 0.5;
@@ -102,7 +104,7 @@ inline real from_previous_lane(real value)
 #endif
 
 __kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
-void blend_adjoint(int width, int height, int tiles_x, uint tiles,
+void blend_adjoint(int width, int height, int tiles_x, int first_tile, uint tiles,
                    __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
                    __global const uint *restrict slots, __global const uint *restrict bucket_offsets,
                    __global const uint *restrict bucket_tiles, __global const real *restrict splats,
@@ -122,8 +124,8 @@ void blend_adjoint(int width, int height, int tiles_x, uint tiles,
     const uint bucket = get_group_id(0), tile = bucket_tiles[bucket];
     if (tile >= tiles) // the launch is an upper bound; the whole group leaves together
         return;
-    const int lane = get_local_id(0);
-    const int x0 = tile % tiles_x * TILE, y0 = tile / tiles_x * TILE;
+    const int lane = get_local_id(0), place = first_tile + tile;
+    const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const long plane = (long)width * height;
     const int first = ranges[2 * tile] + (bucket - bucket_offsets[tile]) * BUCKET;
     const int end = ranges[2 * tile + 1], own = first + lane;

@@ -33,13 +33,14 @@ inline void rows_reached(__global const real *splat, real first_y, int rows, int
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void blend(int width, int height, int tiles_x, __global const real *restrict background,
-           __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-           __global const real *restrict splats, __global real *restrict image,
-           __global real *restrict transmittance, __global int *restrict last,
-           __global real *restrict depth)
+void blend(int width, int height, int tiles_x, int first_tile,
+           __global const real *restrict background, __global const uint *restrict ranges,
+           __global const uint *restrict sorted_splats, __global const real *restrict splats,
+           __global real *restrict image, __global real *restrict transmittance,
+           __global int *restrict last, __global real *restrict depth)
 {
-    const int tile = get_global_id(0), x0 = tile % tiles_x * TILE, y0 = tile / tiles_x * TILE;
+    const int tile = get_global_id(0), place = first_tile + tile;
+    const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
     const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const real16 x = IOTA + (real)(x0 + 0.5);
@@ -113,14 +114,16 @@ void blend(int width, int height, int tiles_x, __global const real *restrict bac
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void blend_adjoint(int width, int height, int tiles_x, __global const real *restrict background,
-                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-                   __global const uint *restrict slots, __global const real *restrict splats,
+void blend_adjoint(int width, int height, int tiles_x, int first_tile,
+                   __global const real *restrict background, __global const uint *restrict ranges,
+                   __global const uint *restrict sorted_splats, __global const uint *restrict slots,
+                   __global const real *restrict splats,
                    __global const real *restrict transmittance, __global const int *restrict last,
                    __global const real *restrict grad_image, __global const real *restrict grad_depth,
                    __global const real *restrict grad_transmittance, __global real *restrict sums)
 {
-    const int tile = get_global_id(0), x0 = tile % tiles_x * TILE, y0 = tile / tiles_x * TILE;
+    const int tile = get_global_id(0), place = first_tile + tile;
+    const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
     const int begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const long plane = (long)width * height;

@@ -18,30 +18,7 @@ typedef int vmask;
 #define AS_VREAL as_float
 #endif
 
-// exp for the powers that matter, -6 to 0: rounding the exponent out leaves 2^f with |f| <= 1/2,
-// where a degree-6 polynomial (our least-squares fit of 2^f, relative error 3e-9) is exact to
-// rounding. A device whose native_exp was seen accurate uses that instead.
-inline vreal exp_power(vreal x)
-{
-#if REAL_IS_DOUBLE
-    return exp(x);
-#elif HAVE_NATIVE_EXP && !FORM_ITEM
-    return native_exp(x);
-#else
-    // adding 1.5 2^23 rounds to an integer and leaves it in the low bits
-    const vreal t = max(x, (vreal)-87) * (vreal)1.4426950408889634;
-    const vreal shifted = t + (vreal)12582912;
-    const vreal f = t - (shifted - (vreal)12582912);
-    vreal p = 0.00015343758673529777;
-    p = mad(p, f, (vreal)0.001340530186465684);
-    p = mad(p, f, (vreal)0.009618545002468079);
-    p = mad(p, f, (vreal)0.05550313243528009);
-    p = mad(p, f, (vreal)0.24022645717156282);
-    p = mad(p, f, (vreal)0.6931472143763362);
-    p = mad(p, f, (vreal)1.0000000008587457);
-    return p * AS_VREAL((AS_INTS(shifted) + 127) << 23);
-#endif
-}
+#include "exp_power.h"
 
 // The contribution of a splat given its unclamped alpha. In tests (SMOOTH_CUTOFF) the step at
 // ALPHA_MIN becomes a ramp, so that finite differences across it have a meaning.

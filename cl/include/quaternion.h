@@ -22,14 +22,10 @@ inline void rotation_rows(real4 q, real3 *row0, real3 *row1, real3 *row2)
     *row2 = (real3)(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y));
 }
 
-// Gradient of the raw quaternion from the gradient of the rotation's rows.
-inline real4 rotation_rows_adjoint(real4 q, real length, real3 g0, real3 g1, real3 g2)
+// Gradient of the raw quaternion from that by a small turn, a vector in the gaussian's own axes:
+// d unit = 1/2 unit (0, turn), a product of quaternions.
+inline real4 turn_adjoint(real4 unit, real length, real3 grad_turn)
 {
-    const real w = q.x, x = q.y, y = q.z, z = q.w;
-    const real4 g = 2 * (real4)(
-        x * (g2.y - g1.z) + y * (g0.z - g2.x) + z * (g1.x - g0.y),
-        y * (g0.y + g1.x) + z * (g0.z + g2.x) - 2 * x * (g1.y + g2.z) + w * (g2.y - g1.z),
-        x * (g0.y + g1.x) + z * (g1.z + g2.y) - 2 * y * (g0.x + g2.z) + w * (g0.z - g2.x),
-        x * (g0.z + g2.x) + y * (g1.z + g2.y) - 2 * z * (g0.x + g1.y) + w * (g1.x - g0.y));
-    return (g - q * dot(q, g)) / length;
+    const real3 v = unit.yzw;
+    return 2 / length * (real4)(-dot(v, grad_turn), unit.x * grad_turn + cross(v, grad_turn));
 }

@@ -39,14 +39,18 @@ inline void tile_rows(Ellipse e, int tiles_y, int *begin, int *end)
 // pixel centres is at its rightmost point where that lies inside, else on the nearer edge.
 inline void tile_columns(Ellipse e, int row, int tiles_x, int *begin, int *end)
 {
+    const real slope = e.shear * e.extent_y;
+#if BOX_TILES // all tiles of the ellipse's bounding box: what it would cost, docs/numerics.md
+    const real right = sqrt(slope * slope + e.half_width * e.half_width), left = -right;
+#else
     const real low = (row * TILE + 0.5 - e.mean_y) / e.extent_y;
     const real high = (row * TILE + TILE - 0.5 - e.mean_y) / e.extent_y;
-    const real slope = e.shear * e.extent_y;
     const real rightmost = -slope / sqrt(slope * slope + e.half_width * e.half_width);
     const real u_right = clamp(rightmost, max(low, (real)-1), min(high, (real)1));
     const real u_left = clamp(-rightmost, max(low, (real)-1), min(high, (real)1));
     const real right = -slope * u_right + e.half_width * sqrt(max((real)0, 1 - u_right * u_right));
     const real left = -slope * u_left - e.half_width * sqrt(max((real)0, 1 - u_left * u_left));
+#endif
     *begin = max(0, to_tile(ceil((e.mean_x + left - 0.01 + 0.5) / TILE) - 1, tiles_x));
     *end = min(tiles_x, to_tile(floor((e.mean_x + right + 0.01 - 0.5) / TILE) + 1, tiles_x));
 }

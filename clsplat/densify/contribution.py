@@ -7,12 +7,12 @@ COLUMNS = 4  # pixels, weight, weighted image, distance
 
 CONTRIBUTION = Kernel(
     "contribution.cl", "contribution", width="int", height="int", tiles_x="int",
-    ranges=("uint", "T", 2), sorted_splats=("uint", "P"), slots=("uint", "P"),
+    first_tile="int", ranges=("uint", "T", 2), sorted_splats=("uint", "P"), slots=("uint", "P"),
     splats=("real", "V", SPLAT_REALS), last=("int", "H", "W"), weights=("real", "H", "W"),
     sums=("real", "P", COLUMNS))
 SUM = Kernel(
-    "contribution.cl", "sum_contributions", count="uint", order=("uint", "V"),
-    counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
+    "contribution.cl", "sum_contributions", count="uint", carried="uint",
+    order=("uint", "V"), counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
     totals=("real", "V", COLUMNS))
 
 
@@ -22,16 +22,26 @@ def contribution(device, frame, weights):
 
     frame: `render.pipeline.Frame`; weights: real[H, W], an image of its size.
     """
+    totals = None
+    for band in frame.bands:
+        totals = _add_band(device, frame, frame.pairs_of(band), weights, totals)
+    return totals
+
+
+def _add_band(device, frame, pairs, weights, totals):
     width, height = frame.size
-    splats, pairs, tile = frame.splats, frame.pairs, device.tile
+    splats, tile = frame.splats, device.tile
     defines = (("TILE", tile), ("GROUP", tile**2), ("SMOOTH_CUTOFF", 0))
     group = 1 if device.form == "item" else tile**2
     sums = device.empty((pairs.count, COLUMNS))
     device.launch(CONTRIBUTION, len(pairs.ranges) * group, group, defines, width=width,
-                  height=height, tiles_x=pairs.tiles_x, ranges=pairs.ranges,
-                  sorted_splats=pairs.sorted_splats, slots=pairs.slots, splats=splats,
-                  last=frame.blended.last, weights=weights, sums=sums)
-    totals = device.empty((len(splats), COLUMNS))
-    device.launch_each(SUM, len(splats), defines, count=len(splats), order=pairs.order,
-                       counts=pairs.counts, offsets=pairs.offsets, sums=sums, totals=totals)
+                  height=height, tiles_x=pairs.tiles_x, first_tile=pairs.tiles.start,
+                  ranges=pairs.ranges, sorted_splats=pairs.sorted_splats, slots=pairs.slots,
+                  splats=splats, last=frame.blended.last, weights=weights, sums=sums)
+    carried = totals is not None
+    if not carried:
+        totals = device.empty((len(splats), COLUMNS))
+    device.launch_each(SUM, len(splats), defines, count=len(splats), carried=carried,
+                       order=pairs.order, counts=pairs.counts, offsets=pairs.offsets, sums=sums,
+                       totals=totals)
     return totals

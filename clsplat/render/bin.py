@@ -11,13 +11,16 @@ from clsplat.primitives.sort import stable_sort
 from clsplat.render.project import SPLAT_REALS
 
 BUCKET = 32  # pairs a bucket of the group form's adjoint
-PAIR_LIMIT = 2**32 - 1  # slots are 32-bit
+PAIR_LIMIT = 2**31 - 1  # blending numbers a tile's pairs by int
 
-COUNT = Kernel("bin.cl", "count_pairs", count="uint", tiles_x="int", tiles_y="int",
-               order=("uint", "V"), splats=("real", "V", SPLAT_REALS), counts=("uint", "V"))
-EMIT = Kernel("bin.cl", "emit_pairs", count="uint", tiles_x="int", tiles_y="int",
-              order=("uint", "V"), splats=("real", "V", SPLAT_REALS), counts=("uint", "V"),
-              offsets=("uint", "V"), pair_tiles=("uint", "P"), pair_splats=("uint", "P"))
+_BAND = dict(tiles_x="int", first_tile="int", end_tile="int")
+COUNT = Kernel("bin.cl", "count_pairs", count="uint", **_BAND, order=("uint", "V"),
+               splats=("real", "V", SPLAT_REALS), counts=("uint", "V"))
+COUNT_TILES = Kernel("bin.cl", "count_tiles", count="uint", tiles_x="int", tiles_y="int",
+                     splats=("real", "V", SPLAT_REALS), steps=("uint", "S"))
+EMIT = Kernel("bin.cl", "emit_pairs", count="uint", **_BAND, order=("uint", "V"),
+              splats=("real", "V", SPLAT_REALS), counts=("uint", "V"), offsets=("uint", "V"),
+              pair_tiles=("uint", "P"), pair_splats=("uint", "P"))
 RANGES = Kernel("bin.cl", "find_ranges", count="uint", tiles="uint", sorted_tiles=("uint", "P"),
                 slots=("uint", "P"), pair_splats=("uint", "P"), ranges=("uint", "T", 2),
                 sorted_splats=("uint", "P"))
@@ -27,15 +30,20 @@ FILL_BUCKETS = Kernel("bin.cl", "fill_buckets", tiles="uint", counts=("uint", "T
                       offsets=("uint", "T"), bucket_tiles=("uint", "B"))
 
 
+class TooManyPairs(DeviceError):
+    """More pairs than one binning may have: bands of fewer tiles are the cure (render/bands.py)."""
+
+
 @dataclass(eq=False)
 class Pairs:
-    """The pairs of a frame. order: uint[V], the splats front to back; counts, offsets: uint[V], the
-    slots of each in that order; ranges: uint[T, 2] into
-    sorted_splats and slots: uint[P]; the group form also has bucket_offsets uint[T] and
-    bucket_tiles uint[B], where B is an upper bound and spare entries hold T."""
+    """The pairs of a frame, or of a band of it. tiles: range of the T tiles, numbered row by row;
+    order: uint[V], the splats front to back; counts, offsets: uint[V], the slots of each in that
+    order; ranges: uint[T, 2] into sorted_splats and slots: uint[P]; the group form also has
+    bucket_offsets uint[T] and bucket_tiles uint[B], where B is an upper bound and spare entries
+    hold T."""
 
     tiles_x: int
-    tiles_y: int
+    tiles: range
     order: Array
     counts: Array
     offsets: Array
@@ -50,24 +58,30 @@ class Pairs:
         return len(self.slots)
 
 
-def bin_splats(device, splats, order, width, height):
-    """Pairs of the splats real[V, 12] with the tiles of a width x height image; order: uint[V],
-    the splats front to back.
+def tile_grid(device, width, height):
+    """(columns, rows) of tiles of an image."""
+    return -(-width // device.tile), -(-height // device.tile)
 
-    Waits for the device once, for the number of pairs. Raises DeviceError past 2^32 pairs.
+
+def bin_splats(device, splats, order, width, height, band=None, limit=PAIR_LIMIT):
+    """Pairs of the splats real[V, 12] with the tiles of a width x height image; order: uint[V],
+    the splats front to back; band: range of tiles, numbered row by row; None takes all.
+
+    Waits for the device once, for the number of pairs. Raises TooManyPairs past `limit`.
     """
-    count, tile = len(splats), device.tile
-    tiles_x, tiles_y = -(-width // tile), -(-height // tile)
-    tiles = tiles_x * tiles_y
-    defines = (("TILE", tile), ("BUCKET", BUCKET))
-    shape = dict(tiles_x=tiles_x, tiles_y=tiles_y, order=order)
+    count, defines = len(splats), _defines(device)
+    tiles_x, tiles_y = tile_grid(device, width, height)
+    band = range(tiles_x * tiles_y) if band is None else band
+    tiles = len(band)
+    shape = dict(tiles_x=tiles_x, first_tile=band.start, end_tile=band.stop, order=order)
     counts = device.empty(count, np.uint32)
     device.launch_each(COUNT, count, defines, count=count, **shape, splats=splats, counts=counts)
     offsets, totals = exclusive_scan(device, counts)
     pair_count = int(totals.last())
-    if pair_count > PAIR_LIMIT:
-        raise DeviceError(f"{pair_count} pairs of tile and splat in one {width} x {height} image, "
-                          f"more than {PAIR_LIMIT}: use smaller images (-r)")
+    limit = min(limit, PAIR_LIMIT)
+    if pair_count > limit:
+        raise TooManyPairs(f"{pair_count} pairs of tile and splat in one {width} x {height} image, "
+                           f"more than {limit}: use smaller images (-r)")
     pair_tiles, pair_splats = (device.empty(pair_count, np.uint32) for _ in range(2))
     device.launch_each(EMIT, count, defines, count=count, **shape, splats=splats, counts=counts,
                   offsets=offsets, pair_tiles=pair_tiles, pair_splats=pair_splats)
@@ -79,10 +93,24 @@ def bin_splats(device, splats, order, width, height):
     device.launch_each(RANGES, pair_count, defines, count=pair_count, tiles=tiles,
                   sorted_tiles=sorted_tiles, slots=slots, pair_splats=pair_splats, ranges=ranges,
                   sorted_splats=sorted_splats)
-    pairs = Pairs(tiles_x, tiles_y, order, counts, offsets, ranges, sorted_splats, slots)
+    pairs = Pairs(tiles_x, band, order, counts, offsets, ranges, sorted_splats, slots)
     if device.form == "group":
         _add_buckets(device, pairs, tiles, defines)
     return pairs
+
+
+def count_tiles(device, splats, width, height):
+    """int64[T] on the host: the pairs of each tile, numbered row by row. Waits for the device."""
+    tiles_x, tiles_y = tile_grid(device, width, height)
+    steps = device.empty(tiles_x * tiles_y + 1, np.uint32)
+    steps.fill(0)
+    device.launch_each(COUNT_TILES, len(splats), _defines(device), count=len(splats),
+                       tiles_x=tiles_x, tiles_y=tiles_y, splats=splats, steps=steps)
+    return np.cumsum(steps.download(), dtype=np.uint32)[:-1].astype(np.int64)
+
+
+def _defines(device):
+    return (("TILE", device.tile), ("BUCKET", BUCKET))
 
 
 def _add_buckets(device, pairs, tiles, defines):

@@ -7,7 +7,8 @@ import numpy as np
 from clsplat.device import Array
 from clsplat.primitives.gather import compact
 from clsplat.primitives.sort import stable_sort
-from clsplat.render.bin import Pairs, bin_splats
+from clsplat.render.bands import choose_bands, pair_limit
+from clsplat.render.bin import Pairs, TooManyPairs, bin_splats, count_tiles
 from clsplat.render.blend import Blended, blend, blend_adjoint, blend_defines
 from clsplat.render.project import cull, pack_camera, project, project_adjoint
 
@@ -15,13 +16,17 @@ from clsplat.render.project import cull, pack_camera, project, project_adjoint
 @dataclass(eq=False)
 class Frame:
     """What a render leaves for its adjoint. visible: uint[V], rows of the gaussians seen,
-    ascending; splats: real[V, 12], in that order."""
+    ascending; splats: real[V, 12], in that order; order: uint[V], front to back; bands: ranges of
+    tiles, or None, which stands for all. Only the pairs of a frame in one band are kept."""
 
     camera: Array
     degree: int
     visible: Array
     splats: Array
-    pairs: Pairs
+    order: Array
+    pairs: Pairs | None
+    bands: tuple
+    pair_count: int
     blended: Blended
     with_depth: bool
 
@@ -33,6 +38,11 @@ class Frame:
     def size(self):
         """(width, height), pixels."""
         return self.image.shape[2], self.image.shape[1]
+
+    def pairs_of(self, band):
+        """The Pairs of one of `bands`: kept, or found again."""
+        return self.pairs or bin_splats(
+            self.splats.device, self.splats, self.order, *self.size, band)
 
 
 @dataclass(eq=False)
@@ -53,12 +63,14 @@ class Renderer:
 
     antialiased: scale opacity by the area that the low-pass adds (Yu et al. 2024, Mip-Splatting).
     near: world units. background: three numbers. smooth_cutoff: tests only
-    (cl/include/footprint.h).
+    (cl/include/footprint.h). pair_limit: pairs of tile and splat at a time; a frame that has more
+    is rendered in bands, to the same bytes. None: what the device has room for (render/bands.py).
     """
 
     def __init__(self, device, sh_degree, near, antialiased=False, background=(0.0, 0.0, 0.0),
-                 smooth_cutoff=False):
+                 smooth_cutoff=False, pair_limit=None):
         self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
+        self.pair_limit = pair_limit
         self.background = device.upload(np.asarray(background, np.float64))
         self.skipped = device.zeros(1, np.uint32)
         self._token = device.zeros((1, 1))
@@ -76,10 +88,22 @@ class Renderer:
         visible_keys, visible = compact(device, flags, depth_keys)
         _, order = stable_sort(device, visible_keys)
         splats = project(device, rows, visible, camera, degree, self._project_defines)
-        pairs = bin_splats(device, splats, order, width, height)
-        blended = blend(device, splats, pairs, width, height, self.background,
-                        blend_defines(device, with_depth, self.smooth_cutoff))
-        return Frame(camera, degree, visible, splats, pairs, blended, with_depth)
+        limit = self.pair_limit
+        if limit is None:
+            limit = pair_limit(device, width, height, with_depth)
+        try:
+            pairs, bands = bin_splats(device, splats, order, width, height, limit=limit), (None,)
+            pair_count = pairs.count
+        except TooManyPairs:
+            counts = count_tiles(device, splats, width, height)
+            pairs, bands, pair_count = None, choose_bands(counts, limit), int(counts.sum())
+        blended = None
+        for band in bands:
+            blended = blend(
+                device, splats, pairs or bin_splats(device, splats, order, width, height, band),
+                width, height, self.background, self._blend_defines(with_depth), blended)
+        return Frame(camera, degree, visible, splats, order, pairs, bands, pair_count, blended,
+                     with_depth)
 
     def adjoint(self, rows, frame, grad_image, grad_depth=None, grad_transmittance=None):
         """Gradients from grad_image real[3, H, W] and, for a frame with depth, from grad_depth and
@@ -88,11 +112,22 @@ class Renderer:
         if frame.with_depth and (grad_depth is None or grad_transmittance is None):
             none = device.empty(frame.blended.depth.shape)
             none.fill(0)
-        sums = blend_adjoint(
-            device, frame.splats, frame.pairs, frame.blended, self.background, grad_image,
-            none if grad_depth is None else grad_depth,
-            none if grad_transmittance is None else grad_transmittance,
-            blend_defines(device, frame.with_depth, self.smooth_cutoff))
+        grads = (grad_image, none if grad_depth is None else grad_depth,
+                 none if grad_transmittance is None else grad_transmittance)
+        sums = None
+        for band in frame.bands:
+            sums = self._add_band(frame, frame.pairs_of(band), grads, sums)
         return Gradients(*project_adjoint(
             device, rows, frame.visible, frame.camera, frame.degree, self._project_defines, sums,
             self.skipped))
+
+    def _add_band(self, frame, pairs, grads, sums):
+        """The sums of a band added to those of earlier ones."""
+        device, defines = self.device, self._blend_defines(frame.with_depth)
+        if pairs is not frame.pairs and device.form == "group":  # for the checkpoints
+            blend(device, frame.splats, pairs, *frame.size, self.background, defines, frame.blended)
+        return blend_adjoint(device, frame.splats, pairs, frame.blended, self.background, *grads,
+                             defines, sums)
+
+    def _blend_defines(self, with_depth):
+        return blend_defines(self.device, with_depth, self.smooth_cutoff)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.errors import DeviceError
-from clsplat.render.bin import BUCKET, bin_splats
+from clsplat.render.bin import BUCKET, TooManyPairs, bin_splats, count_tiles, tile_grid
 from tests import cases
 from tests.kernels.chain import pack_splats
 from tests.reference.bin import tiles_of
@@ -42,7 +41,7 @@ def true_tiles(device, row, tiles_x, tiles_y):
 def check(device, rows, width, height, what):
     found = Binned(device, rows, width, height)
     pairs = found.pairs
-    truth = [true_tiles(device, row, pairs.tiles_x, pairs.tiles_y) for row in rows]
+    truth = [true_tiles(device, row, *tile_grid(device, width, height)) for row in rows]
     for v, tiles in enumerate(truth):
         assert tiles <= found.tiles[v], f"{what}: splat {v} lacks tiles {tiles - found.tiles[v]}"
         assert len(found.tiles[v]) == found.counts[v], f"{what}: a pair twice, or not emitted"
@@ -101,7 +100,7 @@ def test_a_giant_is_in_every_tile_once(device):
     rows = rows_of(2, 61, 37)
     rows[:, 4:8] = 1e-12, 0, 1e-12, np.sqrt(rows[0, 3]) * 1e6
     found = Binned(device, rows, 61, 37)
-    assert list(found.counts) == [found.pairs.tiles_x * found.pairs.tiles_y] * 2
+    assert list(found.counts) == [len(found.pairs.tiles)] * 2
 
 
 def test_buckets_cover_each_tile_in_order(group_device):
@@ -116,8 +115,44 @@ def test_buckets_cover_each_tile_in_order(group_device):
                           np.cumsum(-(-lengths // BUCKET)) - -(-lengths // BUCKET))
 
 
-def test_more_pairs_than_slots_are_refused(device, monkeypatch):
-    monkeypatch.setattr("clsplat.render.bin.PAIR_LIMIT", 20)
-    with pytest.raises(DeviceError, match=r"pairs of tile and splat in one 61 x 37 image.*\(-r\)"):
-        rows = rows_of(130, 61, 37)
-        bin_splats(device, device.upload(rows), front_to_back(device, rows), 61, 37)
+@pytest.mark.oclgrind
+def test_a_band_has_the_pairs_of_its_tiles(device):
+    rows = rows_of(130, 61, 37)
+    splats, order = device.upload(rows), front_to_back(device, rows)
+    whole = bin_splats(device, splats, order, 61, 37)
+    ranges, listed = whole.ranges.download(), whole.sorted_splats.download()
+    tiles = len(ranges)
+    assert tiles > 10
+    for band in (range(tiles), range(4), range(3, 6), range(5, 6), range(7, tiles)):
+        pairs = bin_splats(device, splats, order, 61, 37, band)
+        assert pairs.tiles == band and len(pairs.ranges) == len(band)
+        own, counts = pairs.sorted_splats.download(), pairs.counts.download()
+        for (begin, end), (first, last) in zip(pairs.ranges.download(), ranges[band]):
+            assert np.array_equal(own[begin:end], listed[first:last]), band
+        first, last = ranges[band.start][0], ranges[band.stop - 1][1]
+        assert np.array_equal(counts, np.bincount(listed[first:last], minlength=130)), band
+        # a splat's slots are in the order of its tiles
+        by_splat = np.argsort(own, kind="stable")
+        assert np.array_equal(pairs.slots.download()[by_splat], np.arange(pairs.count)), band
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("count, size", [(130, (61, 37)), (40, (1, 1)), (0, (61, 37))])
+def test_pairs_of_each_tile_are_counted(device, count, size):
+    rows = rows_of(count, *size)
+    found = Binned(device, rows, *size)
+    counts = count_tiles(device, device.upload(rows), *size)
+    assert np.array_equal(counts, np.diff(found.ranges)[:, 0])
+    assert count == 0 or counts.any()
+
+
+def test_more_pairs_than_the_limit_are_refused(device, monkeypatch):
+    rows = rows_of(130, 61, 37)
+    splats, order = device.upload(rows), front_to_back(device, rows)
+    count = bin_splats(device, splats, order, 61, 37).count
+    assert bin_splats(device, splats, order, 61, 37, limit=count).count == count
+    with pytest.raises(TooManyPairs, match=r"tile and splat in one 61 x 37 image.*\(-r\)"):
+        bin_splats(device, splats, order, 61, 37, limit=count - 1)
+    monkeypatch.setattr("clsplat.render.bin.PAIR_LIMIT", count - 1)  # of the kernels' numbers
+    with pytest.raises(TooManyPairs, match=f"more than {count - 1}"):
+        bin_splats(device, splats, order, 61, 37, limit=count)

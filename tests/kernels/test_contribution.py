@@ -26,7 +26,7 @@ def a_frame(device, rows, size):
     pairs = bin_splats(device, splats, numbers, width, height)
     blended = blend(device, splats, pairs, width, height, device.upload(np.zeros(3)),
                     blend_defines(device, with_depth=False, smooth_cutoff=False))
-    return Frame(None, 0, numbers, splats, pairs, blended, False)
+    return Frame(None, 0, numbers, splats, numbers, pairs, (None,), pairs.count, blended, False)
 
 
 def an_image(width, height, seed=0):
