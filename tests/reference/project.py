@@ -8,6 +8,7 @@ length), opacity_logits[N], sh_constant[N, 3], sh_rest[N, K, 3].
 import numpy as np
 
 ALPHA_MIN = 1 / 255
+COLOUR_MAX = 1e6  # brighter is not drawn
 ANTIALIAS_FLOOR = 2.5e-5  # least share of its area that a splat keeps under the low-pass
 SH_BANDS = (1, 4, 9, 16)  # coefficients up to each degree
 
@@ -33,7 +34,7 @@ def project(rows, camera, degree, near, low_pass=0.3, antialiased=False):
             "conics": np.stack([f["yy"], -f["xy"], f["xx"]], axis=1) / f["det"][:, None],
             "depths": f["p"][:, 2],
             "opacities": f["opacity"] * f["coverage"],
-            "colours": np.maximum(f["colour"], 0),
+            "colours": np.where(_is_drawn(f["colour"]), f["colour"], 0),
         }
         splats["cutoffs"] = 2 * np.log(255 * splats["opacities"])
         splats["extents"] = np.sqrt(
@@ -130,13 +131,15 @@ def _forward(rows, camera, degree, low_pass, antialiased):
         jacobian[:, axis, 2] = -focal[axis] * clamped[:, axis] / z
     body, unit, length = rotations(rows["quaternions"])
     scales = np.exp(rows["log_scales"])
-    to_camera = turn @ (body * scales[:, None, :])  # R Rq S
-    m = jacobian @ to_camera
+    b = jacobian @ turn @ body
+    m = b * scales[:, None, :]
     m1, m2 = m[:, 0], m[:, 1]
-    cross = np.cross(m1, m2)
-    area = (cross**2).sum(1)  # squared area of the splat before the low-pass
+    cross = np.cross(b[:, 0], b[:, 1])  # times two scales each, it is that of m
+    pairs = scales[:, [1, 2, 0]] * scales[:, [2, 0, 1]]
+    area = ((cross * pairs)**2).sum(1)  # squared area of the splat before the low-pass
     squares = (m1**2).sum(1), (m2**2).sum(1)
-    det = area + low_pass * (squares[0] + squares[1]) + low_pass**2
+    blur = low_pass * (squares[0] + squares[1]) + low_pass**2
+    det = area + blur
 
     position = -turn.T @ camera["translation"]
     offset = rows["positions"] - position
@@ -148,9 +151,10 @@ def _forward(rows, camera, degree, low_pass, antialiased):
     return {
         "p": p, "ratio": ratio, "clamped": clamped, "free": (ratio > low) & (ratio < high),
         "mean": focal * ratio + centre, "jacobian": jacobian, "body": body, "unit": unit,
-        "length": length, "scales": scales, "to_camera": to_camera, "m": m, "cross": cross,
+        "length": length, "scales": scales, "b": b, "cross": cross, "pairs": pairs,
         "area": area, "xx": squares[0] + low_pass, "yy": squares[1] + low_pass,
-        "xy": (m1 * m2).sum(1), "det": det, "opacity": _sigmoid(rows["opacity_logits"]),
+        "xy": (m1 * m2).sum(1), "det": det, "blur": blur,
+        "opacity": _sigmoid(rows["opacity_logits"]),
         "coverage": np.sqrt(np.maximum(area / det, ANTIALIAS_FLOOR)) if antialiased
         else np.ones(len(p)),
         "direction": direction, "distance": distance, "basis": basis,
@@ -163,38 +167,43 @@ def _adjoint(rows, camera, degree, low_pass, antialiased, grads):
     f = _forward(rows, camera, degree, low_pass, antialiased)
     focal = np.array([camera["fx"], camera["fy"]])
     turn = camera["rotation"]
-    p, z, m = f["p"], f["p"][:, 2], f["m"]
-    m1, m2 = m[:, 0], m[:, 1]
+    p, z, b = f["p"], f["p"][:, 2], f["b"]
+    variances = f["scales"]**2
     result = {}
 
     # opacity: sigmoid, times the coverage of the antialiased form
     sigmoid_slope = f["opacity"] * _sigmoid(-rows["opacity_logits"])
     result["opacity_logits"] = grads["opacities"] * f["coverage"] * sigmoid_slope
-    grad_area = np.zeros(len(p))
-    grad_det = np.zeros(len(p))
-    if antialiased:
-        share = f["area"] / f["det"]
-        above = share > ANTIALIAS_FLOOR
-        grad_share = np.where(above, grads["opacities"] * f["opacity"] / (2 * f["coverage"]), 0)
-        grad_area += grad_share / f["det"]
-        grad_det -= grad_share * share / f["det"]
 
-    # conic = (yy, -xy, xx) / det, with det a function of the rows of M
+    # K = (B S^2 B^T + low_pass I)^-1, so dK = -K d(B S^2 B^T) K. With Q = K B, by Lagrange's
+    # identity (the product would cancel for needles), and H = -2 Q^T G Q, the gradient by
+    # log_scales is the diagonal of H S^2, by a turn about the body's axes its antisymmetric part
+    det = f["det"][:, None]
+    q = np.stack([low_pass * b[:, 0] + np.cross(variances * b[:, 1], f["cross"]),
+                  low_pass * b[:, 1] + np.cross(f["cross"], variances * b[:, 0])], axis=1)
+    q /= det[:, :, None]
     ga, gb, gc = grads["conics"].T
-    grad_det -= (ga * f["yy"] - gb * f["xy"] + gc * f["xx"]) / f["det"]**2
-    grad_xx, grad_xy, grad_yy = gc / f["det"], -gb / f["det"], ga / f["det"]
-    grad_area += grad_det
-    grad_m = np.stack([
-        (2 * (low_pass * grad_det + grad_xx))[:, None] * m1 + grad_xy[:, None] * m2
-        + 2 * grad_area[:, None] * np.cross(m2, f["cross"]),
-        (2 * (low_pass * grad_det + grad_yy))[:, None] * m2 + grad_xy[:, None] * m1
-        + 2 * grad_area[:, None] * np.cross(f["cross"], m1)], axis=1)
+    conic = _symmetric(f["yy"], -f["xy"], f["xx"]) / det[:, :, None]
+    inner = -2 * _symmetric(ga, gb / 2, gc) @ q
+    grad_b = conic @ inner * variances[:, None, :]
+    h = np.swapaxes(q, 1, 2) @ inner
+    result["log_scales"] = np.einsum("nkk,nk->nk", h, variances)
+    grad_turn = np.stack([h[:, j, k] * (variances[:, j] - variances[:, k])
+                          for j, k in ((1, 2), (2, 0), (0, 1))], axis=1)
 
-    # M = J R Rq S
-    result["log_scales"] = (grad_m * m).sum(1)
-    grad_jacobian = grad_m @ np.swapaxes(f["to_camera"], 1, 2)
-    grad_body = (np.swapaxes(f["jacobian"] @ turn, 1, 2) @ grad_m) * f["scales"][:, None, :]
-    result["quaternions"] = _rotations_adjoint(f["unit"], f["length"], grad_body)
+    if antialiased:  # share = area / (area + blur)
+        share = f["area"] / f["det"]
+        by_share = np.where(share > ANTIALIAS_FLOOR,
+                            grads["opacities"] * f["opacity"] / (2 * f["coverage"]), 0)
+        by_cross = (2 * by_share * f["blur"] / f["det"]**2)[:, None] * f["cross"] * f["pairs"]**2
+        by_b = (-2 * by_share * share / f["det"] * low_pass)[:, None] * variances
+        more = np.stack([np.cross(b[:, 1], by_cross) + by_b * b[:, 0],
+                         np.cross(by_cross, b[:, 0]) + by_b * b[:, 1]], axis=1)
+        grad_b += more
+        result["log_scales"] += (more * b).sum(1)
+        grad_turn += np.cross(more, b).sum(1)
+    result["quaternions"] = _turned(f["unit"], grad_turn) * 2 / f["length"]
+    grad_jacobian = grad_b @ np.swapaxes(turn @ f["body"], 1, 2)
 
     # J and the mean, by the position in the camera frame
     grad_p = np.zeros_like(p)
@@ -208,7 +217,7 @@ def _adjoint(rows, camera, degree, low_pass, antialiased, grads):
         grad_p[:, 2] -= grad_ratio * f["ratio"][:, axis] / z
 
     # colour, by coefficients and by direction
-    grad_colour = np.where(f["colour"] > 0, grads["colours"], 0)
+    grad_colour = np.where(_is_drawn(f["colour"]), grads["colours"], 0)
     grad_coefficients = f["basis"][:, :, None] * grad_colour[:, None, :]
     result["sh_constant"] = grad_coefficients[:, 0]
     result["sh_rest"] = np.zeros(rows["sh_rest"].shape)
@@ -219,18 +228,21 @@ def _adjoint(rows, camera, degree, low_pass, antialiased, grads):
     return result
 
 
-def _rotations_adjoint(unit, length, g):
-    w, x, y, z = unit.T
-    g = np.moveaxis(g, 0, 2)
-    by_unit = 2 * np.stack([
-        x * (g[2, 1] - g[1, 2]) + y * (g[0, 2] - g[2, 0]) + z * (g[1, 0] - g[0, 1]),
-        -2 * x * (g[1, 1] + g[2, 2]) + y * (g[0, 1] + g[1, 0]) + z * (g[0, 2] + g[2, 0])
-        + w * (g[2, 1] - g[1, 2]),
-        x * (g[0, 1] + g[1, 0]) - 2 * y * (g[0, 0] + g[2, 2]) + z * (g[1, 2] + g[2, 1])
-        + w * (g[0, 2] - g[2, 0]),
-        x * (g[0, 2] + g[2, 0]) + y * (g[1, 2] + g[2, 1]) - 2 * z * (g[0, 0] + g[1, 1])
-        + w * (g[1, 0] - g[0, 1])], axis=1)
-    return _tangent(by_unit, unit) / length
+def _symmetric(a, b, c):
+    """Matrices [N, 2, 2] of [N] each."""
+    return np.moveaxis(np.array([[a, b], [b, c]]), 2, 0)
+
+
+def _turned(unit, vector):
+    """The quaternion product unit (0, vector): twice the step of `unit` for that turn."""
+    w, v = unit[:, :1], unit[:, 1:]
+    return np.concatenate(
+        [-(v * vector).sum(1, keepdims=True), w * vector + np.cross(v, vector)], axis=1)
+
+
+def _is_drawn(colour):
+    """Channels that are drawn: others, negative, glaring or NaN, are black and have no gradient."""
+    return (colour > 0) & (colour < COLOUR_MAX)
 
 
 def _tangent(grad, unit):

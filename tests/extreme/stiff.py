@@ -1,0 +1,177 @@
+"""Named stiff trainings: the sample city, changed until it hurts, and what must come of it.
+
+A case changes the scene, the initial gaussians, the learning rates or the options of a short run.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from clsplat.gaussians import Gaussians
+from clsplat.io.images import write_image
+from clsplat.io.ply import write_ply
+
+SAMPLE = 4  # of the city's points one in so many is taken: growth finds room
+
+
+@dataclass(frozen=True)
+class Case:
+    """expects: "survives" (the run ends with finite numbers), "learns" (and its loss falls to
+    `falls_to` of the first) or a part of the InputError; warns: parts of the warnings, one each;
+    scene: (Scene, folder for photos) -> Scene; gaussians: (rows by field, rng) -> None, changes the
+    initial ones in place; rates: all learning rates times this."""
+
+    expects: str = "learns"
+    warns: tuple[str, ...] = ()
+    scene: Callable = lambda scene, folder: scene
+    gaussians: Callable | None = None
+    rates: float = 1.0
+    options: dict = field(default_factory=dict)
+    falls_to: float = 0.8
+
+
+# --- scenes
+
+
+def rescaled(scene, factor):
+    """The same scene in other units: points, cameras and offset times `factor`."""
+    return replace(scene, points=scene.points * factor, offset=scene.offset * factor, views=tuple(
+        replace(v, camera=replace(v.camera, translation=v.camera.translation * factor))
+        for v in scene.views))
+
+
+def moved(scene, place):
+    """The same scene around `place` float64[3], world, recentred as the readers do."""
+    shift = np.asarray(place, np.float64)
+    return replace(
+        scene, points=scene.points + shift, offset=np.zeros(3), views=tuple(
+            replace(v, camera=v.camera.shifted(-shift)) for v in scene.views)).recentred()
+
+
+def thinned(scene, every):
+    """One point in `every`; observations go, as they count points."""
+    return replace(scene, points=scene.points[::every], colours=scene.colours[::every],
+                   observations=None)
+
+
+def with_photos(draw):
+    """Photos of `draw(height, width, rng)` uint8[h, w, 3] in place of the scene's."""
+    def change(scene, folder):
+        rng = np.random.default_rng(0)
+        views = []
+        for number, view in enumerate(scene.views):
+            path = folder / f"{number}.png"
+            write_image(path, draw(view.camera.height, view.camera.width, rng))
+            views.append(replace(view, source=path))
+        return replace(scene, views=tuple(views))
+    return change
+
+
+def plain(grey):
+    return with_photos(lambda height, width, _: np.full((height, width, 3), grey, np.uint8))
+
+
+def noise(height, width, rng):
+    return rng.integers(0, 256, (height, width, 3), np.uint8)
+
+
+def copies_of_a_view(scene, count):
+    """One view under so many names."""
+    return replace(scene, views=tuple(
+        replace(scene.views[5], name=f"{number}.png") for number in range(count)))
+
+
+def one_photo(scene, _):
+    """Every camera claims to have taken the same photo."""
+    return replace(scene, views=tuple(
+        replace(view, source=scene.views[0].source) for view in scene.views))
+
+
+def turning(scene, _):
+    """All cameras at one place, each looking its own way."""
+    position = scene.views[0].camera.position
+    return replace(scene, views=tuple(
+        replace(v, camera=replace(v.camera, translation=-v.camera.rotation @ position))
+        for v in scene.views))
+
+
+def crowded(count, size):
+    """`count` points within `size` world units before the cameras."""
+    def change(scene, _):
+        rng = np.random.default_rng(0)
+        points = np.median(scene.points, axis=0) + size * rng.uniform(-0.5, 0.5, (count, 3))
+        colours = rng.integers(0, 256, (count, 3), np.uint8)
+        return replace(scene, points=points, colours=colours, observations=None)
+    return change
+
+
+def with_outliers(scene, _):
+    """Ten points a million times as far away as the rest, as bad matches leave them."""
+    points = scene.points.copy()
+    points[:10] *= 1e6
+    return replace(scene, points=points)
+
+
+# --- initial gaussians
+
+
+def logits(*values):
+    def change(rows, _):
+        rows["opacity_logits"][:] = np.resize(values, len(rows["opacity_logits"]))
+    return change
+
+
+def wide_scales(rows, rng):
+    """Sizes, and the axes of one gaussian, spread over a factor of 1e6."""
+    rows["log_scales"] += np.log(10) * rng.uniform(-3, 3, rows["log_scales"].shape)
+
+
+def strange_quaternions(rows, _):
+    for k, factor in enumerate((0, 1e15, 1e-15)):
+        rows["quaternions"][k::4] *= factor
+
+
+def written(scene, case, path):
+    """`path` after the case's initial gaussians were written there, for --init."""
+    gaussians = Gaussians.from_points(scene.points, scene.colours, 3)
+    rows = {name: values.copy() for name, values in gaussians.rows.items()}
+    case.gaussians(rows, np.random.default_rng(0))
+    write_ply(path, Gaussians(rows, 3), scene.offset)
+    return path
+
+
+# --- the set
+
+FEW = {"sphere_neighbours": 5}  # ten points have no fifteen others
+CASES = {
+    "plain": Case(),
+    "rates_x10": Case(rates=10.0),
+    "rates_d10": Case("survives", rates=0.1),
+    "rates_x1000": Case("survives", rates=1000.0),
+    "opaque": Case(falls_to=0.9, gaussians=logits(40)),
+    "transparent": Case("survives", ("1100 of 1100 initial gaussians are too faint",),
+                        gaussians=logits(-40)),
+    "opaque_and_transparent": Case("survives", gaussians=logits(40, -40)),
+    "wide_scales": Case("survives", gaussians=wide_scales),
+    "strange_quaternions": Case(gaussians=strange_quaternions),
+    "extent_1e-3": Case(scene=lambda scene, _: rescaled(scene, 1e-3 / scene.extent)),
+    "extent_1e6": Case(scene=lambda scene, _: rescaled(scene, 1e6 / scene.extent)),
+    "equal_views": Case(warns=("the photos were taken from one place", "looked at are the same"),
+                        scene=lambda scene, _: copies_of_a_view(scene, 12)),
+    "one_view": Case("has a single photo",
+                     scene=lambda scene, _: replace(scene, views=scene.views[:1])),
+    "two_views": Case(warns=("only 2 training photos",), options={"test_every": 0},
+                      scene=lambda scene, _: replace(scene, views=scene.views[:2])),
+    "one_photo": Case("survives", ("looked at are the same",), scene=one_photo),
+    "turning": Case("survives", ("the photos were taken from one place",), scene=turning),
+    "black": Case("survives", ("are of one colour",), scene=plain(0)),
+    "white": Case("survives", ("are of one colour",), scene=plain(255)),
+    "noise": Case("survives", ("looked at are noise",), scene=with_photos(noise)),
+    "ten_points": Case("survives", ("only 10 initial gaussians",), options=FEW,
+                       scene=lambda scene, _: thinned(scene, len(scene.points) // 10)),
+    "crowded": Case("survives", ("the sparse points cover",), scene=crowded(20_000, 0.01)),
+    "million_in_a_centimetre": Case("survives", ("the sparse points cover",),
+                                    scene=crowded(1_000_000, 0.01), options={"iterations": 2}),
+    "outliers": Case("survives", scene=with_outliers),
+}
