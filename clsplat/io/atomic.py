@@ -1,5 +1,6 @@
 """Files that are never half written."""
 
+import errno
 import os
 from contextlib import contextmanager
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 from clsplat.errors import InputError
 
 PARTIAL = ".part"
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
@@ -29,8 +31,9 @@ def replacing(path):
         cause = _system_error(error) if isinstance(error, Exception) else None
         if cause is None:
             raise
-        raise InputError(f"{path}: cannot be written ({cause.strerror}); check that the folder "
-                         "exists, may be written and has space") from error
+        cure = ("free some space and try again (a training: with --resume)"
+                if cause.errno in FULL else "check that the folder exists and may be written")
+        raise InputError(f"{path}: cannot be written ({cause.strerror}); {cure}") from error
 
 
 def _remove(path):

@@ -1,5 +1,6 @@
 """What every scene must satisfy, whatever file it came from."""
 
+import re
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -10,6 +11,9 @@ from clsplat.io.images import image_size
 from clsplat.scene import Scene, View
 
 ROTATION_TOLERANCE = 1e-3
+LARGEST = 1e15  # world units or pixels: squares and their sums stay far within float32
+LONGEST_NAME = 255  # bytes of a part of an image's name: what file systems take
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # what ends lines, and the like
 
 
 def checked_scene(path, name, model, sources, offset=None):
@@ -21,10 +25,11 @@ def checked_scene(path, name, model, sources, offset=None):
     V paths or encoded images; offset: of the scene, if its origin was moved before. Views come out
     sorted by name, and observations count them in that order.
     """
-    names = [str(n) for n in model["names"]]
+    model = {key: values.astype(np.float64) if values is not None and values.dtype.kind == "f"
+             else values for key, values in model.items()}
+    names = _checked_names(path, model["names"])
     if not names:
         raise InputError(f"{path}: the model has no registered image; reconstruct the scene again")
-    _check_names(path, names)
     _check_poses(path, names, model)
     _check_points(path, model["points"])
     views = (View(n, Camera(*(int(v) for v in model["sizes"][i]),
@@ -40,26 +45,36 @@ def checked_scene(path, name, model, sources, offset=None):
                  seen)
 
 
-def _check_names(path, names):
+def _checked_names(path, names):
+    try:
+        names = [str(name).encode().decode() for name in names]
+    except (SystemError, ValueError):  # numpy keeps code points that no character has
+        raise InputError(f"{path}: an image name is no text; reconstruct the scene again") from None
+    for name in names:
+        parts = PurePosixPath(name.replace("\\", "/"))
+        if not parts.parts or parts.is_absolute() or ".." in parts.parts:
+            raise InputError(f"{path}: image name {name[:80]!r} leaves the scene's image folder; "
+                             "names must be relative to it")
+        if CONTROL.search(name) or max(len(p.encode()) for p in parts.parts) > LONGEST_NAME:
+            raise InputError(f"{path}: image name {name[:80]!r} is too long or no text; "
+                             "rename the photo, or reconstruct the scene again")
     if len(set(names)) != len(names):
         twice = next(n for n in names if names.count(n) > 1)
         raise InputError(f"{path}: image {twice} occurs twice in the model; "
                          "reconstruct the scene again")
-    for name in names:
-        parts = PurePosixPath(name.replace("\\", "/"))
-        if not name or "\0" in name or parts.is_absolute() or ".." in parts.parts:
-            raise InputError(f"{path}: image name {name!r} leaves the scene's image folder; "
-                             "names must be relative to it")
+    return names
 
 
 def _check_poses(path, names, model):
     for key, what in (("rotations", "pose"), ("translations", "pose"), ("focals", "camera"),
                       ("centres", "camera")):
-        finite = np.isfinite(model[key]).reshape(len(names), -1).all(axis=1)
-        if not finite.all():
-            raise InputError(f"{path}: the {what} of image {names[np.argmin(finite)]} is not "
-                             f"finite ({np.sum(~finite)} of {len(names)} images); "
-                             "reconstruct the scene again")
+        for right, wish in ((np.isfinite(model[key]), "finite"),
+                            (np.abs(model[key]) <= LARGEST, f"below {LARGEST:g}")):
+            right = right.reshape(len(names), -1).all(axis=1)
+            if not right.all():
+                raise InputError(f"{path}: the {what} of image {names[np.argmin(right)]} is not "
+                                 f"{wish} ({np.sum(~right)} of {len(names)} images); "
+                                 "reconstruct the scene again")
     rotations = model["rotations"]
     error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     wrong = (error > ROTATION_TOLERANCE) | (np.linalg.det(rotations) < 0)
@@ -76,10 +91,12 @@ def _check_points(path, points):
     if not len(points):
         raise InputError(f"{path}: the sparse model has no points; reconstruct the scene again "
                          "with more overlap between the photos")
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
-        raise InputError(f"{path}: {np.sum(~finite)} of {len(points)} points are not finite; "
-                         "remove them, or reconstruct the scene again")
+    for right, wish in ((np.isfinite(points), "finite"),
+                        (np.abs(points) <= LARGEST, f"below {LARGEST:g}")):
+        right = right.all(axis=1)
+        if not right.all():
+            raise InputError(f"{path}: {np.sum(~right)} of {len(points)} points are not {wish}; "
+                             "remove them, or reconstruct the scene again")
     if (points == points[0]).all():
         raise InputError(f"{path}: the sparse model's {len(points)} points all lie at one place; "
                          "reconstruct the scene again, or check the units of its points")

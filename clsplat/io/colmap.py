@@ -14,6 +14,7 @@ import clsplat
 from clsplat.errors import InputError
 from clsplat.io.checks import check_photos, checked_scene
 from clsplat.io.colmap_files import check_files, find_model
+from clsplat.io.reason import clean
 
 # far beyond what a healthy model takes: some 20 MB/s binary, 5 MB/s text
 SECONDS = 120
@@ -51,21 +52,17 @@ def _undistort(folder, model, names):
 
 def _read_in_child(model):
     """The arrays of `colmap_child.model_arrays`; any way to fail becomes one InputError."""
-    limit = SECONDS + sum(f.stat().st_size for f in model.iterdir()) / BYTES_PER_SECOND
-    root = str(Path(clsplat.__file__).parents[1])
-    paths = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    limit = SECONDS + sum(
+        f.stat().st_size for f in model.iterdir() if f.is_file()) / BYTES_PER_SECOND
     with tempfile.TemporaryDirectory(prefix="clsplat-") as temporary:
         out = Path(temporary) / "model.npz"
         try:
-            done = subprocess.run(
-                [sys.executable, "-m", "clsplat.io.colmap_child", str(model), str(out)],
-                env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL,
-                check=False, capture_output=True, timeout=limit)
+            code, complaint = _run_child(model, out, limit)
         except subprocess.TimeoutExpired:
             raise InputError(f"{model}: pycolmap did not finish reading the model in {limit:.0f} "
                              "seconds; it is damaged: copy it again") from None
-        if done.returncode != 0:
-            cause = _cause(done.returncode, done.stderr.decode(errors="replace"))
+        if code != 0:
+            cause = clean(_cause(code, complaint.decode(errors="replace")))
             if "No module named 'pycolmap'" in cause:
                 raise InputError(f"{model}: reading it needs pycolmap; install it, or pack the "
                                  "scene into one .npz on a machine that has it")
@@ -73,6 +70,17 @@ def _read_in_child(model):
                              "it is damaged: copy it again, or reconstruct the scene")
         with np.load(out, allow_pickle=False) as file:
             return {key: file[key] for key in file.files}
+
+
+def _run_child(model, out, limit):
+    """(exit code, what it said on stderr as bytes) of the child; ended after `limit` seconds."""
+    root = str(Path(clsplat.__file__).parents[1])
+    paths = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    done = subprocess.run(
+        [sys.executable, "-m", "clsplat.io.colmap_child", str(model), str(out)],
+        env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL,
+        check=False, capture_output=True, timeout=limit)
+    return done.returncode, done.stderr
 
 
 def _cause(code, complaint):

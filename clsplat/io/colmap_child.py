@@ -44,5 +44,10 @@ def _pairs(values):
     return np.array(values, np.float64).reshape(-1, 2)
 
 
+def main(model, out):
+    """Write the arrays of a model folder to the file `out`, .npz."""
+    np.savez(out, **model_arrays(model))
+
+
 if __name__ == "__main__":
-    np.savez(sys.argv[2], **model_arrays(sys.argv[1]))
+    main(*sys.argv[1:])

@@ -15,6 +15,11 @@ PARTS = ("cameras", "images", "points3D")
 CAMERA_BYTES = 24  # id, model, width, height
 IMAGE_BYTES = 64  # id, quaternion, translation, camera id
 POINT_BYTES = 51  # id, position, colour, error, track length
+RIG_BYTES = 8  # id, number of sensors
+SENSOR_BYTES = 8  # type, id; all but the first: whether a pose follows, and the pose
+POSE_BYTES = 56
+FRAME_BYTES = 68  # id, rig, pose, number of data
+DATUM_BYTES = 16  # sensor type, sensor id, id
 # parameters of COLMAP's camera models by number; later ones are left to pycolmap
 PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
 
@@ -32,11 +37,14 @@ def find_model(folder):
 
 
 def check_files(model):
-    """InputError unless the three files of the model are there, not empty and not cut short."""
+    """InputError unless the three files of the model are there, and they and those of rigs and
+    frames, which COLMAP has had since 3.12, are not empty and not cut short."""
     kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
-    for part, walk in zip(PARTS, (_walk_cameras, _walk_images, _walk_points), strict=True):
+    for part, walk in WALKS.items():
         path = model / f"{part}.{kind}"
         if not path.is_file():
+            if part not in PARTS:
+                continue
             raise InputError(f"{path}: missing from the COLMAP model; copy the whole model")
         try:
             if kind == "bin":
@@ -92,6 +100,30 @@ def _walk_points(data, count):
     return position
 
 
+def _walk_rigs(data, count):
+    position = 8
+    for _ in range(count):
+        sensors = struct.unpack_from("<I", data, position + 4)[0]
+        position += RIG_BYTES + SENSOR_BYTES * min(sensors, 1)
+        for _ in range(sensors - 1):
+            position += SENSOR_BYTES + 1 + POSE_BYTES * (data[position + SENSOR_BYTES] != 0)
+    return position
+
+
+def _walk_frames(data, count):
+    position, number = 8, struct.Struct("<I")
+    for _ in range(count):
+        data_count = number.unpack_from(data, position + FRAME_BYTES - 4)[0]
+        position += FRAME_BYTES + DATUM_BYTES * data_count
+    return position
+
+
+WALKS = {"cameras": _walk_cameras, "images": _walk_images, "points3D": _walk_points,
+         "rigs": _walk_rigs, "frames": _walk_frames}
+# text: the field of a line that counts what follows; COLMAP reads so many, there or not
+COUNT_FIELDS = {"rigs": 1, "frames": 9}
+
+
 def _check_text(path, part):
     filled = made_by_colmap = False
     line = b""
@@ -100,9 +132,24 @@ def _check_text(path, part):
             if b"\0" in line:
                 raise InputError(f"{path}: not a text file; copy the model again")
             made_by_colmap |= line.startswith(b"# Number of")
-            filled |= bool(line.strip()) and not line.lstrip().startswith(b"#")
+            if line.strip() and not line.lstrip().startswith(b"#"):
+                filled = True
+                _check_count(path, line.split(), COUNT_FIELDS.get(part))
     if not filled:
         raise InputError(f"{path}: holds no {part}; copy the model again, or reconstruct the scene")
     if made_by_colmap and not line.endswith(b"\n"):
         raise InputError(f"{path}: cut short: its last line has no end; copy the model again, "
                          "or end that line if you know it is whole")
+
+
+def _check_count(path, fields, place):
+    """InputError where a line says that more follows than it holds."""
+    if place is None:
+        return
+    try:
+        whole = 0 <= int(fields[place]) < len(fields)
+    except (ValueError, IndexError):
+        whole = False
+    if not whole:
+        raise InputError(f"{path}: a line's count does not fit what follows it; "
+                         "copy the model again")

@@ -10,6 +10,9 @@ from scipy.sparse import csr_matrix
 from clsplat.errors import InputError
 
 JPEG_QUALITY = 92
+# a header that claims more is damaged: no decoder may allocate for it
+LARGEST_PIXELS = 1 << 30
+PIXELS_PER_BYTE = 1 << 13  # deflate's limit, for samples of one bit
 
 
 def write_image(path, pixels, quality=JPEG_QUALITY):
@@ -124,6 +127,10 @@ def _opened_file(path, name):
         raise InputError(f"{name}: not an image that can be read ({reason}); "
                          "copy it again, or convert it to JPEG or PNG")
     try:
+        pixels = image.spec().width * image.spec().height
+        if not 0 < pixels <= min(LARGEST_PIXELS, PIXELS_PER_BYTE * Path(path).stat().st_size):
+            raise InputError(f"{name}: damaged: its header claims {image.spec().width}x"
+                             f"{image.spec().height} pixels; copy it again")
         yield image
     finally:
         image.close()

@@ -6,8 +6,6 @@ world coordinates; sizes int[V], the bytes of each encoded photo, and jpeg uint8
 one after the other. observations int[M, 2], rows (point, view), may be missing.
 """
 
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.checks import check_photos, checked_scene
 from clsplat.io.images import encode_jpeg, read_image
+from clsplat.io.npz import read_npz
 
 PACKED_QUALITY = 96
 # key -> (kinds of dtype, shape after the first axis)
@@ -89,15 +88,8 @@ def _calibration(camera):
 
 
 def _read_arrays(path):
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in (*LAYOUT, *OPTIONAL) if key in file.files}
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; check the path") from None
-    except (OSError, ValueError, EOFError, AttributeError, TypeError, NotImplementedError,
-            zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: not a packed scene, or damaged ({_one_line(error)}); "
-                         "pack or copy it again") from None
+    arrays = read_npz(path, "not a packed scene, or damaged", "pack or copy it again",
+                      {**LAYOUT, **OPTIONAL})
     for key, (kinds, shape) in {**LAYOUT, **OPTIONAL}.items():
         array = arrays.get(key)
         if array is None and key in OPTIONAL:
@@ -120,6 +112,3 @@ def _check_lengths(path, arrays):
         raise InputError(f"{path}: the arrays of the packed scene do not fit each other; "
                          "pack it again")
 
-
-def _one_line(error):
-    return next(iter(str(error).splitlines()), type(error).__name__)

@@ -1,10 +1,8 @@
 """The folder of a run: the only code that knows its file names."""
 
-import io
 import json
 import subprocess
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +10,10 @@ import numpy as np
 import clsplat
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL, replacing
+from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
+from clsplat.io.reason import reason
+from clsplat.io.records import object_of, record_of
 
 OPTIONS = "options.json"
 METRICS = "metrics.jsonl"
@@ -92,12 +93,10 @@ class RunFolder:
         """The dict that `write_options` wrote."""
         path = self.path / OPTIONS
         try:
-            record = json.loads(_read(path))
-        except ValueError:
-            record = None
-        if not isinstance(record, dict):
-            raise InputError(f"{path}: damaged; start the run again with --overwrite")
-        return record
+            return record_of(_read(path))
+        except ValueError as error:
+            raise InputError(f"{path}: damaged ({reason(error)}); start the run again with "
+                             "--overwrite") from None
 
     @property
     def has_metrics(self):
@@ -127,12 +126,10 @@ class RunFolder:
         lines = []
         for number, line in enumerate(_whole_lines(_read(path)).splitlines(keepends=True), 1):
             try:
-                record = json.loads(line)
-            except ValueError:
-                record = None
-            if not isinstance(record, dict):
-                raise InputError(f"{path}: line {number} is damaged; remove that line")
-            lines.append((record, line))
+                lines.append((record_of(line), line))
+            except ValueError as error:
+                raise InputError(f"{path}: line {number} is damaged ({reason(error)}); "
+                                 "remove that line") from None
         return lines
 
     def rewind(self, iteration):
@@ -166,19 +163,13 @@ class RunFolder:
         path = self.path / CHECKPOINT
         if not self.has_checkpoint:
             raise InputError(f"{path}: no checkpoint to resume from; train without --resume")
-        arrays = {}
+        what, cure = ("the checkpoint is damaged or cut short",
+                      "copy it again, or start the run again with --overwrite")
+        arrays = read_npz(path, what, cure)
         try:
-            with zipfile.ZipFile(path) as archive:
-                for member in archive.namelist():
-                    data = io.BytesIO(archive.read(member))
-                    arrays[member.removesuffix(".npy")] = np.lib.format.read_array(
-                        data, allow_pickle=False)
-            return arrays, json.loads(arrays.pop(STATE).tobytes())
-        except (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError,
-                zipfile.BadZipFile, zlib.error) as error:
-            reason = next(iter(str(error).splitlines()), type(error).__name__)
-            raise InputError(f"{path}: the checkpoint is damaged or cut short ({reason}); copy it "
-                             "again, or start the run again with --overwrite") from None
+            return arrays, object_of(arrays.pop(STATE).tobytes())
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{path}: {what} ({STATE}: {reason(error)}); {cure}") from None
 
     def save_model(self, gaussians, offset, comments=(), sphere=False):
         """Replace the finished model; see `ply.write_ply`."""

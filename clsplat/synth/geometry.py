@@ -5,15 +5,18 @@ unit is about four metres; a block with its street is BLOCK units wide.
 """
 
 import json
+import operator
 from dataclasses import dataclass
 
 import numpy as np
 
 from clsplat.errors import InputError
+from clsplat.io.reason import reason
 
 BLOCK = 20.0  # distance between the centre lines of neighbouring streets
 STREET = 2.5  # half the width of the carriageway
 PAVEMENT = 0.9  # its width on each side
+LARGEST = 1e15  # world units: squares stay finite
 KINDS = ("building", "plant", "car", "cabin", "trunk")  # what a box is: decides its texture
 
 
@@ -118,13 +121,24 @@ def load(path):
     try:
         with open(path, encoding="utf-8") as file:
             table = json.load(file)
+        columns, rows = (operator.index(number) for number in table["blocks"])
         return City(
-            table["seed"], tuple(table["blocks"]), np.array(table["parks"], bool),
-            np.array([[box["low"], box["high"]] for box in table["boxes"]]).reshape(-1, 2, 3),
+            operator.index(table["seed"]), (columns, rows),
+            _numbers(table["parks"], (columns, rows)).astype(bool),
+            _numbers([[box["low"], box["high"]] for box in table["boxes"]], (-1, 2, 3)),
             np.array([KINDS.index(box["kind"]) for box in table["boxes"]], int),
-            np.array([[*row["centre"], row["radius"]] for row in table["spheres"]]).reshape(-1, 4))
+            _numbers([[*row["centre"], row["radius"]] for row in table["spheres"]], (-1, 4)))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: not a geometry file of `clsplat synth` ({error!r}); "
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
+                         ) from None
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise InputError(f"{path}: not a geometry file of `clsplat synth` ({reason(error)}); "
                          "make the scene again") from None
+
+
+def _numbers(table, shape):
+    """`table`, nested lists, as float64 of a shape; ValueError for what is no number of a city."""
+    numbers = np.array(table, np.float64).reshape(shape)
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise ValueError(f"numbers beyond {LARGEST:g}")
+    return numbers

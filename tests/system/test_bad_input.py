@@ -96,7 +96,7 @@ SCENES = {
     "points empty": (lambda f: cut(f / "sparse/0/points3D.bin", 0), ("points3D.bin",)),
     "points swapped": (lambda f: shutil.copy(f / "sparse/0/images.bin",
                                              f / "sparse/0/points3D.bin"), ("sparse/0",)),
-    "frames cut": (lambda f: cut(f / "sparse/0/frames.bin", 0.5), ("sparse/0", "damaged")),
+    "frames cut": (lambda f: cut(f / "sparse/0/frames.bin", 0.5), ("sparse/0", "cut short")),
     "zero points": (rewrite(lambda: left(0, reconstruction())), ("sparse/0", "no points")),
     "points equal": (rewrite(lambda: moved(reconstruction(), lambda x: np.ones(3))),
                      ("sparse/0", "30 points all lie at one place")),

@@ -1,0 +1,13 @@
+"""What other libraries say of a damaged file, as part of one line."""
+
+LONGEST = 200  # characters
+
+
+def reason(error):
+    """The first line of an exception, clean; its type where it says nothing."""
+    return clean(next(iter(str(error).splitlines()), "")) or type(error).__name__
+
+
+def clean(text):
+    """A line's beginning, in printable characters."""
+    return (text if text.isprintable() else ascii(text))[:LONGEST]

@@ -1,0 +1,248 @@
+"""Seeded mutations of the bytes of a valid file: `mutated` chooses, the rest are the ways.
+
+Each way takes a `random.Random`, the bytes, and those of another valid file to splice with. Where a
+format guards its content by checksums, the content is mutated too and the checksums are made to
+fit: else nothing behind them would ever be reached.
+"""
+
+import io
+import re
+import struct
+import zipfile
+import zlib
+
+import numpy as np
+
+INTEGERS = (0, 1, -1, 127, 128, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**40,
+            10**12, 2**63 - 1, 2**63, 2**64 - 1)
+FLOATS = (0.0, -0.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e-320, 1e-45, 1e38, 1e300,
+          2.0**31, 2.0**63)
+WORDS = (b"", b"0", b"-1", b"nan", b"NaN", b"inf", b"-Infinity", b"2147483648", b"4294967295",
+         b"9223372036854775808", b"1000000000000", b"1e300", b"1e400", b"0x10", b"true", b"null",
+         b"[]", b"{}", b"''", b'"text"', b"9" * 5000, b"[" * 3000, b"\xff\xfe", b"\0", b"..",
+         b"/etc", "\u2028é".encode(), b"\\ud800", b"a\\nb")
+NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
+FIELD = re.compile(rb"[^\s,:=\[\]{}\"]+")
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+DTYPES = ("<f2", "<f4", "<f8", ">f8", "<i1", "<i4", "<i8", "<u8", "?", "<c16", "<U3", "S3", "O",
+          "<M8[s]")
+
+
+def mutated(random, data, other, text=False):
+    """`data` after one to three mutations; text: of its lines and fields most of the time."""
+    for _ in range(random.choice((1, 1, 1, 2, 3))):
+        if zipfile.is_zipfile(io.BytesIO(data)) and random.random() < 0.8:
+            data = _inside_zip(random, data, other)
+        elif data.startswith(PNG_SIGNATURE) and random.random() < 0.5:
+            data = _inside_png(random, data)
+        else:
+            ways = LINES if text and random.random() < 0.75 else BYTES
+            data = random.choice(ways)(random, data, other)
+    return data
+
+
+def _span(random, data, longest=64):
+    """(begin, end) of a run of bytes, mostly a short one."""
+    begin = random.randrange(len(data) + 1)
+    return begin, min(len(data), begin + random.choice((1, 2, 4, 8, random.randint(1, longest))))
+
+
+def flip_bits(random, data, other):
+    data = bytearray(data)
+    for _ in range(random.choice((1, 1, 2, 8)) if data else 0):
+        data[random.randrange(len(data))] ^= 1 << random.randrange(8)
+    return bytes(data)
+
+
+def fill(random, data, other):
+    begin, end = _span(random, data)
+    return data[:begin] + random.choice((b"\0", b"\xff", b" ", b"\n", b"9")) * (
+        end - begin) + data[end:]
+
+
+def scramble(random, data, other):
+    begin, end = _span(random, data)
+    return data[:begin] + random.randbytes(end - begin) + data[end:]
+
+
+def truncate(random, data, other):
+    return data[:random.randrange(len(data) + 1)]
+
+
+def insert(random, data, other):
+    begin, end = _span(random, data)
+    return data[:begin] + random.randbytes(end - begin) + data[begin:]
+
+
+def remove(random, data, other):
+    begin, end = _span(random, data)
+    return data[:begin] + data[end:]
+
+
+def duplicate(random, data, other):
+    begin, end = _span(random, data, 512)
+    return data[:end] + data[begin:end] * random.choice((1, 1, 3)) + data[end:]
+
+
+def splice(random, data, other):
+    return data[:random.randrange(len(data) + 1)] + other[random.randrange(len(other) + 1):]
+
+
+def number(random, data, other):
+    """An extreme value over some bytes, most often where a multiple of 4 begins or in the head."""
+    if random.random() < 0.3:
+        value = struct.pack(random.choice("<>") + random.choice("fd"), 0)
+        value = struct.pack("<d", random.choice(FLOATS)) if len(value) == 8 else np.float32(
+            min(random.choice(FLOATS), 3e38)).tobytes()
+    else:
+        width = random.choice((1, 2, 4, 8))
+        value = (random.choice(INTEGERS) % 256**width).to_bytes(
+            width, random.choice(("little", "little", "big")))
+    begin = random.randrange(min(len(data), random.choice((64, 1 << 20))) + 1)
+    return data[:begin] + value + data[begin + len(value):]
+
+
+BYTES = (flip_bits, fill, scramble, truncate, insert, remove, duplicate, splice, number, number)
+
+
+def _replace_one(random, pattern, data, value):
+    """`data` with one of the pattern's matches replaced."""
+    found = list(pattern.finditer(data, random.randrange(len(data) + 1))) or list(
+        pattern.finditer(data))
+    if not found:
+        return data + value
+    match = random.choice(found[:200])
+    return data[:match.start()] + value + data[match.end():]
+
+
+def text_number(random, data, other):
+    return _replace_one(random, NUMBER, data, random.choice(WORDS))
+
+
+def field(random, data, other):
+    return _replace_one(random, FIELD, data, random.choice(WORDS))
+
+
+def swap_fields(random, data, other):
+    found = [match.span() for match in FIELD.finditer(data)]
+    if len(found) < 2:
+        return data
+    (a, b), (c, d) = sorted(random.sample(found, 2))
+    return data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:]
+
+
+def lines(random, data, other):
+    """A line removed, repeated, moved, or taken from the other file."""
+    rows = data.splitlines(keepends=True) or [b""]
+    at, to = random.randrange(len(rows)), random.randrange(len(rows))
+    match random.randrange(5):
+        case 0:
+            del rows[at]
+        case 1:
+            rows.insert(to, rows[at])
+        case 2:
+            rows[at], rows[to] = rows[to], rows[at]
+        case 3:
+            rows[at] = random.choice(other.splitlines(keepends=True) or [b"\n"])
+        case 4:
+            rows[at] = rows[at].rstrip(b"\r\n")
+    return b"".join(rows)
+
+
+LINES = (text_number, text_number, field, swap_fields, lines, lines)
+
+
+def _inside_png(random, data):
+    """One chunk of a PNG mutated, its length and checksum made to fit."""
+    chunks, place = [], len(PNG_SIGNATURE)
+    while place + 12 <= len(data):
+        size = int.from_bytes(data[place:place + 4], "big")
+        chunks.append((data[place + 4:place + 8], data[place + 8:place + 8 + size]))
+        place += 12 + size
+    if not chunks:
+        return data
+    at = random.randrange(len(chunks))
+    kind, content = chunks[at]
+    if kind == b"IDAT" and random.random() < 0.5:
+        try:
+            content = zlib.compress(random.choice(BYTES)(random, zlib.decompress(content), b""))
+        except zlib.error:  # an earlier mutation hit it
+            content = b""
+    else:
+        content = random.choice(BYTES)(random, content, chunks[-1][1])
+    chunks[at] = kind, content
+    return PNG_SIGNATURE + b"".join(
+        len(content).to_bytes(4, "big") + kind + content + zlib.crc32(kind + content).to_bytes(
+            4, "big") for kind, content in chunks)
+
+
+def _members(data):
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return {name: archive.read(name) for name in archive.namelist()}
+    except (OSError, ValueError, NotImplementedError, RuntimeError, zipfile.BadZipFile,
+            zlib.error, EOFError):  # an earlier mutation hit it
+        return {}
+
+
+def _inside_zip(random, data, other):
+    """A member of a zip changed, its checksum made to fit; sometimes compressed."""
+    members = _members(data)
+    if not members:
+        return data
+    name = random.choice(list(members))
+    way = random.randrange(7)
+    if way == 0:
+        del members[name]
+    elif way == 1:
+        members[random.choice(("", "x.npy", "../up.npy", "a\nb", name * 2))] = members.pop(name)
+    elif way == 2:
+        members[name] = random.choice([*_members(other).values(), *members.values()])
+    elif way == 3:
+        members[name] = random.choice(BYTES)(random, members[name], b"\0" * 64)
+    elif way == 4:
+        members[name] = _head(random, members[name])
+    elif name.endswith(".npy"):
+        members[name] = _array(random, members[name])
+    else:
+        members[name] = random.choice(LINES)(random, members[name], members[name])
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", random.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)),
+                         compresslevel=1) as archive:
+        for member, content in members.items():
+            archive.writestr(zipfile.ZipInfo(member), content)
+    return out.getvalue()
+
+
+def _head(random, content):
+    """A .npy whose header, a line of text behind ten bytes, claims something else."""
+    head, mark, rows = content[10:].partition(b"\n")
+    head = random.choice(LINES)(random, head, head)
+    return content[:8] + (len(head + mark) % 2**16).to_bytes(2, "little") + head + mark + rows
+
+
+def _array(random, content):
+    """A .npy with another dtype, shape or value: also objects, which take a pickle."""
+    try:
+        array = np.load(io.BytesIO(content), allow_pickle=False)
+    except (ValueError, EOFError, OSError, SyntaxError, TypeError):
+        return content
+    way = random.randrange(5)
+    with np.errstate(all="ignore"):
+        try:
+            if way == 0:
+                array = array.astype(random.choice(DTYPES))
+            elif way == 1:
+                array = array.reshape(random.choice(((-1,), (1, -1), (-1, 1), (2, -1))))
+            elif way == 2:
+                array = array[:random.randrange(len(array) + 1)]
+            elif way == 3:
+                array = np.concatenate([array, array[:random.randrange(len(array) + 1)]])
+            elif array.size:
+                extremes = FLOATS if array.dtype.kind == "f" else INTEGERS
+                array.reshape(-1)[random.randrange(array.size)] = random.choice(extremes)
+        except (ValueError, TypeError, OverflowError):
+            pass  # this array cannot be changed so
+    out = io.BytesIO()
+    np.save(out, array)
+    return out.getvalue()

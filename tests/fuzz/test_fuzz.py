@@ -1,0 +1,36 @@
+"""Every reader against seeded mutations; `python -m tests.fuzz` is the same with other numbers.
+
+In a process of its own: the workers are forked, and OpenCL's threads would not survive that.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.readers import READERS
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def fuzzed(*words, seconds):
+    """Run the command; its table, when nothing but clear errors came of it."""
+    done = subprocess.run([sys.executable, "-m", "tests.fuzz", *map(str, words)], cwd=ROOT,
+                          capture_output=True, text=True, timeout=seconds, check=False)
+    assert done.returncode == 0, f"\n{done.stdout}{done.stderr}"
+    rows = [line.split() for line in done.stdout.splitlines()[1:]]
+    assert [row[0] for row in rows] == list(READERS)
+    for _, cases, accepted, refused, *_ in rows:
+        assert int(accepted) > 0 and int(refused) > 0, "both kinds of input are reached"
+        assert int(accepted) + int(refused) == int(cases)
+    return done.stdout
+
+
+def test_some_mutations():
+    fuzzed("--count", 200, seconds=120)
+
+
+@pytest.mark.slow
+def test_20000_mutations_a_reader():
+    print(fuzzed("--count", 20000, "--seed", 1, seconds=1800))
