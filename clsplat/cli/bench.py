@@ -1,4 +1,4 @@
-"""`clsplat bench`: the timings of one kernel family."""
+"""`clsplat bench`: the timings of one kernel family, or error against run time."""
 
 import importlib
 import importlib.util
@@ -19,7 +19,8 @@ from clsplat.errors import InputError
 def bench(family, as_json, device, arguments):
     """Time a kernel FAMILY on this machine; without one, list them.
 
-    Further ARGUMENTS go to the benchmark.
+    `precision` compares approximations by error and time: add --html OUT.html. Further ARGUMENTS go
+    to the benchmark, such as --gaussians 200k,1M,4M or --form group; -- --help lists them.
     """
     package = bench_package()
     families = package.families()

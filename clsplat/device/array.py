@@ -11,18 +11,15 @@ from clsplat.errors import ShapeError
 class Array:
     """Device memory with a shape and a type; rows are contiguous and the first axis counts them."""
 
-    __slots__ = ("device", "buffer", "shape", "dtype", "__weakref__")
+    __slots__ = ("device", "buffer", "shape", "dtype", "nbytes", "__weakref__")
 
     def __init__(self, device, buffer, shape, dtype):
         self.device, self.buffer = device, buffer
         self.shape, self.dtype = shape, np.dtype(dtype)
+        self.nbytes = math.prod(shape) * self.dtype.itemsize
 
     def __len__(self):
         return self.shape[0]
-
-    @property
-    def nbytes(self):
-        return math.prod(self.shape) * self.dtype.itemsize
 
     def narrow(self, rows):
         """The first `rows` rows: the same memory, no copy."""

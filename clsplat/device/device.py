@@ -23,10 +23,12 @@ class Device:
     """One OpenCL device, opened in one precision and one preferred kernel form.
 
     precision: "float", or "double" for tests. form: "item" (a work-item owns a tile or a chunk;
-    CPUs) or "group" (a work-group does; GPUs); "auto" goes by the device's type.
+    CPUs) or "group" (a work-group does; GPUs); "auto" goes by the device's type. build_options: of
+    the compiler, more than ours.
     """
 
-    def __init__(self, handle, precision="float", form="auto", profiling=False):
+    def __init__(self, handle, precision="float", form="auto", profiling=False,
+                 build_options=()):
         self.handle = handle
         self.name = handle.name.strip()
         self.is_cpu = bool(handle.type & cl.device_type.CPU)
@@ -49,6 +51,7 @@ class Device:
         self._kernels = {}
         self._programs = {}
         self.build_seconds = 0.0  # spent on compiling so far
+        self.kernel_bytes = 0  # of the arrays given to kernels so far, once a launch
         self._profile = None
         self._dtypes = {**SCALARS, "real": self.real.type}
         self._base_options = [
@@ -56,7 +59,7 @@ class Device:
             f"-DREAL_IS_DOUBLE={int(precision == 'double')}",
             f"-DFORM_ITEM={int(self.form == 'item')}",
             *([] if precision == "double" else ["-cl-single-precision-constant"]),
-            *(f"-D{name}=1" for name, has in self.capabilities.items() if has)]
+            *(f"-D{name}=1" for name, has in self.capabilities.items() if has), *build_options]
 
     # --- memory
 
@@ -118,7 +121,8 @@ class Device:
         """
         if items <= 0:
             return
-        arguments = kernel.checked(self.real, values)
+        arguments, size = kernel.checked(self.real, values)
+        self.kernel_bytes += size
         built = self._kernels.get((kernel, defines)) or self._build(kernel, defines)
         group = group or self.group_size
         event = built(self.queue, (-(-items // group) * group,), (group,), *arguments)

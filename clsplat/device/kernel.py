@@ -45,12 +45,12 @@ class Kernel:
                     f"{self}: argument {index} is '{kind} {actual}', declared '{wanted} {name}'")
 
     def checked(self, real, values):
-        """The arguments in their order, arrays as buffers. ShapeError names the argument whose type
-        or shape is wrong; equal letters must be equal lengths."""
+        """(arguments in their order, arrays as buffers; bytes of the arrays). ShapeError names the
+        argument whose type or shape is wrong; equal letters must be equal lengths."""
         if values.keys() != self.arguments.keys():
             wrong = values.keys() ^ self.arguments.keys()
             raise ShapeError(f"{self}: missing or unknown arguments {sorted(wrong)}")
-        lengths, arguments = self._fixed.copy(), []
+        lengths, arguments, size = self._fixed.copy(), [], 0
         for name, dtype, shape in self._contract:  # every launch comes by: no step to spare
             value = values[name]
             if shape is None:
@@ -67,7 +67,8 @@ class Kernel:
                 raise ShapeError(f"{self}: '{name}' has shape {value.shape}, wants {shape} "
                                  f"where {bound}")
             arguments.append(value.buffer)
-        return arguments
+            size += value.nbytes
+        return arguments, size
 
 
 def _signature(built, index):

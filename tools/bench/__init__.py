@@ -1,9 +1,10 @@
 """Benchmarks: one module a kernel family, and `step` and `render` for the whole.
 
-Each prints a table, or with --json JSON lines: family, case, form, device, driver, median and
-quartiles in milliseconds, and what the case counts. Times are wall times of work that has finished
-on the device, after warm-up. Run them with `clsplat bench FAMILY`, or from a checkout with
-`python -m tools.bench FAMILY`.
+Each prints a table, or with --json JSON lines: family, variant, form, device, driver, size, median
+and quartiles in milliseconds, bytes, operations, and both as shares of what the device was measured
+to copy and to compute at most. Times are wall times of work that has finished on the device, after
+warm-up. Run them with `clsplat bench FAMILY`, or from a checkout with `python -m tools.bench
+FAMILY`. `precision` compares approximations: their error beside their time.
 """
 
 from pathlib import Path

@@ -2,16 +2,24 @@
 
 from clsplat.render.bin import bin_splats
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
+from .sort import sort_work, tile_bits
 from .workloads import CityFrame
 
 
 def main(argv):
-    options = arguments(argv, __doc__, gaussians=200_000)
-    device = open_device(options)
-    frame = CityFrame(device, options.gaussians).frame
-    order = frame.pairs.order
-    times = milliseconds(
-        device, lambda: bin_splats(device, frame.splats, order, *frame.size), options.repeats)
-    report(options, device, "bin", "1024x768", times, splats=len(frame.splats),
-           pairs=frame.pairs.count)
+    bench = Bench(argv, __doc__, gaussians="200k")
+    device = bench.device
+    for count in bench.options.gaussians:
+        city = CityFrame(device, count)
+        splats, pairs = city.frame.splats, city.frame.pairs
+        times = bench.milliseconds(
+            lambda city=city: bin_splats(device, city.frame.splats, city.frame.pairs.order,
+                                         *city.frame.size))
+        traffic, operations = sort_work(device, pairs.count, tile_bits(pairs))
+        # twice an index and 7 reals of a splat and a count, the scan's three; of a pair, its tile
+        # and splat written, and three read and one written for the ranges
+        traffic += len(splats) * (2 * (8 + 7 * device.real.itemsize) + 12) + pairs.count * 24
+        # the ellipse, and columns of about as many rows of tiles as pairs, both twice
+        operations += 2 * (20 * len(splats) + 30 * pairs.count)
+        bench.report("bin", "splats to pairs", times, city.size, traffic, operations)

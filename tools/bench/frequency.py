@@ -4,17 +4,19 @@ from functools import partial
 
 from clsplat.frequency import scene_frequency
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
 from .workloads import city
 
 
 def main(argv):
-    options = arguments(argv, __doc__, gaussians=200_000)
-    device = open_device(options)
-    gaussians, _ = city(options.gaussians, (1024, 768))
-    rows = {name: device.upload(gaussians.rows[name])
-            for name in ("log_scales", "opacity_logits")}
-    times = milliseconds(device, partial(scene_frequency, device, rows), options.repeats)
-    # the maxima and then the sums each read every row
-    report(options, device, "frequency", "city", times, rows=gaussians.count,
-           bytes=2 * sum(array.nbytes for array in rows.values()))
+    bench = Bench(argv, __doc__, gaussians="200k")
+    for count in bench.options.gaussians:
+        gaussians, _ = city(count)
+        rows = {name: bench.device.upload(gaussians.rows[name])
+                for name in ("log_scales", "opacity_logits")}
+        times = bench.milliseconds(partial(scene_frequency, bench.device, rows))
+        # the maxima and then the sums each read every row and make its terms (ten functions of 20
+        # operations); then come 11 maxima, or 11 exponentials and sums
+        bench.report("frequency", "nine values", times, {"gaussians": count},
+                     2 * sum(array.nbytes for array in rows.values()),
+                     count * (2 * 230 + 11 + 22 * 11))

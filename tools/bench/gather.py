@@ -5,26 +5,28 @@ from functools import partial
 from clsplat.primitives.gather import compact, gather, scatter
 from clsplat.render.project import cull
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
 from .project import DEFINES
 from .workloads import CityFrame
 
 
 def main(argv):
-    options = arguments(argv, __doc__, gaussians=200_000)
-    device = open_device(options)
-    city = CityFrame(device, options.gaussians)
-    visible = city.frame.visible
-    for name in ("positions", "sh_rest"):
-        rows = city.rows[name]
-        taken = gather(device, rows, visible)
-        counts = dict(rows=len(visible), bytes=2 * taken.nbytes + visible.nbytes)
-        cases = {"gather": partial(gather, device, rows, visible, taken),
-                 "scatter": partial(scatter, device, taken, visible, rows)}
-        for case, function in cases.items():
-            times = milliseconds(device, function, options.repeats)
-            report(options, device, "gather", f"{case} {name}", times, **counts)
-    flags, keys = cull(device, city.rows, city.camera, DEFINES)
-    times = milliseconds(device, lambda: compact(device, flags, keys), options.repeats)
-    report(options, device, "gather", "compact, with its scan", times, rows=len(flags),
-           kept=len(visible))
+    bench = Bench(argv, __doc__, gaussians="200k")
+    device = bench.device
+    for count in bench.options.gaussians:
+        city = CityFrame(device, count)
+        visible = city.frame.visible
+        size = {"gaussians": count, "visible": len(visible)}
+        for name in ("positions", "sh_rest"):
+            rows = city.rows[name]
+            taken = gather(device, rows, visible)
+            cases = {"gather": partial(gather, device, rows, visible, taken),
+                     "scatter": partial(scatter, device, taken, visible, rows)}
+            for case, function in cases.items():
+                bench.report("gather", f"{case} {name}", bench.milliseconds(function), size,
+                             2 * taken.nbytes + visible.nbytes, operations=0)
+        flags, keys = cull(device, city.rows, city.camera, DEFINES)
+        times = bench.milliseconds(partial(compact, device, flags, keys))
+        # the scan's three and a flag, an offset and a key a row; a key and a row number kept
+        bench.report("gather", "compact, with its scan", times, size,
+                     6 * flags.nbytes + 8 * len(visible), 2 * count)

@@ -1,20 +1,24 @@
 """L1 and D-SSIM with the gradient, at the size of a real photo."""
 
+from functools import partial
+
 import numpy as np
 
 from clsplat.loss.image_loss import image_loss
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
+
+# a value: 11 taps along both axes of four means and of three maps, SSIM and its gradients
+OPERATIONS = 2 * 2 * 11 * (4 + 3) + 60
 
 
 def main(argv):
-    options = arguments(argv, __doc__, size=[1019, 766])
-    device = open_device(options)
-    width, height = options.size
+    bench = Bench(argv, __doc__, size=[1019, 766])
+    device, (width, height) = bench.device, bench.options.size
     rng = np.random.default_rng(0)
     image = device.upload(rng.random((3, height, width)))
     photo = device.upload(rng.integers(0, 256, image.shape, np.uint8))
-    times = milliseconds(device, lambda: image_loss(device, image, photo, 0.2), options.repeats)
+    times = bench.milliseconds(partial(image_loss, device, image, photo, 0.2))
     # image and photo are read twice, three maps written and read, the gradient written
-    report(options, device, "image_loss", f"{width}x{height}", times,
-           bytes=(2 + 6 + 1) * image.nbytes + 2 * photo.nbytes)
+    bench.report("image_loss", "value and gradient", times, {"width": width, "height": height},
+                 (2 + 6 + 1) * image.nbytes + 2 * photo.nbytes, OPERATIONS * 3 * width * height)

@@ -1,29 +1,40 @@
 """Cull, project and the adjoint of project, all harmonics active."""
 
+from functools import partial
+
 from clsplat.render.blend import blend_adjoint, blend_defines
 from clsplat.render.project import cull, project, project_adjoint
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
 from .workloads import CityFrame
 
 DEFINES = (("SH_REST", 15), ("ANTIALIASED", 0))
+PARAMETERS = 59  # reals of a gaussian of degree 3
+# operations a gaussian; the first is for all, culled early, with more for those that are seen
+EARLY, CULL, PROJECT, ADJOINT = 60, 180, 330, 700
 
 
 def main(argv):
-    options = arguments(argv, __doc__, gaussians=200_000)
-    device = open_device(options)
-    city = CityFrame(device, options.gaussians)
-    rows, camera, frame = city.rows, city.camera, city.frame
-    renderer, visible = city.renderer, frame.visible
-    sums = blend_adjoint(
-        device, frame.splats, frame.pairs, frame.blended, renderer.background, frame.image,
-        device.zeros((1, 1)), blend_defines(device, with_depth=False, smooth_cutoff=False))
-    cases = {
-        "cull": lambda: cull(device, rows, camera, DEFINES),
-        "project": lambda: project(device, rows, visible, camera, 3, DEFINES),
-        "adjoint": lambda: project_adjoint(
-            device, rows, visible, camera, 3, DEFINES, sums, renderer.skipped)}
-    for case, function in cases.items():
-        times = milliseconds(device, function, options.repeats)
-        report(options, device, "project", case, times, gaussians=options.gaussians,
-               visible=len(visible))
+    bench = Bench(argv, __doc__, gaussians="200k")
+    device, real = bench.device, bench.device.real.itemsize
+    for count in bench.options.gaussians:
+        city = CityFrame(device, count)
+        rows, camera, frame, renderer = city.rows, city.camera, city.frame, city.renderer
+        visible = frame.visible
+        seen = len(visible)
+        sums = blend_adjoint(
+            device, frame.splats, frame.pairs, frame.blended, renderer.background, frame.image,
+            device.zeros((1, 1)), device.zeros((1, 1)),
+            blend_defines(device, with_depth=False, smooth_cutoff=False))
+        inputs = device, rows, visible, camera, 3, DEFINES
+        cases = {  # function, bytes, operations
+            "cull": (partial(cull, device, rows, camera, DEFINES),
+                     count * (6 * real + 8) + seen * 5 * real, count * EARLY + seen * CULL),
+            "project": (partial(project, *inputs), seen * (4 + (PARAMETERS + 12) * real),
+                        seen * PROJECT),
+            # parameters and their gradients, nine sums, the mean's gradient, two indices
+            "adjoint": (partial(project_adjoint, *inputs, sums, renderer.skipped),
+                        seen * (8 + (2 * PARAMETERS + 11) * real), seen * ADJOINT)}
+        for case, (function, traffic, operations) in cases.items():
+            bench.report("project", case, bench.milliseconds(function),
+                         {"gaussians": count, "visible": seen}, traffic, operations)

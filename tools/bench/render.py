@@ -3,35 +3,28 @@
 The loss is the mean of squares of the image, as the anchor takes it.
 """
 
-import time
-
 import numpy as np
 
 from clsplat.render.pipeline import Renderer
 
-from .measure import arguments, milliseconds, open_device, report
-from .workloads import CITY, city
+from .measure import Bench
+from .timing import milliseconds
+from .workloads import city
 
 
 def main(argv):
-    options = arguments(argv, __doc__, gaussians=[n for n, _ in CITY], gsplat=False)
-    device = open_device(options)
-    for count, size in CITY:
-        if count not in options.gaussians:
-            continue
-        gaussians, cameras = city(count, size)
-        ours = Ours(device, gaussians, cameras)
-        repeats = options.repeats
-        report(options, device, "render", "forward", milliseconds(device, ours.forward, repeats),
-               gaussians=count, pairs=ours.frame.pairs.count, visible=len(ours.frame.visible))
-        report(options, device, "render", "forward + adjoint",
-               milliseconds(device, ours.both, repeats), gaussians=count)
-        if options.gsplat:
-            peer = Gsplat(gaussians, cameras)
+    bench = Bench(argv, __doc__, gaussians="200k,1M,4M", gsplat=False)
+    for count in bench.options.gaussians:
+        gaussians, cameras = city(count)
+        peers = {"render": Ours(bench.device, gaussians, cameras)}
+        if bench.options.gsplat:
+            peers["gsplat"] = Gsplat(gaussians, cameras)
+        for family, peer in peers.items():
             for case in ("forward", "both"):
-                times = peer.milliseconds(getattr(peer, case), repeats)
-                name = "forward + adjoint" if case == "both" else case
-                report(options, device, "gsplat", name, times, gaussians=count)
+                times = milliseconds(peer, getattr(peer, case), bench.options.repeats)
+                bench.report(family, "forward + adjoint" if case == "both" else case, times,
+                             {"gaussians": count, "width": cameras[0].width,
+                              "height": cameras[0].height})
 
 
 class Ours:
@@ -52,6 +45,9 @@ class Ours:
     def both(self):
         self.forward()
         self.renderer.adjoint(self.rows, self.frame, self.grad)
+
+    def finish(self):
+        self.device.finish()
 
 
 class Gsplat:
@@ -93,14 +89,5 @@ class Gsplat:
         for parameter in self.parameters:
             parameter.grad = None
 
-    def milliseconds(self, function, repeats, warm_up=3):
-        for _ in range(warm_up):
-            function()
+    def finish(self):
         self.torch.cuda.synchronize()
-        times = []
-        for _ in range(repeats):
-            begin = time.perf_counter()
-            function()
-            self.torch.cuda.synchronize()
-            times.append((time.perf_counter() - begin) * 1e3)
-        return np.array(times)

@@ -4,14 +4,13 @@ import numpy as np
 
 from clsplat.regularise.reproject import pack_pairs, reproject
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
 from .workloads import ring_camera
 
 
 def main(argv):
-    options = arguments(argv, __doc__, size=[1019, 766])
-    device = open_device(options)
-    width, height = options.size
+    bench = Bench(argv, __doc__, size=[1019, 766])
+    device, (width, height) = bench.device, bench.options.size
     rng = np.random.default_rng(0)
     photo, neighbour = (device.upload(rng.integers(0, 256, (3, height, width), np.uint8))
                         for _ in range(2))
@@ -25,8 +24,11 @@ def main(argv):
         return reproject(device, depth, transmittance, photo, neighbour, geometries, colours, 0,
                          1.0)
 
-    times = milliseconds(device, run, options.repeats)
+    times = bench.milliseconds(run)
     valid = run()[0].last()
-    # depth and transmittance read, two gradients written, read and written; both photos read
-    report(options, device, "reproject", f"{width}x{height}", times,
-           bytes=(2 + 2 * 3) * depth.nbytes + 2 * photo.nbytes, valid=int(valid))
+    # depth and transmittance read, two gradients written, read and written; both photos read. A
+    # pixel is turned into the other camera and compared in three channels, each between four
+    # others, with the derivatives by depth
+    bench.report("reproject", "value and gradient", times,
+                 {"width": width, "height": height, "valid": int(valid)},
+                 (2 + 2 * 3) * depth.nbytes + 2 * photo.nbytes, 160 * width * height)

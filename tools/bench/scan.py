@@ -1,16 +1,18 @@
 """Exclusive scan of the pair counts of a frame's splats."""
 
+from functools import partial
+
 from clsplat.primitives.scan import exclusive_scan
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
 from .workloads import CityFrame
 
 
 def main(argv):
-    options = arguments(argv, __doc__, gaussians=200_000)
-    device = open_device(options)
-    counts = CityFrame(device, options.gaussians).frame.pairs.counts
-    times = milliseconds(device, lambda: exclusive_scan(device, counts), options.repeats)
-    # values are read twice, offsets written once
-    report(options, device, "scan", "pair counts", times, values=len(counts),
-           bytes=3 * counts.nbytes)
+    bench = Bench(argv, __doc__, gaussians="200k")
+    for count in bench.options.gaussians:
+        counts = CityFrame(bench.device, count).frame.pairs.counts
+        times = bench.milliseconds(partial(exclusive_scan, bench.device, counts))
+        # values are read and added twice, offsets written once
+        bench.report("scan", "pair counts", times, {"gaussians": count, "values": len(counts)},
+                     3 * counts.nbytes, 2 * len(counts))

@@ -1,26 +1,39 @@
 """Stable sorts of a frame: visible gaussians by depth, and pairs by tile."""
 
+from functools import partial
+
 import numpy as np
 
 from clsplat.primitives.gather import compact
-from clsplat.primitives.sort import stable_sort
+from clsplat.primitives.sort import LARGEST_DIGIT, stable_sort
 from clsplat.render.project import cull
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
 from .project import DEFINES
 from .workloads import CityFrame
 
 
 def main(argv):
-    options = arguments(argv, __doc__, gaussians=200_000)
-    device = open_device(options)
-    city = CityFrame(device, options.gaussians)
-    depths, _ = compact(device, *cull(device, city.rows, city.camera, DEFINES))
-    times = milliseconds(device, lambda: stable_sort(device, depths), options.repeats)
-    report(options, device, "sort", "depths", times, keys=len(depths), bits=32)
-    tiles, bits = device.upload(pair_tiles(city.frame.pairs)), bits_of(city.frame.pairs)
-    times = milliseconds(device, lambda: stable_sort(device, tiles, bits=bits), options.repeats)
-    report(options, device, "sort", "pairs by tile", times, keys=len(tiles), bits=bits)
+    bench = Bench(argv, __doc__, gaussians="200k")
+    device = bench.device
+    for count in bench.options.gaussians:
+        city = CityFrame(device, count)
+        depths, _ = compact(device, *cull(device, city.rows, city.camera, DEFINES))
+        pairs = city.frame.pairs
+        tiles = device.upload(pair_tiles(pairs))
+        cases = (("depths", depths, 32), ("pairs by tile", tiles, tile_bits(pairs)))
+        for case, keys, bits in cases:
+            times = bench.milliseconds(partial(stable_sort, device, keys, bits=bits))
+            bench.report("sort", case, times, {"gaussians": count, "keys": len(keys), "bits": bits},
+                         *sort_work(device, len(keys), bits))
+
+
+def sort_work(device, count, bits):
+    """(bytes, operations) of sorting `count` keys of so many bits."""
+    passes = max(1, -(-bits // LARGEST_DIGIT[device.form]))
+    # a pass reads keys twice and values, but for the first, and writes both; its digit is a shift
+    # and a mask, twice, and counts up twice
+    return count * (20 * passes - 4), 6 * count * passes
 
 
 def pair_tiles(pairs):
@@ -31,5 +44,5 @@ def pair_tiles(pairs):
     return tiles
 
 
-def bits_of(pairs):
+def tile_bits(pairs):
     return len(pairs.ranges).bit_length()

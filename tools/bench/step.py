@@ -18,17 +18,18 @@ from clsplat.train.model import Model
 from clsplat.train.photos import Photos
 from clsplat.train.step import Step
 
-from .measure import arguments, milliseconds, open_device, report
+from .measure import Bench
+from .timing import milliseconds
 from .workloads import scene_gaussians
 
 PLAN = Plan(level=1.0, degree=3, gathers=True, grows=False, resets_opacity=False,
-            prunes_large=False)
+            prunes_large=False, decay=0.0)
 
 
 def main(argv):
-    options = arguments(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
-                        gaussians=[0, 100_000], optimizer=TrainOptions.optimizer, profile=False)
-    device = open_device(options, profiling=options.profile)
+    bench = Bench(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
+                  gaussians="0,100k", optimizer=TrainOptions.optimizer, profile=False)
+    device, options = bench.device, bench.options
     scene = read_scene(options.scene).reduced(options.downscale)
     views, _ = scene.split(8)
     photos = Photos(device, views)
@@ -42,14 +43,14 @@ def main(argv):
         def one(step=step, cameras=cameras, numbers=numbers):
             number = next(numbers)
             index = (number - 1) % len(views)
-            step.take(number, PLAN, cameras[index], photos[index])
+            step.take(number, PLAN, index, cameras[index], photos[index])
 
         times = milliseconds(device, one, len(views), warm_up=len(views))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         width, height = views[0].camera.width, views[0].camera.height
-        report(options, device, "step", f"{scene.name} {width}x{height}", times,
-               gaussians=model.count, optimizer=options.optimizer, peak_mib=int(peak),
-               device_mib=device.memory_bytes >> 20)
+        bench.report("step", f"{scene.name} {options.optimizer}", times,
+                     {"gaussians": model.count, "width": width, "height": height,
+                      "peak_mib": int(peak), "device_mib": device.memory_bytes >> 20})
         if options.profile:
             with device.profile() as times_by_kernel:
                 for _ in views:

@@ -3,18 +3,24 @@
 import numpy as np
 
 from clsplat.camera import Camera
+from clsplat.densify.contribution import contribution
 from clsplat.gaussians import Gaussians
 from clsplat.render.pipeline import Renderer
 
-CITY = ((200_000, (1024, 768)), (1_000_000, (1920, 1080)), (4_000_000, (1920, 1080)))
+
+def city_size(count):
+    """(width, height) of the views of a city of so many gaussians, pixels."""
+    return (1920, 1080) if count >= 1_000_000 else (1024, 768)
 
 
-def city(count, size, views=8, side=200.0, seed=0):
+def city(count, size=None, views=8, side=200.0, seed=0):
     """(Gaussians of degree 3, [Camera]): `count` gaussians on the faces of 220 boxes and the ground
-    of a city `side` metres wide, seen by a ring of oblique cameras of `size` (width, height).
+    of a city `side` metres wide, seen by a ring of oblique cameras of `size` (width, height), by
+    default `city_size`.
 
     The scene of ../shared/anchors/city_scene.py, drawn in the same order, so that figures compare.
     """
+    size = size or city_size(count)
     rng = np.random.default_rng(seed)
     centre = rng.uniform(-side / 2, side / 2, (220, 2))
     half = rng.uniform(3, 9, (220, 2))
@@ -44,17 +50,28 @@ def city(count, size, views=8, side=200.0, seed=0):
 
 
 class CityFrame:
-    """The city's first view at 1024 x 768, rendered: real sizes for the single families.
+    """The city's first view, rendered: real sizes for the single families.
 
-    renderer; camera: packed; rows: field name -> real[N, ...]; frame: `render.pipeline.Frame`.
+    renderer; camera: packed; rows: field name -> real[N, ...]; frame: `render.pipeline.Frame`;
+    size: what it amounts to.
     """
 
     def __init__(self, device, count):
-        gaussians, cameras = city(count, (1024, 768))
+        gaussians, (camera, *_) = city(count)
         self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
-        self.camera = self.renderer.pack(cameras[0])
+        self.camera = self.renderer.pack(camera)
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
-        self.frame = self.renderer.render(self.rows, self.camera, 1024, 768, degree=3)
+        self.frame = self.renderer.render(self.rows, self.camera, camera.width, camera.height,
+                                          degree=3)
+        self.size = {"gaussians": count, "width": camera.width, "height": camera.height,
+                     "visible": len(self.frame.visible), "pairs": self.frame.pairs.count}
+
+    def blended_pixels(self):
+        """How often a splat was blended into a pixel: what blending cannot do without."""
+        image = self.frame.image
+        weights = image.device.zeros(image.shape[1:])
+        columns = contribution(image.device, self.frame, weights).download()
+        return int(columns[:, 0].sum(dtype=np.float64))
 
     def gradients(self):
         """`render.pipeline.Gradients` of a loss that has the same gradient in every value."""

@@ -1,0 +1,152 @@
+"""Error against run time: the render kernels under every approximation they could take.
+
+A frame of the aerial city is rendered and differentiated by each variant (`variants.py`). Errors
+are those of image and gradients against double builds, times those of forward and adjoint without a
+loss. --html and --markdown write a page; --records takes the lines that earlier runs printed with
+--json instead of measuring, so that a page can have several machines.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.device import choose_device
+from clsplat.gaussians import LEARNED
+from clsplat.render.pipeline import Renderer
+from clsplat.render.project import cull
+
+from .measure import arguments
+from .numerics import gradient_error, html, markdown
+from .project import DEFINES as CULL_DEFINES
+from .timing import milliseconds, spread
+from .variants import (
+    DEFAULT,
+    DOUBLE,
+    KNOBS,
+    NO_CUTOFF,
+    NO_STOP,
+    VARIANTS,
+    Devices,
+    VariantDevice,
+)
+from .workloads import city
+
+NO_ROW = 2**32 - 1  # of a gradient that was not finite
+VISIBLE_ERROR = 1e-4  # of an image value
+
+
+def main(argv):
+    options = arguments(argv, __doc__, gaussians="50k", size=[512, 384], repeats=5, html="",
+                        markdown="", records=[""])
+    records = []
+    if any(options.records):
+        for path in options.records:
+            records += [json.loads(line) for line in Path(path).read_text().splitlines()]
+    else:
+        for spec in options.device.split(","):
+            for count in options.gaussians:
+                for record in measured(spec, options.form, city(count, tuple(options.size)),
+                                       options.repeats):
+                    record["command"] = f"python -m tools.bench precision {' '.join(argv)}".strip()
+                    records.append(record)
+                    print(json.dumps(record) if options.json else line(record), flush=True)
+    for path, write in ((options.html, html), (options.markdown, markdown)):
+        if path:
+            Path(path).write_text(write(records))
+
+
+def measured(spec, form, scene, repeats):
+    """Yields a record a variant of `VARIANTS`, on the device of `choose_device(spec)`.
+
+    A record has what a benchmark's line has but `bytes` and `operations`, and its errors against
+    double builds: `rounding`, of the same sum; `same_order`, in the order that single-precision
+    depths give; `no_cutoff` and `no_stop`, without the alpha cutoff or the transmittance stop. Each
+    is {image_max, image_mean, image_above (share of values off by more than 1e-4), gradients
+    {field: {l2, worst, element}}}, see `errors`.
+    """
+    handle = choose_device(spec).handle
+    devices = Devices(handle, form)
+    in_this_order = VariantDevice(handle, DOUBLE, form, Frame(devices[DEFAULT], scene).depth_keys())
+    references = {"rounding": Frame(devices[DOUBLE], scene).result(),
+                  "same_order": Frame(in_this_order, scene).result(),
+                  "no_cutoff": Frame(devices[NO_CUTOFF], scene).result(),
+                  "no_stop": Frame(devices[NO_STOP], scene).result()}
+    for variant in VARIANTS:
+        frame = Frame(devices[variant], scene)
+        result = frame.result()
+        times = spread(milliseconds(frame.device, frame.run, repeats)) if variant.is_timed else {}
+        gaussians, (camera, *_) = scene
+        yield {"family": "precision", "knob": variant.knob, "variant": variant.name,
+               "form": frame.device.form, "device": frame.device.name,
+               "platform": handle.platform.name.strip(), "driver": handle.driver_version,
+               "size": {"gaussians": gaussians.count, "width": camera.width,
+                        "height": camera.height, "skipped": result["skipped"]},
+               **times, **{kind: errors(result, reference)
+                           for kind, reference in references.items()}}
+
+
+class Frame:
+    """The scene's first view; `run` renders it and takes its gradients, by the device's variant."""
+
+    def __init__(self, device, scene):
+        gaussians, (camera, *_) = scene
+        self.device, self.count = device, gaussians.count
+        self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
+        self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+        self.camera, self.size = self.renderer.pack(camera), (camera.width, camera.height)
+        # no sign wins, so the sums cancel as they do late in training; as small as a mean's
+        shape = (3, camera.height, camera.width)
+        self.grad = device.upload(
+            np.random.default_rng(0).normal(0, 1 / np.prod(shape), shape).astype(np.float32))
+
+    def depth_keys(self):
+        """uint32[N]: how `cull` orders the gaussians, 0 for the unseen."""
+        flags, keys = cull(self.device, self.rows, self.camera, CULL_DEFINES)
+        return np.where(flags.download(), keys.download(), 0)
+
+    def run(self):
+        frame = self.renderer.render(self.rows, self.camera, *self.size, degree=3)
+        return frame, self.renderer.adjoint(self.rows, frame, self.grad)
+
+    def result(self):
+        """{image: float64[3, H, W], gradients: {field: float64[N, ...]}, zero for the unseen,
+        skipped: how many gradients were not finite}"""
+        frame, gradients = self.run()
+        seen = gradients.rows.download()
+        finite = seen != NO_ROW
+        full = {}
+        for field in LEARNED:
+            values = gradients.fields[field.name].download()
+            full[field.name] = np.zeros((self.count, *values.shape[1:]))
+            full[field.name][seen[finite]] = values[finite]
+        return {"image": frame.image.download().astype(np.float64), "gradients": full,
+                "skipped": int((~finite).sum())}
+
+
+def errors(result, reference):
+    """How far a `Frame.result` is from another; see `measured`.
+
+    l2: of the difference, relative to the reference; worst: the largest difference relative to the
+    reference's largest element, and its element.
+    """
+    image = np.abs(result["image"] - reference["image"])
+    gradients = {}
+    for name, wanted in reference["gradients"].items():
+        off = np.abs(result["gradients"][name] - wanted)
+        place = np.unravel_index(off.argmax(), off.shape)
+        gradients[name] = {
+            "l2": float(np.linalg.norm(off) / np.linalg.norm(wanted)),
+            "worst": float(off[place] / np.abs(wanted).max()),
+            "element": f"{name}[{', '.join(map(str, place))}]"}
+    return {"image_max": float(image.max()), "image_mean": float(image.mean()),
+            "image_above": float((image > VISIBLE_ERROR).mean()), "gradients": gradients}
+
+
+def line(record):
+    """A record as a line of a table: the worst of the gradients of each kind of error."""
+    time = f"{record['median_ms']:9.2f} ms" if "median_ms" in record else f"{'-':>12}"
+    kinds = dict.fromkeys(("rounding", KNOBS.get(record["knob"], ("", "no_cutoff"))[1]))
+    texts = [f"{kind}: image {record[kind]['image_max']:.1e}, mean {record[kind]['image_mean']:.1e}"
+             f", gradients {gradient_error(record, kind):.1e}" for kind in kinds]
+    return f"{record['knob']:18} {record['variant']:30} {time}  {'; '.join(texts)}"
