@@ -1,4 +1,10 @@
-"""Adjacent views: which photos show the same places from directions that teach depth."""
+"""Which photos show the same places, from which directions and how near.
+
+`adjacent_views` picks those that teach depth; `view_spread` tells how far the views of a point are
+apart, which decides what a scene needs.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -23,14 +29,55 @@ def adjacent_views(scene, views, count=3):
     Where `scene.observations` is None, a view sees each of at most 10000 evenly picked points that
     project into its image, hidden or not.
     """
-    if scene.observations is None:
-        points, point, view = _projected(scene.points, views)
-    else:
-        points, point, view = scene.points, *_observed(scene, views)
+    points, point, view = _sightings(scene, views)
     sees = csr_array((np.ones(len(view), np.int8), (view, point)), (len(views), len(points)))
     seen_by = csr_array(sees.T)
     positions = np.array([v.camera.position for v in views]).reshape(-1, 3)
     return [_best(number, sees, seen_by, points, positions, count) for number in range(len(views))]
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Of each of K points that two views or more see: cap float64[K], degrees, the largest angle
+    between the direction to a camera and the mean of these directions; ratio float64[K], the
+    largest over the smallest size of a pixel at the point (depth / focal length)."""
+
+    cap: np.ndarray
+    ratio: np.ndarray
+
+
+def view_spread(scene, views):
+    """The Spread of the sparse points of a Scene over its `views`, as `adjacent_views` counts who
+    sees what: by the tracks, else by projection, hidden or not."""
+    points, point, view = _sightings(scene, views)
+    cameras = [v.camera for v in views]
+    positions, forward = (np.array(values).reshape(-1, 3) for values in (
+        [c.position for c in cameras], [c.rotation[2] for c in cameras]))
+    ray = positions[view] - points[point]
+    direction = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-300)
+    middle = np.zeros((len(points), 3))
+    np.add.at(middle, point, direction)
+    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-300)
+    # by the chord: an arc cosine knows small angles only to 1e-6 degrees
+    chord = np.linalg.norm(direction - middle[point], axis=1)
+    angle = np.rad2deg(2 * np.arcsin((chord / 2).clip(0, 1)))
+    depth = -(ray * forward[view]).sum(axis=1)
+    focal = np.array([np.mean(c.focal) for c in cameras])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.log(depth / focal[view])
+    cap, low, high = (np.full(len(points), start) for start in (0.0, np.inf, -np.inf))
+    np.maximum.at(cap, point, angle)
+    np.minimum.at(low, point, size)
+    np.maximum.at(high, point, size)
+    several = np.bincount(point, minlength=len(points)) >= 2
+    return Spread(cap[several], np.exp((high - low)[several]))
+
+
+def _sightings(scene, views):
+    """(points float64[P, 3], point int[M], view int[M]): which of `views` sees which point."""
+    if scene.observations is None:
+        return _projected(scene.points, views)
+    return scene.points, *_observed(scene, views)
 
 
 def _observed(scene, views):

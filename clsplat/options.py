@@ -18,18 +18,20 @@ except ModuleNotFoundError:  # Python 3.10
 
 
 def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, wish=None,
-           only=None):
+           only=None, auto=False):
     """A field of `TrainOptions`: its default and what the command line says about it.
 
     choices, minimum, maximum: of a value, or of each element of a tuple; wish: what a refusal says
     is wanted, where these and the type do not say it well; only: the schedules it means something
-    to (None: all).
+    to (None: all); auto: whether a number may also be "auto", for train/needs.py to find.
     """
     return field(default=default, metadata={
         "group": group, "help": text, "short": short, "choices": choices,
-        "minimum": minimum, "maximum": maximum, "wish": wish, "only": only})
+        "minimum": minimum, "maximum": maximum, "wish": wish, "only": only, "auto": auto})
 
 
+AUTO = "auto"
+SHOWN = 200  # characters, of what a user gave, in a message
 SIG = ("sig",)
 
 
@@ -70,8 +72,9 @@ class TrainOptions:
                        choices=("S", "L"))
     exposure: str = option("auto", "Method", "learn a colour transform a photo; auto: where photos "
                            "drift in brightness", choices=("auto", "on", "off"))
-    sh_degree: int = option(3, "Method", "highest degree of the spherical harmonics", minimum=0,
-                            maximum=3)
+    sh_degree: int = option(3, "Method", "highest degree of the spherical harmonics; auto: what "
+                            "the angles under which points are seen can tell apart", minimum=0,
+                            maximum=3, auto=True)
     sh_every: int = option(1000, "Method", "steps between degrees", minimum=1)
     ssim_weight: float = option(0.2, "Method", "share of D-SSIM in the loss", minimum=0.0,
                                 maximum=1.0)
@@ -193,7 +196,7 @@ def seconds_of(text):
         seconds = 0.0
     if not 0 < seconds < math.inf:
         raise InputError(f"--time-budget: wants seconds, or a number with s, m or h such as 90s, "
-                         f"10m or 2h; got {text!r}")
+                         f"10m or 2h; got {text[:SHOWN]!r}")
     return seconds
 
 
@@ -204,8 +207,8 @@ def from_toml(path):
             table = tomllib.load(file)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+    except (ValueError, RecursionError) as error:  # tomllib: also of integers with 4301 digits
+        raise InputError(f"{path}: not valid TOML: {str(error)[:SHOWN]}") from None
     return {key.replace("-", "_"): checked(str(path), key.replace("-", "_"), value)
             for key, value in table.items()}
 
@@ -217,7 +220,7 @@ def checked(source, key, value):
     """
     known = {f.name: f for f in dataclasses.fields(TrainOptions)}
     if key not in known:
-        raise InputError(f"{source}: unknown option '{key}'; see `clsplat train --help`")
+        raise InputError(f"{source}: unknown option {key[:SHOWN]!r}; see `clsplat train --help`")
     kind, meta = known[key].type, known[key].metadata
     elements = get_args(kind)  # of a tuple; none otherwise
     try:
@@ -229,11 +232,16 @@ def checked(source, key, value):
         return tuple(_checked_one(elements[0], meta, element) for element in value)
     except ValueError as wish:
         raise InputError(
-            f"{source}: option '{key}' wants {meta['wish'] or wish}, got {value!r}") from None
+            f"{source}: option '{key}' wants {meta['wish'] or wish}, got {repr(value)[:SHOWN]}"
+            ) from None
 
 
 def _checked_one(kind, meta, value):
     """`value` as `kind`; ValueError says what is wanted."""
+    if meta["auto"] and value == AUTO:
+        return value
+    if type(value) is int and abs(value) >= 2**63:
+        raise ValueError("a number below 2^63")
     if kind is float and type(value) is int:
         value = float(value)
     if type(value) is not kind:

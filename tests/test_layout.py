@@ -31,6 +31,7 @@ LAYERS = (
     {"evaluate"},
     {"report"},
     {"train"},
+    {"plan"},
     {"selftest"},
     {"bench"},
     {"cli"},

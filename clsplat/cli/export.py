@@ -14,15 +14,46 @@ FORMATS = {".ply": "the format of Kerbl et al. 2023, which splat viewers open"}
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="File to write; its suffix selects the format (.ply).")
-def export(run, output):
-    """Write the gaussians of RUN, in the world coordinates of its scene, to one file."""
+@click.option("--sh-degree", type=click.Choice(("all", "auto", "0", "1", "2", "3")), default="all",
+              show_default=True, help="Highest degree of the harmonics to write; auto: the lowest "
+              "that costs the held-out views less than --sh-cost.")
+@click.option("--sh-cost", type=click.FloatRange(min=0), default=0.05, show_default=True,
+              help="PSNR that --sh-degree auto may cost, dB.")
+@click.option("--device", default="auto", show_default=True,
+              help="For --sh-degree auto: as for `clsplat eval`.")
+def export(run, output, sh_degree, sh_cost, device):
+    """Write the gaussians of RUN, in the world coordinates of its scene, to one file.
+
+    Those that no view can show, being fainter than a step of 8 bits, are left out.
+    """
     if output.suffix.lower() not in FORMATS:
         known = "; ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
         raise InputError(f"{output}: no format has the suffix '{output.suffix}'; known: {known}")
     from clsplat.io.atomic import replacing
+    from clsplat.io.ply import write_part
     from clsplat.io.run import MODEL, RunFolder
+    from clsplat.plan.thin import alive
     folder = RunFolder.open(run)
-    count = folder.load_model().count  # reads all of it: a damaged model is not passed on
-    with open(folder.path / MODEL, "rb") as model, replacing(output) as copy:
-        shutil.copyfileobj(model, copy)
-    click.echo(f"{output}: {count:,} gaussians")
+    gaussians = folder.load_model()  # reads all of it: a damaged model is not passed on
+    keep, degree = alive(gaussians), gaussians.sh_degree
+    if sh_degree == "auto":
+        degree = _measured_degree(folder, device, sh_cost)
+    elif sh_degree != "all":
+        degree = int(sh_degree)
+    if keep.all() and degree == gaussians.sh_degree:
+        with open(folder.path / MODEL, "rb") as model, replacing(output) as copy:
+            shutil.copyfileobj(model, copy)
+    else:
+        write_part(output, folder.path / MODEL, keep, degree)
+    dead = len(keep) - keep.sum()
+    click.echo(f"{output}: {keep.sum():,} gaussians, harmonics to degree {degree}; {dead:,} that "
+               "no view can show are left out")
+
+
+def _measured_degree(folder, device, cost):
+    from clsplat.device import choose_device
+    from clsplat.plan.thin import needed_sh_degree
+    degree, scores = needed_sh_degree(folder, choose_device(device), cost)
+    click.echo("held-out PSNR, dB: " + ", ".join(
+        f"degree {number} {score:.3f}" for number, score in enumerate(scores)))
+    return degree

@@ -7,7 +7,7 @@ import click
 from click.core import ParameterSource
 
 from clsplat.cli.sections import SectionedOption
-from clsplat.options import TrainOptions
+from clsplat.options import AUTO, TrainOptions
 
 
 class Numbers(click.ParamType):
@@ -23,6 +23,21 @@ class Numbers(click.ParamType):
             return tuple(self.kind(word) for word in value.split(","))
         except ValueError:
             self.fail(f"{value!r} is not a list of numbers such as 4,2,1", param, ctx)
+
+
+class NumberOrAuto(click.ParamType):
+    """A number of one kind, or `auto`."""
+
+    def __init__(self, kind):
+        self.kind, self.name = kind, f"{kind.__name__}|auto"
+
+    def convert(self, value, param, ctx):
+        if value == AUTO:
+            return value
+        try:
+            return self.kind(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither auto nor a number.", param, ctx)
 
 
 def training_flags(command):
@@ -53,6 +68,8 @@ def _flag(option):
     elif default == ():
         settings.update(type=Numbers(get_args(option.type)[0]), multiple=True, show_default=False,
                         callback=lambda ctx, param, lists: sum(lists, ()))
+    elif meta["auto"]:
+        settings["type"] = NumberOrAuto(type(default))
     elif isinstance(default, tuple):
         settings.update(type=type(default[0]), nargs=len(default))
     else:

@@ -12,6 +12,7 @@ from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
 from clsplat.cli.evaluate import evaluate
 from clsplat.cli.export import export
+from clsplat.cli.plan import plan
 from clsplat.cli.render import render
 from clsplat.cli.sections import SectionedGroup
 from clsplat.cli.synth import synth
@@ -70,7 +71,7 @@ def main(ctx):
         click.echo(ctx.get_help())
 
 
-main.add_section("Train", train, evaluate, compare, render, export)
+main.add_section("Train", plan, train, evaluate, compare, render, export)
 main.add_section("Data", synth)
 main.add_section("Machine", devices, bench, completion)
 

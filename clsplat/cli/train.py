@@ -10,7 +10,7 @@ import click
 from clsplat.cli.flags import flag_name, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.errors import InputError
-from clsplat.options import TrainOptions, from_toml, resolve
+from clsplat.options import TrainOptions, checked, from_toml, resolve
 
 # what a resumed run may change without its result depending on when it was stopped
 RESUME_MAY_CHANGE = ("stop_at", "checkpoint_every", "device")
@@ -96,7 +96,8 @@ def resumed_options(record, flags):
     A stop of the first part does not stop the second. Raises InputError for other flags.
     """
     known = {option.name for option in dataclasses.fields(TrainOptions)}
-    options = resolve({name: value for name, value in record.items() if name in known}, {})
+    options = resolve({name: checked("options.json", name, value) for name, value in record.items()
+                       if name in known}, {})
     for name in flags:
         if name not in RESUME_MAY_CHANGE and flags[name] != getattr(options, name):
             raise InputError(

@@ -1,0 +1,61 @@
+"""`clsplat plan`: what a training would leave out, and the memory and time it would take."""
+
+from pathlib import Path
+
+import click
+
+from clsplat.cli.flags import given_options, training_flags
+from clsplat.cli.sections import SectionedCommand
+
+MIB = 2**20
+WIDTH = 12  # of the column of names
+
+
+@click.command(cls=SectionedCommand)
+@click.argument("scene", type=click.Path(path_type=Path))
+@training_flags
+@click.option("--config", type=click.Path(path_type=Path),
+              help="TOML file of options; flags win over it.")
+@click.pass_context
+def plan(ctx, scene, config, **_):
+    """Say what `clsplat train` would do with SCENE, given the same options.
+
+    One line a part that may be left out: its value, the reason, and the number behind it; a flag
+    overrides a line. Then the memory that the training takes on the device at most, and its time,
+    from a few real steps.
+    """
+    from clsplat.device import choose_device
+    from clsplat.io.scenes import read_scene
+    from clsplat.options import from_toml, resolve
+    from clsplat.plan.forecast import Planned
+    options = resolve(from_toml(config) if config else {}, given_options(ctx))
+    data = read_scene(scene)
+    device = choose_device(options.device, form=options.form)
+    planned = Planned(data, options, device)
+    click.echo(f"{data.name}: {len(planned.views)} photos to train on, {len(planned.held_out)} "
+               f"held out, {len(data.points):,} points; {device.name}")
+    for name, reason in planned.needs.reasons.items():
+        _line(name, reason)
+    forecast = planned.forecast()
+    _line("photos", forecast.streaming.reason)
+    _line("memory", _memory(forecast, device))
+    _line("time", _time(forecast))
+
+
+def _line(name, text):
+    click.echo(f"  {name.replace('_', ' '):<{WIDTH}}  {text}")
+
+
+def _memory(forecast, device):
+    memory, there = forecast.memory, device.handle.global_mem_size
+    text = (f"{memory.total / MIB:,.0f} MiB at most, of {there / MIB:,.0f}: "
+            f"{forecast.gaussians:,} gaussians {memory.model / MIB:,.0f}, photos "
+            f"{memory.photos / MIB:,.0f}, the rest for the step")
+    return text if memory.total < there else f"{text}; does not fit: use --max-gaussians or -r"
+
+
+def _time(forecast):
+    minutes, seconds = divmod(round(forecast.seconds), 60)
+    level, gaussians, step = max(forecast.measured, key=lambda measured: measured[2])
+    return (f"about {minutes} min {seconds:02d} s for {forecast.steps:,} steps; a step at level "
+            f"{level:g} with {gaussians:,} gaussians takes {1e3 * step:.1f} ms here")

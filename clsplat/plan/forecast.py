@@ -1,0 +1,74 @@
+"""What a training would leave out, and what it would take."""
+
+import dataclasses
+
+from clsplat.errors import InputError
+from clsplat.gaussians import mean_inverse_distance
+from clsplat.options import seconds_of
+from clsplat.plan.memory import Memory, predicted_memory
+from clsplat.plan.pace import predicted_seconds
+from clsplat.schedule import SCHEDULES, laid_over, scaled_steps
+from clsplat.schedule.course import course, largest
+from clsplat.train.begin import initial_gaussians
+from clsplat.train.needs import Part, find_needs, subject_of
+from clsplat.train.photos import DEVICE_SHARE
+
+MIB = 2**20
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Forecast:
+    """steps: of the whole run; gaussians: the most at a time; memory: plan.memory.Memory; seconds:
+    of training; measured: [(level, gaussians, seconds a step), ...] that they rest on; streaming:
+    train.needs.Part, whether photos stay on the device."""
+
+    steps: int
+    gaussians: int
+    memory: Memory
+    seconds: float
+    measured: list
+    streaming: Part
+
+
+class Planned:
+    """A training as it would begin: its Scene, training views, Needs and schedule.
+
+    scene: Scene as read; options: TrainOptions. Raises InputError where it could not begin.
+    """
+
+    def __init__(self, scene, options, device):
+        self.device = device
+        self.scene = scene.reduced(options.downscale, options.max_resolution)
+        self.views, self.held_out = self.scene.split(options.test_every)
+        if len(self.views) < 2:
+            raise InputError(f"{scene.name}: {len(self.views)} photos to train on; wants two or "
+                             "more: add photos, or use a larger --test-every")
+        self.needs = find_needs(self.scene, self.views, scaled_steps(options), device)
+
+    def forecast(self):
+        """The Forecast. Takes some real steps on the device; raises DeviceError where they, or
+        those to come, do not fit."""
+        options, arguments = self.needs.options, (self.device, self.scene, self.views, self.needs)
+        gaussians = initial_gaussians(self.scene, options)
+        stretches = self._course(options, gaussians.count)
+        seconds, measured = predicted_seconds(*arguments, gaussians, stretches)
+        if options.time_budget:
+            budget = seconds_of(options.time_budget)
+            options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
+            stretches, seconds = self._course(options, gaussians.count), budget
+        memory = predicted_memory(*arguments, gaussians, stretches)
+        return Forecast(options.iterations, largest(stretches), memory, seconds, measured,
+                        self._streaming(memory))
+
+    def _course(self, options, count):
+        subject = dataclasses.replace(
+            subject_of(self.scene, self.views,
+                       inverse_distance=mean_inverse_distance(self.scene.points)), count=count)
+        return course(SCHEDULES[options.schedule](options, subject))
+
+    def _streaming(self, memory):
+        size = 3 * sum(v.camera.width * v.camera.height for v in self.views)
+        value = "resident" if memory.resident else "streamed"
+        allowed = DEVICE_SHARE * self.device.handle.global_mem_size
+        return Part(value, f"{value}: {size / MIB:,.0f} MiB at full size, {allowed / MIB:,.0f} may "
+                    "stay on the device")

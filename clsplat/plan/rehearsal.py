@@ -1,0 +1,89 @@
+"""Steps of a training that is not begun: its own objects, on gaussians strewn about the points."""
+
+import dataclasses
+
+import numpy as np
+
+from clsplat.densify.grow import Growth
+from clsplat.gaussians import Gaussians
+from clsplat.loss.exposure import Exposures
+from clsplat.render.pipeline import Renderer
+from clsplat.schedule import Plan
+from clsplat.train.adjacent import Adjacent
+from clsplat.train.model import Model
+from clsplat.train.photos import at_level
+from clsplat.train.step import Step
+
+
+class Rehearsal:
+    """What `train.loop.Training` would step with, for any level and any of its views.
+
+    device: real or `dry.DryDevice`; scene: Scene as trained on; views: its training views; needs:
+    train.needs.Needs; gaussians: to begin with; photo: called with (device, View), gives the View's
+    photo uchar[3, H, W] there.
+    """
+
+    def __init__(self, device, scene, views, needs, gaussians, photo):
+        options = needs.options
+        self.device, self.views, self.photo = device, views, photo
+        renderer = Renderer(device, options.sh_degree, options.near or scene.near_plane,
+                            options.antialiased, options.background)
+        model = Model(device, gaussians, options.engine, options.optimizer == "dense")
+        exposures = Exposures(device, len(views)) if options.exposure == "on" else None
+        self.step = Step(renderer, model, scene.extent, options, exposures)
+        self.adjacent = needs.neighbours and Adjacent(device, needs.neighbours, exposures,
+                                                      options.seed)
+        self.plan = Plan(level=1.0, degree=options.sh_degree, gathers=True, grows=False,
+                         resets_opacity=False, prunes_large=False, decay=0.0)
+        self.iteration = 0
+
+    def use(self, level):
+        """From now on images are `level` times smaller."""
+        self.shown = at_level(self.views, level)
+        self.plan = dataclasses.replace(self.plan, level=level)
+        if self.adjacent:
+            self.adjacent.use([view.camera for view in self.shown])
+
+    def grow(self, count):
+        """From now on there are `count` gaussians, of whatever values."""
+        model = self.step.model
+        model.regrow(Growth(np.zeros(count, np.uint32), min(count, model.count), 0, 0, 0, {}))
+        self.step.statistics.clear(count)
+
+    def prepare(self, index, regularises=False):
+        """A function that takes one step on a view, with its photo and camera in place."""
+        camera = self.step.renderer.pack(self.shown[index].camera)
+        photo, pair = self.photo(self.device, self.shown[index]), None
+        if regularises and len(self.adjacent.neighbours[index]):
+            row = int(self.adjacent.first[index])
+            other = self.shown[self.adjacent.pairs[row][1]]
+            pair = (self.photo(self.device, other), self.adjacent.geometries,
+                    self.adjacent.colours, row)
+        plan = dataclasses.replace(self.plan, regularises=float(regularises))
+
+        def take():
+            self.iteration += 1
+            return self.step.take(self.iteration, plan, index, camera, photo, pair)
+        return take
+
+
+def strewn(scene, count, sh_degree, seed=0):
+    """Gaussians, `count` of them, as growth might leave them: the sparse points, or some of them,
+    and more within half their distance to each other; sized anew by that distance."""
+    points, colours = scene.points, scene.colours
+    rng = np.random.default_rng(seed)
+    if count < len(points):
+        chosen = rng.choice(len(points), count, replace=False)
+        points, colours = points[chosen], colours[chosen]
+    elif count > len(points):
+        sizes = np.exp(Gaussians.from_points(points, colours, 0).log_scales)
+        chosen = rng.integers(0, len(points), count - len(points))
+        moved = points[chosen] + 0.5 * sizes[chosen] * rng.normal(size=(len(chosen), 3))
+        points = np.concatenate([points, moved])
+        colours = np.concatenate([colours, colours[chosen]])
+    return Gaussians.from_points(points, colours, sh_degree)
+
+
+def spread_out(count, most):
+    """Indices of at most `most` of `count` things, evenly spread."""
+    return sorted(set(np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()))

@@ -1,0 +1,40 @@
+"""What a finished model can do without: gaussians that no view can show, and harmonics that no
+held-out view misses."""
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.evaluate.views import evaluate_views, run_options
+from clsplat.io.scenes import read_scene
+from clsplat.render.pipeline import Renderer
+
+ALPHA_MIN = 1 / 255  # cl/include/splat.h: fainter contributions are skipped
+
+
+def alive(gaussians):
+    """bool[N]: whether a gaussian can be seen at all. Alpha is opacity times what falls off from 1,
+    and below ALPHA_MIN is nothing: without the others every image has the same bytes."""
+    with np.errstate(over="ignore"):
+        return 1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))) >= ALPHA_MIN
+
+
+def needed_sh_degree(run, device, cost):
+    """(degree, [PSNR at degree 0, 1, ...], dB): the lowest degree of the harmonics whose renders of
+    the run's held-out views lose less than `cost` dB of PSNR, a mean over views.
+
+    Raises InputError for a run without held-out views.
+    """
+    options, gaussians = run_options(run), run.load_model()
+    scene = read_scene(run.read_options()["scene"])
+    scene = scene.reduced(options.downscale, options.max_resolution)
+    _, views = scene.split(options.test_every)
+    if not views:
+        raise InputError(f"{run.path}: no held-out views to measure on (--test-every "
+                         f"{options.test_every}); name a degree instead of auto")
+    renderer = Renderer(device, gaussians.sh_degree, options.near or scene.near_plane,
+                        options.antialiased, options.background)
+    rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+    scores = [evaluate_views(renderer, rows, degree, views)["psnr"]
+              for degree in range(gaussians.sh_degree + 1)]
+    enough = [degree for degree, score in enumerate(scores) if scores[-1] - score < cost]
+    return min(enough, default=gaussians.sh_degree), scores

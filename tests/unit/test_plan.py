@@ -1,0 +1,345 @@
+"""What is foretold of a training: its course, its memory, its time; and what a model can lose."""
+
+import os
+import weakref
+
+import numpy as np
+import pyopencl.tools
+import pytest
+from click.testing import CliRunner
+from scipy.spatial import cKDTree
+
+from clsplat.cli.main import main
+from clsplat.device import choose_device
+from clsplat.gaussians import Gaussians
+from clsplat.io.ply import read_ply, write_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from clsplat.plan import thin
+from clsplat.plan.dry import DryDevice, block_bytes
+from clsplat.plan.forecast import Planned
+from clsplat.plan.memory import Memory
+from clsplat.plan.pace import fitted, foretold, pixels
+from clsplat.plan.rehearsal import Rehearsal, strewn
+from clsplat.render.pipeline import Renderer
+from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule.course import Stretch, course, largest
+from clsplat.train.needs import find_needs
+from tests.tiny_training import CITY, options_of, records, trained
+
+
+@pytest.fixture(scope="module")
+def city():
+    return read_scene(CITY).reduced(4)
+
+
+@pytest.fixture(scope="module")
+def item_device():
+    """Where the kernel form does not matter."""
+    wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "all")
+    return choose_device("auto" if wanted == "all" else wanted, form="item")
+
+
+def emptied(device, monkeypatch):
+    """The device, as if nothing had been allocated on it; what is built stays."""
+    monkeypatch.setattr(device, "_pool", pyopencl.tools.MemoryPool(
+        pyopencl.tools.ImmediateAllocator(device.queue), leading_bits_in_bin_id=1))
+    monkeypatch.setattr(device, "_held", weakref.WeakSet())
+    return device
+
+
+@pytest.fixture
+def own_device(float_device, monkeypatch):
+    return emptied(float_device, monkeypatch)
+
+
+# --- course
+
+
+def course_of(count, pixels, size=(512, 382), **options):
+    options = scaled_steps(resolve({}, options))
+    subject = Subject(size, count, 20.0, tuple, pixels)
+    return course(SCHEDULES[options.schedule](options, subject))
+
+
+@pytest.mark.parametrize("count, views, size, steps, ended", [
+    (15689, 24, (512, 382), 7000, 117_220), (25683, 65, (509, 383), 30000, 316_781),
+    (4400, 28, (320, 240), 7000, 53_677)], ids=["boruszyn", "caliterra", "city"])
+def test_runs_that_meet_their_ceiling_end_as_foretold(count, views, size, steps, ended):
+    stretches = course_of(count, views * size[0] * size[1], size, iterations=steps)
+    assert largest(stretches) == pytest.approx(ended, rel=0.01)
+    assert sum(stretch.steps for stretch in stretches) == steps
+    levels = list(dict.fromkeys(stretch.level for stretch in stretches))
+    assert levels == sorted(levels, reverse=True) and levels[-1] == 1
+
+
+def test_taming_ends_at_its_budget():
+    assert largest(course_of(4400, 10**7, schedule="taming", iterations=7000)) == pytest.approx(
+        15 * 4400, rel=0.01)
+
+
+def test_a_limit_is_kept():
+    for schedule in SCHEDULES:
+        stretches = course_of(4400, 10**7, schedule=schedule, iterations=7000, max_gaussians=9000)
+        assert 8900 < largest(stretches) <= 9000
+
+
+def test_demand_falls_off():
+    counts = [s.gaussians for s in course_of(1000, 10**9, schedule="constant", iterations=30000)]
+    assert counts[1] == 1000 + int(0.25 * 1000 * (1 - 1 / 40)) and 39_000 < counts[-1] <= 40_000
+    limited = course_of(1000, 10**9, schedule="constant", iterations=30000, max_gaussians=30_000)
+    assert [s.gaussians for s in limited][:9] == counts[:9]  # room is not demand
+
+
+def test_photos_are_compared_while_growing_only():
+    stretches = course_of(4400, 10**6, iterations=3000, reproject="on")
+    assert {s.regularises for s in stretches} == {True, False} and not stretches[-1].regularises
+    assert not any(s.regularises for s in course_of(4400, 10**6, iterations=3000))
+
+
+# --- memory
+
+
+def test_blocks_are_those_of_the_pool(own_device):
+    pool, seen = own_device._pool, set()
+    for size in (64, 65, 95, 96, 97, 127, 128, 1000, 3 << 16, (3 << 16) - 1, (1 << 20) + 1):
+        before = pool.managed_bytes
+        pool.allocate(size)  # and give back
+        seen.add(block_bytes(size))
+        assert pool.managed_bytes == sum(seen) and pool.managed_bytes - before in (
+            0, block_bytes(size)) and block_bytes(size) >= size
+
+
+PARTS = [{}, {"exposure": "on", "reproject": "on"},
+         {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]
+
+
+@pytest.mark.parametrize("options", PARTS, ids=str)
+def test_counting_is_exact(own_device, city, options):
+    """The same steps on a device and on one that counts, growth between them, are the same bytes.
+    """
+    views = city.views[:6]
+    options = scaled_steps(resolve({}, {"exposure": "off", **options}))
+    needs = find_needs(city, views, options)
+    gaussians = strewn(city, 3000, options.sh_degree)
+    dry = DryDevice(own_device)
+    real, counted = (
+        Rehearsal(device, city, views, needs, gaussians,
+                  lambda device, view: device.upload(
+                      np.full((3, view.camera.height, view.camera.width), 90, np.uint8)))
+        for device in (own_device, dry))
+    frames = []
+    bin_splats_of = real.step.renderer.render
+
+    def noted(*arguments, **more):
+        frames.append(bin_splats_of(*arguments, **more))
+        dry.visible, dry.pairs = len(frames[-1].visible), frames[-1].pairs.count
+        return frames.pop()
+    real.step.renderer.render = noted
+    for level, count in ((2.0, 3000), (1.0, 3000), (1.0, 5000)):
+        for rehearsal in (real, counted):
+            rehearsal.use(level)
+            if count != rehearsal.step.model.count:
+                rehearsal.grow(count)
+        for index in (0, 3):
+            regularises = options.reproject == "on"
+            real.prepare(index, regularises)()
+            counted.prepare(index, regularises)()
+            assert dry.memory_bytes == own_device.memory_bytes > 0
+    assert dry.peak_bytes > dry.memory_bytes - dry._pool.managed_bytes
+
+
+def measured_peak(device, monkeypatch):
+    """A list whose last element is the most that was allocated on a device so far."""
+    allocate, peaks = device._allocate, [0]
+
+    def noting(*arguments):
+        array = allocate(*arguments)
+        peaks.append(max(peaks[-1], device.memory_bytes + array.nbytes))
+        return array
+    monkeypatch.setattr(device, "_allocate", noting)
+    return peaks
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [
+    {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
+    {"schedule": "taming", "downscale": 4.0, "iterations": 400, "taming_budget": 4.0}], ids=str)
+def test_a_run_takes_what_was_foretold(tmp_path, own_device, monkeypatch, options):
+    """Memory within 15 %; of the time no more is asked for than a busy machine can keep."""
+    scene = read_scene(CITY)
+    options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,
+               "densify_every": 25, "grow_threshold": 2e-5, "densify_until": 0, **options}
+    forecast = Planned(scene, options_of(**options), own_device).forecast()
+    peaks = measured_peak(emptied(own_device, monkeypatch), monkeypatch)
+    run = trained(tmp_path, scene, own_device, **options)
+    steps = records(run, "step")
+    assert steps[-1]["gaussians"] == pytest.approx(forecast.gaussians, rel=0.1)
+    assert forecast.memory.steps == pytest.approx(
+        max(step["memory_bytes"] for step in steps), rel=0.15)
+    assert forecast.memory.total == pytest.approx(peaks[-1], rel=0.15)
+    assert 0.2 < forecast.seconds / steps[-1]["train_seconds"] < 5
+
+
+# --- time
+
+
+def test_three_costs_are_found_again():
+    cost = (2e-3, 3e-8, 4e-7)
+    made = [(image, count, np.dot(cost, (1, image, count)))
+            for image in (1e4, 2e5) for count in (1000, 5000)]
+    assert fitted(made) == pytest.approx(cost)
+    a, b, c = fitted([row for row in made if row[0] == 1e4])
+    assert (a + b * 1e4, c) == pytest.approx((2e-3 + 3e-8 * 1e4, 4e-7))
+    assert (fitted([(1e4, 10, 2.0), (1e4, 20, 1.0)]) >= 0).all()
+
+
+def test_a_course_costs_what_its_steps_do(city):
+    stretches = [Stretch(10, 2.0, 100, False), Stretch(5, 1.0, 200, False)]
+    small, large = pixels(city.views, 2.0), pixels(city.views, 1.0)
+    assert (small, large) == (40 * 30, 80 * 60)
+    assert foretold((1.0, 0.1, 0.01), city.views, stretches) == pytest.approx(
+        10 * (1 + 0.1 * small + 1) + 5 * (1 + 0.1 * large + 2))
+
+
+@pytest.mark.parametrize("count", [50, 4400, 6000])
+def test_strewn_gaussians_are_about_the_points(city, count):
+    gaussians = strewn(city, count, 1)
+    assert gaussians.count == count and gaussians.sh_degree == 1
+    away, _ = cKDTree(city.points).query(gaussians.positions)
+    size = np.exp(Gaussians.from_points(city.points, city.colours).log_scales[:, 0])
+    assert np.median(away) < 0.1 * np.median(size) and (away < 3 * size.max()).all()
+    assert (away > 1e-3).sum() == pytest.approx(max(0, count - len(city.points)), rel=0.01)
+
+
+# --- the command
+
+
+def clsplat_(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def test_the_command_says_it_all(monkeypatch, item_device):
+    monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: item_device)
+    result = clsplat_("plan", CITY, "-r", 8, "-n", 60, "--schedule", "constant", "--sh-degree",
+                      "auto")
+    assert result.exit_code == 0, result.output
+    lines = [line.split() for line in result.output.splitlines()]
+    assert result.output.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
+    assert " ".join(line[0] for line in lines[1:]) == (
+        "levels sh antialiased exposure reproject engine photos memory time")
+    assert "exposure      off: asked for\n" in result.output
+    assert "sh degree     3: 99% of the points are seen from within 7" in result.output
+    assert "for 60 steps; a step at level 1 with" in result.output
+
+
+@pytest.mark.parametrize("words, complaint", [
+    ((CITY / "nothing",), "no such scene"), ((CITY, "--test-every", 1), "0 photos to train on"),
+    ((CITY, "--sh-degree", "x"), "neither auto nor a number"),
+    ((CITY, "--levels", "90,1"), "less than a tile")])
+def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
+    monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: None)
+    result = clsplat_("plan", *words)
+    assert result.exit_code == 2 and complaint in result.stderr
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+
+
+def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):
+    monkeypatch.setattr("clsplat.plan.forecast.predicted_memory",
+                        lambda *_: Memory(0, 0, 0, True, 0))
+    monkeypatch.setattr("clsplat.plan.forecast.predicted_seconds",
+                        lambda *_: (3000.0, [(1.0, 4400, 0.1)]))
+    options = resolve({}, {"time_budget": "2m", "schedule": "taming", "exposure": "off"})
+    forecast = Planned(city, options, item_device).forecast()
+    assert (forecast.steps, forecast.seconds) == (1200, 120)
+
+
+# --- what a model can lose
+
+
+def faint(gaussians, rows, logit):
+    logits = gaussians.opacity_logits.copy()
+    logits[rows] = logit
+    return Gaussians({**gaussians.rows, "opacity_logits": logits}, gaussians.sh_degree)
+
+
+def test_dead_gaussians_change_no_pixel(float_device, city):
+    gaussians = strewn(city, 3000, 0)
+    threshold = np.log(1 / 254)  # of the logit of 1/255
+    dead = np.arange(0, 3000, 3)
+    gaussians = faint(gaussians, dead, threshold - 1e-3)
+    gaussians = faint(gaussians, dead + 1, threshold + 1e-3)
+    keep = thin.alive(gaussians)
+    assert np.array_equal(np.flatnonzero(~keep), dead)
+    renderer, camera = Renderer(float_device, 0, city.near_plane), city.views[0].camera
+    images = []
+    for rows in (gaussians.rows, {name: values[keep] for name, values in gaussians.rows.items()}):
+        held = {name: float_device.upload(values) for name, values in rows.items()}
+        frame = renderer.render(held, renderer.pack(camera), camera.width, camera.height, 0)
+        images.append(frame.image.download())
+    assert np.array_equal(*images) and images[0].std() > 0.01
+
+
+def run_with(folder, gaussians, **options):
+    run = RunFolder.create(folder)
+    run.write_options({"scene": str(CITY), "downscale": 8.0, **options})
+    run.save_model(gaussians, [5e6, 0, 0], comments=("SplatRenderMode: default",))
+    return run
+
+
+@pytest.mark.parametrize("scores, cost, degree", [
+    ((30, 30, 30, 30), 0.05, 0), ((29.94, 29.96, 29.9, 30), 0.05, 1), ((20, 21, 29.9, 30), 0.05, 3),
+    ((20, 21, 29.9, 30), 0.2, 2), ((31, 30, 30, 30), 0.0, 0), ((30, 30, 30, 30), 0.0, 3)])
+def test_the_lowest_degree_that_costs_little(tmp_path, item_device, city, monkeypatch, scores,
+                                             cost, degree):
+    def evaluated(renderer, rows, of_degree, views):
+        assert len(views) == 4  # those held out
+        return {"psnr": scores[of_degree]}
+    monkeypatch.setattr(thin, "evaluate_views", evaluated)
+    run = run_with(tmp_path, strewn(city, 20, 3))
+    assert thin.needed_sh_degree(run, item_device, cost) == (degree, list(scores))
+
+
+def test_harmonics_that_carry_nothing_are_found(tmp_path, item_device, city):
+    gaussians = strewn(city, 4400, 3)
+    gaussians.sh_rest[:, :3] = 0.3  # of the first degree
+    run = run_with(tmp_path, gaussians)
+    degree, scores = thin.needed_sh_degree(run, item_device, 0.01)
+    assert scores[1] == scores[2] == scores[3] != scores[0]
+    assert degree == (0 if scores[3] < scores[0] + 0.01 else 1)
+
+
+def test_export_leaves_out_what_carries_nothing(tmp_path, city):
+    gaussians = strewn(city, 300, 3)
+    gaussians.sh_rest[:] = np.random.default_rng(0).normal(size=gaussians.sh_rest.shape)
+    gaussians = faint(gaussians, [7, 9], -20)
+    run, output = run_with(tmp_path / "run", gaussians), tmp_path / "model.ply"
+    result = clsplat_("export", run.path, "-o", output, "--sh-degree", 2)
+    assert result.exit_code == 0, result.output
+    assert "298 gaussians, harmonics to degree 2; 2 that no view can show" in result.output
+    whole, part = read_ply(run.path / "point_cloud.ply"), read_ply(output)
+    keep = thin.alive(gaussians)
+    assert part.sh_degree == 2 and b"SplatRenderMode: default" in output.read_bytes()[:400]
+    for name, values in whole.rows.items():
+        expected = values[keep][:, :8] if name == "sh_rest" else values[keep]
+        assert np.array_equal(part.rows[name], expected), name
+    # as if it had been trained so: the bytes of a model that never had the rest
+    rows = {name: values[keep] for name, values in gaussians.rows.items()}
+    rows["sh_rest"] = rows["sh_rest"][:, :8]
+    write_ply(tmp_path / "direct.ply", Gaussians(rows, 2), [5e6, 0, 0],
+              ("SplatRenderMode: default",))
+    assert (tmp_path / "direct.ply").read_bytes() == output.read_bytes()
+    assert clsplat_("export", run.path, "-o", output).exit_code == 0
+    assert (read_ply(output).sh_degree, read_ply(output).count) == (3, 298)
+    for degree in ("0", "1"):
+        assert clsplat_("export", run.path, "-o", output, "--sh-degree", degree).exit_code == 0
+        assert read_ply(output).sh_degree == int(degree)
+    again = run_with(tmp_path / "small", replace_degree(gaussians, 1))
+    result = clsplat_("export", again.path, "-o", output, "--sh-degree", 3)
+    assert result.exit_code == 2 and "has harmonics up to degree 1, not 3" in result.stderr
+
+
+def replace_degree(gaussians, degree):
+    rest = gaussians.sh_rest[:, :(degree + 1) ** 2 - 1]
+    return Gaussians({**gaussians.rows, "sh_rest": rest}, degree)

@@ -1,0 +1,165 @@
+"""What parts of a training step cost, on and off: writes OUT/leave_out.md and OUT/leave_out.jsonl.
+
+    python -m tools.leave_out OUT SCENE[:DOWNSCALE][@VIEWS] ...
+
+Times steps of the real training at full size on --gaussians gaussians strewn about the sparse
+points: with everything on, without one part each, with everything off, and then with what a scene
+may need besides. A scene's first VIEWS photos stand for all where so many are asked for. Each row
+has a device of its own, so that memory is that of the row. Take it on a machine that does nothing
+else:
+
+    python -m tools.leave_out out/leave ../shared/data/caliterra data_samples/city \\
+        ../shared/data/caliterra@10
+"""
+
+import argparse
+import dataclasses
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.constrain.sphere import with_spheres
+from clsplat.device import choose_device
+from clsplat.errors import InputError
+from clsplat.io.atomic import replacing
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from clsplat.plan.rehearsal import Rehearsal, spread_out, strewn
+from clsplat.report.page import Table
+from clsplat.schedule import scaled_steps
+from clsplat.train.needs import find_needs
+from clsplat.train.photos import decode
+from tools.bench.measure import milliseconds
+from tools.evidence import markdown, outermost
+from tools.runs import Scene
+
+ON, OFF = "everything on", "everything off"
+# part -> (options with it, options without)
+PARTS = {
+    "harmonics": ({"sh_degree": 3}, {"sh_degree": 0}),
+    "antialiasing": ({"antialiased": True}, {"antialiased": False}),
+    "exposure": ({"exposure": "on"}, {"exposure": "off"}),
+    "reprojection": ({"reproject": "on"}, {"reproject": "off"}),
+    "spheres": ({"sphere": True}, {"sphere": False}),
+    "growth statistics": ({}, {}),
+}
+BESIDES = {"moments on the host": {"engine": "numpy"}, "sparse Adam": {"optimizer": "sparse"},
+           "photos streamed": {}}
+VIEWS = 10  # stepped with
+
+
+def main(argv):
+    given = _parser().parse_args(argv)
+    if given.gaussians < 2 or given.repeats < 1:
+        raise InputError("--gaussians and --repeats: want at least 2 and 1")
+    scenes = [_scene(text) for text in given.scenes]
+    given.out.mkdir(parents=True, exist_ok=True)
+    records = []
+    for name, scene in scenes:
+        for row, options, parts in variants():
+            records.append({"scene": name, "variant": row,
+                            **measured(given, scene, options, parts)})
+            print(json.dumps(records[-1]), flush=True)
+            with replacing(given.out / "leave_out.jsonl") as file:
+                file.writelines((json.dumps(record) + "\n").encode() for record in records)
+    tables = [table(name, [r for r in records if r["scene"] == name]) for name, _ in scenes]
+    with replacing(given.out / "leave_out.md") as file:
+        file.write(("# What parts of a step cost\n\n" + "\n\n".join(map(markdown, tables)) + "\n"
+                    ).encode())
+    print(f"{given.out / 'leave_out.md'}")
+
+
+def _parser():
+    made = argparse.ArgumentParser(description=__doc__,
+                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("out", type=Path, help="folder of what is written")
+    made.add_argument("scenes", nargs="+", metavar="SCENE[:DOWNSCALE][@VIEWS]")
+    made.add_argument("--gaussians", type=int, default=100_000, help="default 100000")
+    made.add_argument("--repeats", type=int, default=40, help="steps timed a row; default 40")
+    made.add_argument("--device", default="auto")
+    made.add_argument("--form", default="auto", choices=("auto", "item", "group"))
+    return made
+
+
+def variants():
+    """(name, options, names of the parts that are on) of each row."""
+    def options(on):
+        return {key: value for part, sides in PARTS.items()
+                for key, value in sides[part not in on].items()}
+
+    every = tuple(PARTS)
+    yield ON, options(every), every
+    for part in PARTS:
+        rest = tuple(other for other in PARTS if other != part)
+        yield f"without {part}", options(rest), rest
+    yield OFF, options(()), ()
+    for name, more in BESIDES.items():
+        yield f"off, {name}", {**options(()), **more}, (name,)
+
+
+def _scene(text):
+    """(name, Scene) of SCENE[:DOWNSCALE][@VIEWS]."""
+    path, at, views = text.partition("@")
+    if at and not (views.isdigit() and int(views) >= 2):
+        raise InputError(f"{text}: wants a whole number of views, at least 2, after @")
+    found = Scene(path)
+    scene = read_scene(found.path).reduced(found.downscale)
+    if not at:
+        return found.name, scene
+    kept = int(views)
+    seen = scene.observations
+    seen = None if seen is None else seen[seen[:, 1] < kept]
+    return f"{found.name}@{views}", dataclasses.replace(scene, views=scene.views[:kept],
+                                                        observations=seen)
+
+
+def measured(given, scene, options, parts):
+    """One row's record: median and quartiles of a step's milliseconds, and the device's MiB."""
+    device = choose_device(given.device, form=given.form)
+    options = scaled_steps(resolve({}, options))
+    needs = find_needs(scene, scene.views, options)
+    gaussians = strewn(scene, given.gaussians, options.sh_degree)
+    if options.sphere:
+        gaussians = with_spheres(gaussians, options.sphere_neighbours)
+    rehearsal = Rehearsal(device, scene, scene.views, needs, gaussians,
+                          lambda device, view: device.upload(decode(view)))
+    rehearsal.use(1.0)
+    rehearsal.plan = dataclasses.replace(rehearsal.plan, gathers="growth statistics" in parts)
+    indices, regularises = spread_out(len(scene.views), VIEWS), options.reproject == "on"
+    if "photos streamed" in parts:
+        def steps(index):
+            rehearsal.prepare(index, regularises)()
+    else:
+        ready = {index: rehearsal.prepare(index, regularises) for index in indices}
+
+        def steps(index):
+            ready[index]()
+    turns = itertools.cycle(indices)
+    times = milliseconds(device, lambda: steps(next(turns)), given.repeats, warm_up=len(indices))
+    low, median, high = np.percentile(times, (25, 50, 75))
+    camera = scene.views[0].camera
+    return {"gaussians": given.gaussians, "views": len(scene.views), "width": camera.width,
+            "height": camera.height, "device": device.name, "form": device.form,
+            "driver": device.handle.driver_version, "median_ms": round(float(median), 3),
+            "quartiles_ms": [round(float(low), 3), round(float(high), 3)], "repeats": len(times),
+            "device_mib": round(device.memory_bytes / 2**20, 1)}
+
+
+def table(name, records):
+    """A report.page.Table: a row a variant, what it saves of everything on."""
+    full = next(record for record in records if record["variant"] == ON)
+    rows = [(r["variant"], f"{r['median_ms']:.2f}",
+             f"{r['quartiles_ms'][0]:.2f} to {r['quartiles_ms'][1]:.2f}",
+             f"{full['median_ms'] / r['median_ms']:.2f}", f"{r['device_mib']:.0f}",
+             f"{r['device_mib'] - full['device_mib']:+.0f}") for r in records]
+    return Table(
+        f"{name}, {full['width']}x{full['height']}, {full['gaussians']:,} gaussians",
+        ("", "ms a step", "quartiles", "times faster", "MiB", "to everything on"), rows,
+        range(1, 6), (f"{full['device']}, form {full['form']}, driver {full['driver']}; "
+                      f"{full['repeats']} steps a row on at most {VIEWS} photos.",))
+
+
+if __name__ == "__main__":
+    outermost(main)
