@@ -18,10 +18,11 @@ VALUES = Kernel("frequency.cl", "frequency_values", maxima=("real", TERMS), sums
                 values=("real", len(VARIANTS), len(AXES)))
 
 
-def scene_frequency(device, rows):
+def scene_frequency(device, rows, unit=1.0):
     """{"paper_mean": float, ...}: nine scene frequencies, in 1 / world unit; waits.
 
-    rows: field name -> Array, of which log_scales real[N, 3] and opacity_logits real[N] are read.
+    rows: field name -> Array, of which log_scales real[N, 3] and opacity_logits real[N] are read;
+    unit: world units that one of theirs stands for.
     Keys are a variant and an axis. Variants: `paper`, weighted by squared opacity and determinant
     (SIG, ICLR 2026); `release`, one over the mean sigma, as its released code; `robust`, ours, one
     over the mean sigma weighted by opacity, so that what cannot be seen does not count. Axis: what
@@ -45,6 +46,6 @@ def scene_frequency(device, rows):
     device.launch(PARTIALS, items, group, defines, **fields, maxima=maxima, partials=partials)
     device.launch(VALUES, 1, 1, defines, maxima=maxima, sums=sum_columns(device, partials),
                   values=values)
-    return {f"{variant}_{axis}": float(value)
+    return {f"{variant}_{axis}": float(value) / unit
             for variant, line in zip(VARIANTS, values.download())
             for axis, value in zip(AXES, line)}

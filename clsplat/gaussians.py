@@ -97,6 +97,15 @@ class Gaussians:
         }
         return cls(rows, sh_degree)
 
+    def scaled(self, factor):
+        """The same gaussians in a frame whose coordinates are `factor` times as large."""
+        rows = dict(self.rows)
+        for name in ("positions", "anchors", "max_offsets"):
+            if name in rows:
+                rows[name] = (rows[name] * np.float64(factor)).astype(np.float32)
+        rows["log_scales"] = (rows["log_scales"] + np.log(factor)).astype(np.float32)
+        return Gaussians(rows, self.sh_degree)
+
 
 def neighbour_distance(points, neighbours=3):
     """Root mean square distance float64[N] of each point to its nearest neighbours, world units.
@@ -138,7 +147,9 @@ def _distances(points, neighbours):
         raise InputError(
             f"the sparse model's {len(points)} points all lie at one place; "
             "reconstruct the scene again, or check the units of its points")
-    size = float(np.linalg.norm(np.ptp(distinct, axis=0)))
+    # a bad match far away must not make the others coincide
+    typical = np.median(np.linalg.norm(distinct - np.median(distinct, axis=0), axis=1))
+    size = min(np.linalg.norm(np.ptp(distinct, axis=0)), 10 * typical)
     k = min(neighbours, len(distinct) - 1)
     distance = cKDTree(distinct).query(distinct, k=k + 1)[0][:, 1:]
     return distance, inverse.reshape(-1), MINIMUM_DISTANCE * size

@@ -8,6 +8,9 @@ import numpy as np
 from clsplat.camera import Camera, scene_extent
 
 NEAR_SHARE = 1 / 500  # of the extent: holds for scenes in any unit
+# cameras this much closer together than the points are away (or agreeing but for rounding) say
+# nothing about the scene's size: half a pixel then is half the depth at a focal length of 1000
+LEAST_PARALLAX = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +29,10 @@ class View:
 class Scene:
     """Views sorted by name, and sparse points.
 
-    points: float64[N, 3]; colours: uint8[N, 3]; offset: float64[3], what was subtracted from the
-    original world coordinates (`original = local + offset`); kept so that exports restore it;
-    path: where it was read from; observations: int32[M, 2], rows (point, view) that say which view
-    the sparse model saw a point in, each once, sorted; None where the file does not tell.
+    points: float64[N, 3]; colours: uint8[N, 3]; offset: float64[3], and unit, say where the
+    original world coordinates are (`original = offset + unit * local`), so that exports restore
+    them; path: where it was read from; observations: int32[M, 2], rows (point, view) that say which
+    view the sparse model saw a point in, each once, sorted; None where the file does not tell.
     """
 
     name: str
@@ -39,14 +42,26 @@ class Scene:
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
     path: Path = Path()
     observations: np.ndarray | None = None
+    unit: float = 1.0
 
     @property
     def extent(self):
-        """World units; see `camera.scene_extent`. Falls back to the cloud where cameras agree."""
+        """World units; see `camera.scene_extent`. The distance of the points where cameras agree.
+        """
         extent = scene_extent([view.camera for view in self.views])
-        if extent > 0:
-            return extent
-        return 1.1 * float(np.linalg.norm(self.points - self.points.mean(0), axis=1).max())
+        return extent if self.parallax >= LEAST_PARALLAX else self._distance
+
+    @property
+    def parallax(self):
+        """How far apart the cameras are for the distance of the points."""
+        return scene_extent([view.camera for view in self.views]) / max(
+            self._distance, np.finfo(float).tiny)
+
+    @property
+    def _distance(self):
+        """Median distance of a point from the middle of the cameras, world units."""
+        middle = np.mean([view.camera.position for view in self.views], axis=0)
+        return float(np.median(np.linalg.norm(self.points - middle, axis=1)))
 
     @property
     def near_plane(self):
@@ -72,3 +87,12 @@ class Scene:
         return replace(
             self, points=self.points - offset, offset=self.offset + offset,
             views=tuple(replace(v, camera=v.camera.shifted(offset)) for v in self.views))
+
+    def normalised(self):
+        """The scene in units of its extent: what is then computed in float32 is the same whatever
+        unit the original coordinates have."""
+        extent = self.extent
+        return replace(
+            self, points=self.points / extent, unit=self.unit * extent, views=tuple(
+                replace(v, camera=replace(v.camera, translation=v.camera.translation / extent))
+                for v in self.views))

@@ -38,7 +38,7 @@ class DeviceAdam:
     """Moments on the device. `m`, `v`: field name -> Array shaped as the parameter."""
 
     def __init__(self, device, rows, dense=False):
-        self.device, self.dense = device, dense
+        self.device, self.dense, self.count = device, dense, len(rows["positions"])
         self.m = {name: device.zeros(array.shape) for name, array in rows.items()}
         self.v = {name: device.zeros(array.shape) for name, array in rows.items()}
 
@@ -73,7 +73,9 @@ class DeviceAdam:
         for moments in (self.m, self.v):
             for name, old in moments.items():
                 new = self.device.zeros((capacity, *old.shape[1:]))
-                moments[name] = gather(self.device, old, source.narrow(kept), new)
+                moments[name] = gather(self.device, old.narrow(self.count), source.narrow(kept),
+                                       new)
+        self.count = len(source)
 
     def reset(self, name):
         """Forget the moments of one field."""

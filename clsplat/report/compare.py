@@ -7,11 +7,12 @@ from pathlib import Path
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.report.curves import curve, reached, spread, value_at
-from clsplat.report.figures import comparison_figure
+from clsplat.report.figures import comparison_figure, cost_figure
 from clsplat.report.groups import KEYS, differing, grouped, read_runs, title, warnings
 from clsplat.report.page import Table, folded, page, picture, warning
 
 SCORES = ("psnr_cc", "psnr", "ssim_cc", "ssim")
+COSTS = ("pixel_pairs", "kernel_bytes")
 STEP = 0.5  # dB: levels chosen from the data are multiples of it
 
 
@@ -29,7 +30,7 @@ def write_comparison(paths, folder=None, levels=()):
         result["warnings"].append(f"Left out, no metrics yet: {', '.join(empty)}.")
     final, time = final_table(result), time_table(result)
     different, equal = equality_tables(groups)
-    figure = comparison_figure(groups, result["levels"])
+    figure, costs = comparison_figure(groups, result["levels"]), cost_figure(groups)
     folder = Path(folder or parent)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -48,7 +49,9 @@ def write_comparison(paths, folder=None, levels=()):
         "render's colours to its photo.",
         *map(warning, result["warnings"]),
         picture(figure, "PSNR, SSIM and number of gaussians over training time, by group"),
-        final.html(), time.html(), different.html(), folded(equal.title, equal.html()))
+        final.html(), time.html(),
+        picture(costs, "PSNR over pairs of gaussian and pixel, and over bytes") if costs else "",
+        different.html(), folded(equal.title, equal.html()))
     with replacing(folder / "compare.html") as file:
         file.write(html.encode())
     # what matters most comes last: a terminal shows the end
@@ -109,11 +112,15 @@ def final_table(result):
             *(_with_spread(mean[key], deviation[key], digits)
               for key, digits in zip(SCORES, (2, 2, 4, 4))),
             "-" if mean["gaussians"] is None else f"{mean['gaussians']:,.0f}",
-            _with_spread(mean["train_seconds"], deviation["train_seconds"], 1)))
+            _with_spread(mean["train_seconds"], deviation["train_seconds"], 1),
+            *("-" if mean[key] is None else f"{mean[key]:.3g}" for key in COSTS)))
     return Table("At the end", ("group", "runs", "seeds", "PSNR cc, dB", "PSNR, dB", "SSIM cc",
-                                "SSIM", "gaussians", "training, s"), rows, range(3, 9),
+                                "SSIM", "gaussians", "training, s", "pairs", "bytes"),
+                 rows, range(3, 11),
                  ("cc: after the colour fit. ± is the standard deviation over the runs of a group.",
-                  ))
+                  "What training cost on any machine: pairs of gaussian and pixel, all those of a "
+                  "tile that the gaussian meets; bytes of the arrays given to kernels, once a "
+                  "launch."))
 
 
 def time_table(result):
@@ -175,7 +182,7 @@ def _numbers(run, levels, shortest):
     line = _psnr(run)
     crossings = [reached(line, level) or (None, False) for level in levels]
     numbers = {key: _last(run.records, key, "eval") for key in SCORES}
-    numbers |= {key: _last(run.records, key) for key in ("gaussians", "train_seconds")}
+    numbers |= {key: _last(run.records, key) for key in ("gaussians", "train_seconds", *COSTS)}
     numbers["psnr_cc_at_equal_seconds"] = None if shortest is None else value_at(line, shortest)
     return {"folder": run.name, "seed": run.options.get("seed"), "finished": run.finished,
             **numbers, "best_psnr_cc": float(max(line[1])) if len(line[1]) else None,

@@ -29,17 +29,10 @@ def comparison_figure(groups, levels):
         figure = Figure(figsize=(10, 9.6), layout="constrained")
         panels = figure.subplots(3, 1, sharex=True, height_ratios=(1.6, 1, 1))
         for number, (name, runs) in enumerate(groups.items()):
-            style = {"color": COLOURS[number % len(COLOURS)],
-                     "linestyle": DASHES[number // len(COLOURS) % len(DASHES)]}
             for axes, key, event in zip(panels, ("psnr_cc", "ssim_cc", "gaussians"),
                                         ("eval", "eval", None)):
                 lines = [curve(run.records, "train_seconds", key, event) for run in runs]
-                x, mean, low, high = band(lines)
-                axes.plot(x, mean, label=name, **style)
-                axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0)
-                if event:
-                    for line in lines:
-                        axes.plot(*line, ".", color=style["color"], markersize=4, alpha=0.6)
+                _draw_band(axes, lines, name, number, dots=event)
         titles = ("PSNR after the colour fit, dB", "SSIM after the colour fit", "gaussians")
         for axes, title in zip(panels, titles):
             axes.set_title(title)
@@ -53,6 +46,42 @@ def comparison_figure(groups, levels):
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left",
                       ncols=min(len(groups), 4))
     return figure
+
+
+def cost_figure(groups):
+    """Colour-corrected PSNR over what no machine's noise touches, drawn as in `comparison_figure`:
+    pairs of gaussian and pixel, and bytes; None where no run has counted them."""
+    axes_of = (("pixel_pairs", "pairs of gaussian and pixel"),
+               ("kernel_bytes", "bytes of the arrays given to kernels"))
+    lines = {key: {name: [curve(run.records, key, "psnr_cc", "eval") for run in runs]
+                   for name, runs in groups.items()} for key, _ in axes_of}
+    if not any(len(x) for by_name in lines.values() for group in by_name.values()
+               for x, _ in group):
+        return None
+    with matplotlib.rc_context(LOOK):
+        figure = Figure(figsize=(10, 4), layout="constrained")
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, (key, label) in zip(panels, axes_of):
+            for number, (name, group) in enumerate(lines[key].items()):
+                _draw_band(axes, group, name, number, dots=True)
+            axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
+            axes.set_xlim(left=0)
+            axes.set_xlabel(label)
+        panels[0].set_title("PSNR after the colour fit, dB")
+        panels[1].legend(loc="lower right")
+    return figure
+
+
+def _draw_band(axes, lines, name, number, dots):
+    """A line at the mean of a group's curves, a band from the lowest to the highest, and a dot at
+    every point; colour and dashes are those of group `number`."""
+    style = {"color": COLOURS[number % len(COLOURS)],
+             "linestyle": DASHES[number // len(COLOURS) % len(DASHES)]}
+    x, mean, low, high = band(lines)
+    axes.plot(x, mean, label=name, **style)
+    axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0)
+    for line in lines if dots else ():
+        axes.plot(*line, ".", color=style["color"], markersize=4, alpha=0.6)
 
 
 def score_figure(records):

@@ -28,7 +28,8 @@ def initial_gaussians(scene, options):
         if not Path(options.init).is_file():
             raise InputError(
                 f"{options.init}: no such file; --init wants sfm, random or a PLY file")
-        gaussians = of_degree(read_ply(options.init, scene.offset), options.sh_degree)
+        given = read_ply(options.init, scene.offset).scaled(1 / scene.unit)
+        gaussians = of_degree(given, options.sh_degree)
     constrained = options.sphere and options.schedule == "sig"
     if constrained and "anchors" not in gaussians.rows:
         gaussians = with_spheres(gaussians, options.sphere_neighbours)

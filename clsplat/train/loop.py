@@ -17,19 +17,20 @@ from clsplat.gaussians import mean_inverse_distance
 from clsplat.io.scenes import fingerprint
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
-from clsplat.options import seconds_of
 from clsplat.render.pipeline import Renderer
 from clsplat.report.run import write_report
-from clsplat.schedule import SCHEDULES, Subject, laid_over, scaled_steps
+from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.train import checkpoint
 from clsplat.train.adjacent import Adjacent
 from clsplat.train.begin import initial_gaussians
-from clsplat.train.budget import TimeBudget
+from clsplat.train.clock import Clock
 from clsplat.train.interrupt import deferred_interrupt
 from clsplat.train.model import Model
 from clsplat.train.needs import find_needs, smallest_size
 from clsplat.train.photos import Photos, decoded
+from clsplat.train.skipped import TOO_MANY
 from clsplat.train.step import Step
+from clsplat.train.warn import find_warnings
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
@@ -47,8 +48,14 @@ def train(scene, options, device, run, progress=None):
                        "fingerprint": training.fingerprint, "opencl_device": device.name,
                        "kernel_form": device.form, "extent": scene.extent,
                        "offset": scene.offset.tolist(), "needs": training.needs.found})
+    warnings = find_warnings(training.scene, training.train_views,
+                             training.step.model.rows["opacity_logits"].download())
     training.unpause()  # no time of training yet
     training.log("plan", reasons=training.needs.reasons, levels=training.schedule.levels)
+    for text in warnings:
+        training.log("warning", text=text)
+        if progress:
+            progress.message(f"warning: {text}")
     training.run_to_end()
 
 
@@ -58,13 +65,23 @@ def resume(scene, options, device, run, progress=None):
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "
                          f"{record.get('scene')}; give that one, or another --output")
+    if not (run.has_checkpoint or run.has_model):  # it was killed before its first checkpoint
+        run.rewind(-1)
+        train(scene, options, device, run, progress)
+        return
     arrays, state = run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
         raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "
                          "or start again with --overwrite")
     try:
-        training = Training(scene, options, device, run, progress,
-                            checkpoint.gaussians_of(arrays, options.sh_degree))
+        checkpoint.check_state(state)
+        gaussians = checkpoint.gaussians_of(
+            arrays, record.get("needs", {}).get("sh_degree", options.sh_degree))
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{run.path}: its checkpoint lacks a good {error}; "
+                         "start again with --overwrite") from None
+    try:
+        training = Training(scene, options, device, run, progress, gaussians)
         checkpoint.load(training, arrays, state)
     except KeyError as error:
         raise InputError(f"{run.path}: its checkpoint lacks {error}; "
@@ -79,20 +96,20 @@ def epoch_order(seed, epoch, count):
     return np.random.default_rng([seed, 1, epoch]).permutation(count)
 
 
-class Training:
+class Training(Clock):
     """The state of a run: what `take_step` changes and a checkpoint holds.
 
     gaussians: where a resumed run goes on; None begins as the options say.
     """
 
     def __init__(self, scene, options, device, run, progress, gaussians=None):
-        self.started = time.perf_counter()
+        super().__init__(device)
         self.iteration = 0
-        self.evaluated_at = self.level = None
-        self.train_seconds = self.wall_seconds = 0.0
+        self.evaluated_at = self.level = self.sums = None
         self.fingerprint = fingerprint(scene)
-        self.scene = scene = scene.reduced(options.downscale, options.max_resolution)
-        self.device, self.run, self.progress = device, run, progress
+        scene = scene.reduced(options.downscale, options.max_resolution)
+        self.scene = scene = scene.normalised()  # same steps whatever the unit of the scene
+        self.run, self.progress = run, progress
         if len(scene.views) < 2:
             raise InputError(f"{scene.name}: has a single photo; depth needs at least two from "
                              "different places, and 20 or more make a good model")
@@ -100,21 +117,22 @@ class Training:
         if not self.train_views:
             raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
                              "view; use a larger number, or 0")
-        self.needs = find_needs(scene, self.train_views, scaled_steps(options))
+        self.needs = find_needs(scene, self.train_views, scaled_steps(options), device)
         self.options = options = self.needs.options
         initial = gaussians or initial_gaussians(scene, options)
         views = self.train_views
         self.schedule = SCHEDULES[options.schedule](options, Subject(
-            smallest_size(views), initial.count, mean_inverse_distance(scene.points),
+            smallest_size(views), initial.count, mean_inverse_distance(scene.points) / scene.unit,
             lambda: decoded(views), sum(v.camera.width * v.camera.height for v in views)))
-        self.renderer = Renderer(device, options.sh_degree, options.near or scene.near_plane,
+        near = options.near / scene.unit or scene.near_plane
+        self.renderer = Renderer(device, options.sh_degree, near,
                                  options.antialiased, options.background)
         model = Model(device, initial, options.engine, options.optimizer == "dense")
         exposures = Exposures(device, len(self.train_views)) if options.exposure == "on" else None
         self.step = Step(self.renderer, model, scene.extent, options, exposures)
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
-        self.budget = self._measured_budget() if options.time_budget else None
+        self.budget = self.measured_budget() if options.time_budget else None
         self.photos = Photos(device, views, self.schedule.levels)
         self.adjacent = self.needs.neighbours and Adjacent(
             device, self.needs.neighbours, exposures, options.seed)
@@ -158,7 +176,7 @@ class Training:
             raise Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
                               f"{self.scene.path} -o {self.run.path} --resume")
         write_report(self.run)
-        gaussians = self.step.model.download()
+        gaussians = self.step.model.download().scaled(self.scene.unit)
         self.run.save_model(gaussians, self.scene.offset, self.comments(),
                             self.options.sphere_columns)
 
@@ -217,7 +235,8 @@ class Training:
         self.frequency = None
         if not (self.due(LOG_EVERY) or self.due(self.schedule.look)):
             return
-        self.frequency = scene_frequency(self.device, self.step.model.rows)
+        self.frequency = scene_frequency(self.device, self.step.model.rows,
+                                         self.scene.unit)
         if self.due(self.schedule.look):
             decision = self.schedule.observe(self.iteration, self.frequency)
             if decision:
@@ -226,81 +245,55 @@ class Training:
     def due(self, every):
         return every > 0 and self.iteration % every == 0
 
-    # --- time budget
-
-    def _measured_budget(self):
-        """A TimeBudget that knows what evaluating takes here."""
-        seconds = seconds_of(self.options.time_budget)
-        each = 0.0
-        for view in 2 * self.test_views[:1]:  # the first time builds kernels
-            begin = time.perf_counter()
-            evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree, [view])
-            each = time.perf_counter() - begin
-        return TimeBudget(seconds, each * len(self.test_views), self.elapsed(),
-                          checkpoint.size(self.step.model))
-
-    def estimate_end(self):
-        """Lay the schedule over the time that is left."""
-        self.device.finish()
-        self.budget.note_steps(self.iteration, self.level, self.stepped())
-        self.lay_over(self.budget.steps(self.iteration, self.schedule.ahead(self.iteration),
-                                        self.elapsed(), checkpoint.size(self.step.model)))
-
-    def lay_over(self, iterations):
-        """Make the whole schedule one of so many steps."""
-        self.options = laid_over(self.needs.options, iterations)
-        self.schedule.options = self.step.options = self.options
-
-    def stepped(self):
-        """`elapsed` less compiling, by which the first step would foretell a run of few."""
-        return self.elapsed() - self.device.build_seconds
-
-    def elapsed(self):
-        """Wall seconds since the run began, those before a resume included."""
-        return self.wall_seconds + time.perf_counter() - self.started
-
     # --- records
 
     def log(self, event, **values):
         """One record of metrics.jsonl; its first keys are those of every record."""
         self.run.log({
             "event": event, "iteration": self.iteration,
-            "train_seconds": round(self.train_seconds + self._unpaused(), 3),
+            "train_seconds": round(self.trained(), 3),
             "wall_seconds": round(self.elapsed(), 3), "level": self.level,
-            "gaussians": self.step.model.count, **values})
+            "gaussians": self.step.model.count, "pixel_pairs": self.step.pixel_pairs,
+            "kernel_bytes": self.moved(), **values})
 
     def report(self):
         """The progress line and the step record, where they are due."""
         if not self.due(REPORT_EVERY) and self.iteration > 1:
             return
-        loss, l1, ssim = loss_value(self.sums, self.values, self.options.ssim_weight)
-        if not np.isfinite(loss):
-            raise InputError(f"{self.run.path}: the loss at step {self.iteration} is {loss}; the "
-                             "last checkpoint is kept: lower the learning rates or check the scene")
+        loss, l1, ssim = self.check()
         memory = self.device.memory_bytes
         if self.progress:
             self.progress(iteration=self.iteration, total=self.options.iterations, loss=loss,
                           gaussians=self.step.model.count, memory_bytes=memory,
                           level=self.level)
         if self.due(LOG_EVERY) or self.iteration == 1:
-            skipped = int(self.renderer.skipped.download()[0])
+            skipped, asked = self.step.skipped.close()
             self.log("step", loss=loss, l1=l1, ssim=ssim, memory_bytes=memory,
-                     skipped_rows=skipped, frequency=self.frequency,
-                     convergence=self.schedule.latest)
+                     skipped_rows=self.step.skipped.total, skipped_since=skipped,
+                     frequency=self.frequency, convergence=self.schedule.latest)
+            if self.iteration > 1 and skipped > TOO_MANY * asked:  # one view alone says little
+                raise self.broken(f"{skipped:,} of {asked:,} gradients were not finite in the "
+                                  f"{LOG_EVERY} steps to {self.iteration}")
 
-    def pause(self):
-        """Stop the training clock: what follows is not training."""
-        self.device.finish()
-        self.train_seconds += self._unpaused()
+    def check(self):
+        """(loss, l1, ssim) of the last step; waits. InputError where the loss is not finite;
+        gradients that were not are counted, and the first told of."""
+        values = loss_value(self.sums, self.values, self.options.ssim_weight)
+        if not np.isfinite(values[0]):
+            raise self.broken(f"the loss at step {self.iteration} is {values[0]}")
+        skipped = self.step.skipped
+        if skipped.look() and self.progress:
+            self.progress.message(f"step {self.iteration}: {skipped.total:,} gradients were not "
+                                  "finite and were skipped; metrics.jsonl counts on, as "
+                                  "skipped_rows")
+        return values
 
-    def unpause(self):
-        self._clock = time.perf_counter() - self.device.build_seconds
-        if self.budget:
-            self.budget.begin_steps(self.iteration, self.stepped())
-
-    def _unpaused(self):
-        """Seconds of training since `unpause`; compiling kernels is none."""
-        return time.perf_counter() - self.device.build_seconds - self._clock
+    def broken(self, what):
+        """The InputError for a training that cannot go on."""
+        kept = ("the last checkpoint is kept" if self.run.has_checkpoint
+                else "there is no checkpoint yet")
+        return InputError(f"{self.run.path}: {what}; {kept}: lower the learning rates or check "
+                          "the scene")
 
     def evaluate(self):
         """Metrics of the held-out views, outside of training time."""
@@ -323,8 +316,10 @@ class Training:
                 f"{self.step.model.count:,} gaussians, {self.train_seconds:.1f} s of training")
 
     def save(self):
-        """Write the checkpoint, outside of training time."""
+        """Write the checkpoint, outside of training time; InputError rather than a spoilt one."""
         self.pause()
+        if self.sums is not None:
+            self.check()
         begin = time.perf_counter()
         checkpoint.save(self)
         if self.budget:

@@ -55,7 +55,7 @@ class Model:
         source = self.device.upload(growth.source)
         for name, old in self._arrays.items():
             new = self.device.hold((self.capacity, *old.shape[1:]))
-            self._arrays[name] = gather(self.device, old, source, new)
+            self._arrays[name] = gather(self.device, old.narrow(self.count), source, new)
         self.adam.regrow(source, growth.kept, self.capacity)
         self.count = count
         for name, (first, values) in growth.changes.items():

@@ -10,6 +10,7 @@ from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import image_loss
 from clsplat.optimise.rates import learning_rates
 from clsplat.regularise.reproject import reproject
+from clsplat.train.skipped import Skipped
 
 RESET_OPACITY = 0.01
 
@@ -25,6 +26,8 @@ class Step:
         self.renderer, self.model, self.extent, self.options = renderer, model, extent, options
         self.device, self.exposures = renderer.device, exposures
         self.statistics = Statistics(self.device, model.count)
+        self.skipped = Skipped(renderer.skipped)
+        self.pixel_pairs = 0  # pairs of gaussian and pixel so far: all pixels of a tile it meets
 
     def take(self, iteration, plan, view, camera, photo, pair=None):
         """Step `iteration` (from 1) on one view; returns the loss sums, still on the device.
@@ -37,6 +40,7 @@ class Step:
         rows = model.rows
         frame = self.renderer.render(rows, camera, width, height, plan.degree,
                                      with_depth=pair is not None)
+        self.pixel_pairs += frame.pair_count * self.device.tile**2
         image = exposures.apply(view, frame.image) if exposures else frame.image
         sums, grad_image = image_loss(self.device, image, photo, self.options.ssim_weight)
         if exposures:
@@ -47,6 +51,7 @@ class Step:
             _, grad_depth, grad_transmittance = reproject(
                 self.device, blended.depth, blended.transmittance, photo, *pair, plan.regularises)
         gradients = self.renderer.adjoint(rows, frame, grad_image, grad_depth, grad_transmittance)
+        self.skipped.asked += len(gradients.rows)
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
         learned = {field.name: rows[field.name] for field in LEARNED}
         model.adam.step(learned, gradients, iteration, rates, self._used(plan.degree))

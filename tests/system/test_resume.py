@@ -231,7 +231,7 @@ def test_a_checkpoint_that_lacks_something_is_refused(item_device, city, tmp_pat
     arrays, state = run.load_checkpoint()
     for name in ("row.positions", "m.quaternions", "v.sh_rest", "statistics.seen_count"):
         run.save_checkpoint({key: array for key, array in arrays.items() if key != name}, state)
-        with pytest.raises(InputError, match=f"run: its checkpoint lacks '{name}'; start again"):
+        with pytest.raises(InputError, match=f"run: its checkpoint lacks a good '{name}'"):
             resume(city, options_of(), item_device, run)
 
 

@@ -18,7 +18,8 @@ from clsplat.train import loop
 from clsplat.train.begin import initial_gaussians
 from tests.tiny_training import CITY, EVENTFUL, LEVELLED, STILL, options_of, records, trained
 
-COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians"]
+COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians",
+          "pixel_pairs", "kernel_bytes"]
 
 
 def psnr_of(run):
@@ -191,14 +192,14 @@ def test_records_carry_what_reports_read(item_device, city, tmp_path):
         assert record["level"] == 1.0
     assert 0 <= every[0]["train_seconds"] < 0.01, "preparing is not training"
     for earlier, later in pairwise(every):
-        for key in ("iteration", "train_seconds", "wall_seconds"):
+        for key in ("iteration", "train_seconds", "wall_seconds", "pixel_pairs", "kernel_bytes"):
             assert earlier[key] <= later[key]
         assert later["train_seconds"] <= later["wall_seconds"]
     own = {event: set(records(run, event)[-1]) - set(COMMON)
            for event in ("plan", "step", "grow", "eval")}
     assert own == {"plan": {"reasons", "levels"},
-                   "step": {"loss", "l1", "ssim", "memory_bytes", "skipped_rows", "frequency",
-                            "convergence"},
+                   "step": {"loss", "l1", "ssim", "memory_bytes", "skipped_rows",
+                            "skipped_since", "frequency", "convergence"},
                    "grow": {"cloned", "split", "pruned"},
                    "eval": {"psnr", "ssim", "psnr_cc", "ssim_cc", "views"}}
     assert [record["iteration"] for record in records(run, "step")] == [1, 100]
@@ -210,7 +211,8 @@ def test_records_carry_what_reports_read(item_device, city, tmp_path):
 def test_levels_and_frequencies_are_recorded(levelled):
     plan, = records(levelled, "plan")
     assert levelled.records()[0] == plan and plan["iteration"] == 0
-    assert plan["levels"] == [2.0, 1.0] and set(plan["reasons"]) == {"exposure", "reproject"}
+    assert plan["levels"] == [2.0, 1.0] and set(plan["reasons"]) == {
+        "levels", "sh_degree", "antialiased", "exposure", "reproject", "engine"}
     level, = records(levelled, "level")
     assert set(level) - set(COMMON) == {"reason", "since", "rounds", "frequency", "slope",
                                         "threshold", "hits"}

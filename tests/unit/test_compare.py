@@ -11,6 +11,7 @@ from clsplat.errors import DeviceError, InputError, Interrupted
 from clsplat.io.run import RunFolder, find_runs
 from clsplat.report.compare import compare, final_table, levels_from, time_table, write_comparison
 from clsplat.report.curves import curve
+from clsplat.report.figures import cost_figure
 from clsplat.report.groups import Trained, grouped, read_runs, warnings
 from tests.made_runs import METHODS, made_run
 from tests.unit.test_report import Balanced
@@ -108,11 +109,24 @@ def test_numbers():
 
     final, time = final_table(result), time_table(result)
     assert final.rows[0][:5] == ("sig", "2", "0, 1", "25.00 ± 1.41", "24.00 ± 1.41")
-    assert final.rows[1][-2:] == ("2,000", "40.0")
+    assert final.rows[1][-4:] == ("2,000", "40.0", "-", "-")
     assert time.rows == [("sig", "12.8 ± 3.1", "-", "24.20 ± 2.55"),
                          ("dash", "≤ 10.0", "40.0", "23.80")]
     notes = " ".join(time.notes)
     assert "sig, 25 dB: not reached by 1 of 2 runs (best 24.00)" in notes and "≤:" in notes
+
+
+def test_costs():
+    costs = [{"event": "eval", "psnr_cc": 20.0 + i, "pixel_pairs": i * 10**9,
+              "kernel_bytes": i * 10**12} for i in (1, 2)]
+    counted = Trained("a", {"schedule": "sig"}, costs, True)
+    groups = grouped([counted, trained("b", schedule="dash")])
+    assert [row[-2:] for row in final_table(compare(groups)).rows] == [
+        ("2e+09", "2e+12"), ("-", "-")]
+    panels = cost_figure(groups).axes
+    assert [axes.lines[0].get_xdata().tolist() for axes in panels] == [
+        [1e9, 2e9], [1e12, 2e12]]
+    assert cost_figure(grouped([trained("b", schedule="dash")])) is None
 
 
 def test_a_run_without_evaluations():
@@ -164,7 +178,7 @@ def test_the_command(folder):
     assert "no metrics yet: sig.2" in done.output
     assert done.output.rstrip().endswith(f"page: {folder / 'compare.html'}")
     html = (folder / "compare.html").read_text()
-    assert Balanced(html).pictures == 1
+    assert Balanced(html).pictures == 2
     for words in ("At the end", "Against training time", "What differs", "What is equal",
                   "taming, 40 dB: not reached by 2 of 2 runs", "class=warning"):
         assert words in html

@@ -1,0 +1,43 @@
+"""Gradients that are not finite: the device skips their rows and counts them (cl/project.cl).
+
+The host counts the rows it asked for, so nothing waits for the device but a look now and then.
+"""
+
+import numpy as np
+
+# Share of the rows between two records above which training stops. Runs that go well skip none, a
+# few broken gaussians make some in a million. A skipped gaussian stays as it is, and all that it
+# overlaps learns to make up for it: with one in a hundred the result is no longer the scene.
+TOO_MANY = 0.01
+
+
+class Skipped:
+    """counter: uint[1] on the device, rows skipped so far, modulo 2^32.
+
+    total: rows skipped in the whole run, as of the last `look`; asked: rows of gradients since the
+    last `close`, to be kept up to date.
+    """
+
+    def __init__(self, counter):
+        self._counter = counter
+        self.total = self.asked = self._closed = 0
+
+    def look(self):
+        """Bring `total` up to date, and whether it has left zero; waits."""
+        before = self.total
+        self.total += (int(self._counter.download()[0]) - before) % 2**32
+        return self.total > before == 0
+
+    def close(self):
+        """(skipped, asked) since the last `close`, as of the last `look`."""
+        since = self.total - self._closed, self.asked
+        self._closed, self.asked = self.total, 0
+        return since
+
+    def state(self):
+        """What a checkpoint must hold, for JSON, as of the last `look`."""
+        return {"total": self.total, "closed": self._closed, "asked": self.asked}
+
+    def load(self, state):
+        self.total, self._closed, self.asked = state["total"], state["closed"], state["asked"]
+        self._counter.write(np.array([self.total % 2**32], np.uint32))
