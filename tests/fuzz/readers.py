@@ -175,8 +175,8 @@ def _made_checkpoints(folder):
         run.save_checkpoint(arrays, {
             "fingerprint": "ab" * 32, "iteration": 7, "evaluated_at": None, "level": 2.0,
             "train_seconds": 1.5, "wall_seconds": 2.5, "kernel_bytes": 3, "pixel_pairs": 4,
-            "initial_count": 4, "skipped": {"total": 0, "closed": 0, "asked": 0}, "schedule": {"rounds": 1},
-            "budget": None})
+            "initial_count": 4, "schedule": {"rounds": 1}, "budget": None,
+            "skipped": {"total": 0, "closed": 0, "asked": 0}})
         yield seed
 
 

@@ -32,5 +32,6 @@ def test_some_mutations():
 
 
 @pytest.mark.slow
-def test_20000_mutations_a_reader():
-    print(fuzzed("--count", 20000, "--seed", 1, seconds=1800))
+def test_more_mutations():
+    """`python -m tests.fuzz --count 20000` is the long way."""
+    fuzzed("--count", 2000, "--seed", 1, seconds=600)
