@@ -113,6 +113,8 @@ def _levels(views, options):
 
 def _degree(spread, options):
     """Of the harmonics."""
+    if options.sh_degree == HIGHEST_DEGREE:
+        return Part(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: all, the default")
     if options.sh_degree != AUTO:
         return _asked(options.sh_degree)
     if not len(spread.cap):

@@ -163,7 +163,14 @@ def test_flights_and_walks_keep_all_harmonics(name, drift):
     assert found(read_scene(path), sh_degree="auto").options.sh_degree == 3
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_all_harmonics_are_the_default(city, drift):
+    drift(0.0)
+    result = found(city)
+    assert result.options.sh_degree == 3 and not result.parts["sh_degree"].asked
+    assert result.reasons["sh_degree"] == "3: all, the default"
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
 def test_a_degree_that_is_asked_for_is_used(city, drift, degree):
     drift(0.0)
     result = found(city, sh_degree=degree)
