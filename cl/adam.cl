@@ -10,6 +10,7 @@
 #include "real.h"
 #include "each.h"
 #define NO_ROW UINT_MAX
+#define NOT_FINITE (UINT_MAX - 1)
 #define ONE_MINUS_BETA1 0.1 // written out: in single precision the difference loses digits
 #define ONE_MINUS_BETA2 0.001
 #define EPSILON 1e-15 // Kerbl et al. (2023)
@@ -76,7 +77,8 @@ __kernel void adam_rows(uint count, uint stride, uint used, real rate, real corr
     }
 }
 
-// Every row: places: uint[N], the gradient's row of each parameter row, NO_ROW where it is zero.
+// Every row: places: uint[N], the gradient's row of each parameter row, NO_ROW where it is zero;
+// where it was NOT_FINITE the row and its moments stay as they are.
 __kernel void adam_all(uint count, uint stride, uint used, real rate, real correction,
                        __global const uint *restrict places, __global const real *restrict gradient,
                        __global real *restrict parameter, __global real *restrict m,
@@ -84,18 +86,18 @@ __kernel void adam_all(uint count, uint stride, uint used, real rate, real corre
 {
     FOR_EACH(i, OWN_ELEMENTS(count, used)) {
         const ulong own = OWN_ROW(i, used);
-        const bool has = places[own] != NO_ROW;
-        update_columns(OWN_COLUMNS(i, used), has, gradient + (has ? (ulong)places[own] * stride : 0),
-                       own * stride, rate, correction, parameter, m, v);
+        const uint place = places[own];
+        const bool has = place != NO_ROW;
+        if (place != NOT_FINITE)
+            update_columns(OWN_COLUMNS(i, used), has, gradient + (has ? (ulong)place * stride : 0),
+                           own * stride, rate, correction, parameter, m, v);
     }
 }
 
-// places[rows[i]] = i; places holds NO_ROW elsewhere.
-__kernel void invert_rows(uint count, __global const uint *restrict rows,
-                          __global uint *restrict places)
+// places[visible[i]] = i, or NOT_FINITE where rows[i] is NO_ROW; places holds NO_ROW elsewhere.
+__kernel void invert_rows(uint count, __global const uint *restrict visible,
+                          __global const uint *restrict rows, __global uint *restrict places)
 {
-    FOR_EACH(i, count) {
-        if (rows[i] != NO_ROW)
-            places[rows[i]] = i;
-    }
+    FOR_EACH(i, count)
+        places[visible[i]] = rows[i] == NO_ROW ? NOT_FINITE : i;
 }

@@ -78,26 +78,29 @@ __kernel void exposure_adjoint(uint pixels, uint view, uint blocks,
 }
 #else
 #include "group.h"
-DEFINE_GROUP_SUM(group_sum, real)
+DEFINE_LANE_SUM(lane_sum, real)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void exposure_adjoint(uint pixels, uint view, uint blocks, __global const real *restrict transforms,
                       __global const real *restrict image, __global const real *restrict grad,
                       __global real *restrict grad_image, __global real *restrict partials)
 {
-    __local real scratch[GROUP];
+    __local real scratch[LANES];
     const ulong block = get_group_id(0), begin = block * BLOCK;
-    real e[ENTRIES], sums[ENTRIES];
+    real e[ENTRIES], sums[GROUP_LANES][ENTRIES], lanes[GROUP_LANES];
     for (int k = 0; k < ENTRIES; k++) {
         e[k] = transforms[view * ENTRIES + k];
-        sums[k] = 0;
+        for (uint own = 0; own < GROUP_LANES; own++)
+            sums[own][k] = 0;
     }
-    FOR_GROUP(i, min((ulong)BLOCK, pixels - begin)) {
+    FOR_LANES(i, own, min((ulong)BLOCK, pixels - begin)) {
         const ulong p = begin + i;
-        pixels1(pixels, e, image + p, grad + p, grad_image + p, sums);
+        pixels1(pixels, e, image + p, grad + p, grad_image + p, sums[own]);
     }
     for (int k = 0; k < ENTRIES; k++) {
-        const real total = group_sum(sums[k], scratch);
+        for (uint own = 0; own < GROUP_LANES; own++)
+            lanes[own] = sums[own][k];
+        const real total = lane_sum(lanes, scratch);
         if (get_local_id(0) == 0)
             partials[block * ENTRIES + k] = total;
     }
@@ -105,9 +108,10 @@ void exposure_adjoint(uint pixels, uint view, uint blocks, __global const real *
 #endif
 
 // One step of Adam (Kingma & Ba 2015) on the row of `view`, by one work-item: twelve numbers that
-// only count if all are finite. The loss has the penalty pull mean((E - I)^2) beside the image's
-// gradient `totals`; the bias corrections go by the row's own steps. m, v: real[V, 12], counts:
-// uint[V]. log(beta) and 1 - beta are written out: in single precision 1 - 0.999^t loses digits.
+// only count if all are finite; else the row stays and `skipped` counts it. The loss has the penalty
+// pull mean((E - I)^2) beside the image's gradient `totals`; the bias corrections go by the row's own
+// steps. m, v: real[V, 12], counts: uint[V]. log(beta) and 1 - beta are written out: in single
+// precision 1 - 0.999^t loses digits.
 #define ONE_MINUS_BETA1 0.1
 #define ONE_MINUS_BETA2 0.001
 #define LOG_BETA1 -0.10536051565782628
@@ -116,7 +120,8 @@ void exposure_adjoint(uint pixels, uint view, uint blocks, __global const real *
 
 __kernel void exposure_step(uint view, real rate, real pull, __global const real *restrict totals,
                             __global real *restrict transforms, __global real *restrict m,
-                            __global real *restrict v, __global uint *restrict counts)
+                            __global real *restrict v, __global uint *restrict counts,
+                            __global uint *restrict skipped)
 {
     if (get_global_id(0) > 0)
         return;
@@ -127,8 +132,10 @@ __kernel void exposure_step(uint view, real rate, real pull, __global const real
     for (int k = 0; k < ENTRIES; k++) {
         const real from_identity = transforms[k] - (k % 5 == 0 ? 1 : 0);
         gradient[k] = totals[k] + pull * 2 / ENTRIES * from_identity;
-        if (!isfinite(gradient[k] * gradient[k])) // an infinite v would never heal
+        if (!isfinite(gradient[k] * gradient[k])) { // an infinite v would never heal
+            ++*skipped;
             return;
+        }
     }
     const uint step = ++counts[view];
     const real correction1 = -expm1(step * (real)LOG_BETA1);

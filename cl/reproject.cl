@@ -19,13 +19,16 @@
 #define BYTE ((real)(1.0 / 255))
 
 #if FORM_ITEM
-#define FOR_ROW(x, width) for (int x = 0; x < (width); x++)
-#define ROW_SUM(value) (value)
+#define FOR_ROW(x, own, width)                                                                     \
+    const uint own = 0;                                                                            \
+    for (int x = 0; x < (width); x++)
+#define GROUP_LANES 1
+#define ROW_SUM(values) (*(values))
 #else
 #include "group.h"
-DEFINE_GROUP_SUM(group_sum, real)
-#define FOR_ROW(x, width) FOR_GROUP(x, (uint)(width))
-#define ROW_SUM(value) group_sum(value, scratch)
+DEFINE_LANE_SUM(lane_sum, real2)
+#define FOR_ROW(x, own, width) FOR_LANES(x, own, (uint)(width))
+#define ROW_SUM(values) lane_sum(values, scratch)
 #endif
 
 // |colour difference|^2 and 1 of one pixel and the gradients by its depth and T, or zeros.
@@ -88,22 +91,25 @@ void reproject(int width, int height, int neighbour_width, int neighbour_height,
                __global real *restrict grad_transmittance, __global real *restrict partials)
 {
 #if !FORM_ITEM
-    __local real scratch[GROUP];
+    __local real2 scratch[LANES];
 #endif
     const int row = get_group_id(0);
-    real2 sum = (real2)(0);
-    FOR_ROW(x, width) {
+    real2 sums[GROUP_LANES];
+    for (uint lane = 0; lane < GROUP_LANES; lane++)
+        sums[lane] = (real2)(0);
+    FOR_ROW(x, own, width) {
         const long pixel = (long)row * width + x;
         real2 grads;
-        sum += reproject_pixel(x, row, width, height, neighbour_width, neighbour_height, depth[pixel],
-                               transmittance[pixel], photo, neighbour, geometries + 12 * (ulong)pair,
-                               colours + 12 * (ulong)pair, &grads);
+        sums[own] += reproject_pixel(
+            x, row, width, height, neighbour_width, neighbour_height, depth[pixel],
+            transmittance[pixel], photo, neighbour, geometries + 12 * (ulong)pair,
+            colours + 12 * (ulong)pair, &grads);
         grad_depth[pixel] = grads.x;
         grad_transmittance[pixel] = grads.y;
     }
-    const real squares = ROW_SUM(sum.x), valid = ROW_SUM(sum.y);
+    const real2 total = ROW_SUM(sums);
     if (get_local_id(0) == 0)
-        vstore2((real2)(squares, valid), row, partials);
+        vstore2(total, row, partials);
 }
 
 // The gradients of the sum of squares to those of weight times its mean, in place.

@@ -6,6 +6,7 @@ from clsplat.primitives.reduce import sum_columns
 VARIANTS = ("paper", "release", "robust")
 AXES = ("mean", "max", "min")  # over a gaussian's three axes, of 1 / sigma
 ROWS_AN_ITEM = 128  # few, so that single precision can add them up
+LARGEST_GROUP = 256  # whose items come together, whatever the group: the same sums of each
 TERMS, SUMS = 11, 12  # columns; frequency.cl has the same
 
 _ROWS = dict(count="uint", log_scales=("real", "N", 3), opacity_logits=("real", "N"))
@@ -32,9 +33,9 @@ def scene_frequency(device, rows, unit=1.0):
     single precision cannot hold; where none counts, all values are nan.
     """
     count = len(rows["opacity_logits"])
-    group = 1 if device.form == "item" else device.group_size
-    items = (count // (ROWS_AN_ITEM * group) + 1) * group
     lanes = device.scan_group
+    group, together = (1, 1) if device.form == "item" else (lanes, LARGEST_GROUP)
+    items = (count // (ROWS_AN_ITEM * together) + 1) * together
     defines = (("GROUP", lanes),)
     fields = dict(count=count, log_scales=rows["log_scales"],
                   opacity_logits=rows["opacity_logits"])

@@ -122,8 +122,9 @@ def adam(device):
             expected[f.name][seen[1:]], *moments[f.name][:, seen[1:]] = adam_update(
                 expected[f.name][seen[1:]], gradient[1:], *moments[f.name][:, seen[1:]], step,
                 f.rate)
+        visible = device.upload(seen)
         seen[0] = NO_ROW
-        gradients = Gradients(fields, device.zeros((40, 2)), device.upload(seen))
+        gradients = Gradients(fields, device.zeros((40, 2)), device.upload(seen), visible)
         engine.step(rows, gradients, step, rates, {f.name: f.width(1) for f in LEARNED})
     error = max(_relative(rows[name].download().reshape(50, -1), values)
                 for name, values in expected.items())
@@ -134,7 +135,8 @@ def statistics(device):
     rng = np.random.default_rng(6)
     means, seen = rng.normal(size=(40, 2)), rng.permutation(50)[:40].astype(np.uint32)
     found = Statistics(device, 50)
-    found.accumulate(Gradients({}, device.upload(means), device.upload(seen)), 90, 70)
+    rows = device.upload(seen)
+    found.accumulate(Gradients({}, device.upload(means), rows, rows), 90, 70)
     expected = np.zeros(50)
     expected[seen] = np.linalg.norm(means * (45, 35), axis=1)
     return _relative(found.mean_gradient(), expected), 1e-6, "relative error"

@@ -47,7 +47,8 @@ class Device:
         # sizes change from view to view: coarse bins (two an octave) are reused, fine ones pile up
         self._pool = cl.tools.MemoryPool(
             cl.tools.ImmediateAllocator(self.queue), leading_bits_in_bin_id=1)
-        self._held = weakref.WeakSet()
+        self._held = Held()
+        self.peak_bytes = 0  # the most that `memory_bytes` was, as seen by it and by `hold`
         self._kernels = {}
         self._programs = {}
         self.build_seconds = 0.0  # spent on compiling so far
@@ -66,17 +67,24 @@ class Device:
     @property
     def memory_bytes(self):
         """Device memory now held by long-lived arrays and by the pool of short-lived ones."""
-        return self._pool.managed_bytes + sum(array.nbytes for array in self._held)
+        held = self._pool.managed_bytes + self._held.nbytes
+        self.peak_bytes = max(self.peak_bytes, held)
+        return held
 
     def empty(self, shape, dtype=None):
         """Uninitialised Array for a step's work, from the pool; dtype None is the device's real."""
         return self._allocate(shape, dtype, self._pool.allocate)
+
+    def trim(self):
+        """Give back what the pool keeps for arrays of sizes that are no longer asked for."""
+        self._pool.free_held()
 
     def hold(self, shape, dtype=None):
         """Uninitialised Array that lives long: as large as it must be, and not from the pool."""
         array = self._allocate(
             shape, dtype, lambda size: cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size))
         self._held.add(array)
+        self.peak_bytes = max(self.peak_bytes, self.memory_bytes)
         return array
 
     def _allocate(self, shape, dtype, allocate):
@@ -175,3 +183,18 @@ class Device:
                 times.setdefault(function, []).append(seconds)
         finally:
             self._profile = None
+
+
+class Held:
+    """nbytes: of the arrays added that are still alive; kept up to date, as there may be thousands.
+    """
+
+    def __init__(self):
+        self.nbytes = 0
+
+    def add(self, array):
+        self.nbytes += array.nbytes
+        weakref.finalize(array, self._drop, array.nbytes).atexit = False
+
+    def _drop(self, nbytes):
+        self.nbytes -= nbytes

@@ -17,23 +17,26 @@ APPLY = Kernel("exposure.cl", "exposure_apply", **_VIEW, transforms=_ROWS, image
 ADJOINT = Kernel("exposure.cl", "exposure_adjoint", **_VIEW, blocks="uint", transforms=_ROWS,
                  image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE, partials=("real", "P", 12))
 STEP = Kernel("exposure.cl", "exposure_step", view="uint", rate="real", pull="real",
-              totals=("real", 12), transforms=_ROWS, m=_ROWS, v=_ROWS, counts=("uint", "V"))
+              totals=("real", 12), transforms=_ROWS, m=_ROWS, v=_ROWS, counts=("uint", "V"),
+              skipped=("uint", 1))
 
 
 class Exposures:
     """Colour transforms c' = M c + t of so many `views`, in display values, and their Adam.
 
-    transforms, m, v: real[V, 12], rows [M | t] of 3 x 4 in row-major order, identity at the start;
-    counts: uint[V], steps taken by each view. rate: learning rate; pull: weight in the loss of
+    transforms, m, v: real[V, 12], rows [M | t] of 3 x 4 in row-major order, which start at
+    `initial` float64[V, 3, 4], by default identities; counts: uint[V], steps taken by each view;
+    skipped: uint[1], steps not taken. rate: learning rate; pull: weight in the loss of
     mean((E - I)^2) over the 12 entries E of the view's row.
     """
 
-    def __init__(self, device, views, rate=1e-3, pull=0.01):
+    def __init__(self, device, views, rate=1e-3, pull=0.01, initial=None):
         self.device, self.rate, self.pull = device, rate, pull
-        self.transforms = device.upload(np.tile(IDENTITY.ravel(), (views, 1)))
+        self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
+        self._mean = self._recentred.reshape(views, 12).mean(axis=0)
+        self.transforms = device.upload(self._recentred.reshape(views, 12))
         self.m, self.v = device.zeros((views, 12)), device.zeros((views, 12))
-        self.counts = device.zeros(views, np.uint32)
-        self._recentred = np.tile(IDENTITY, (views, 1, 1))
+        self.counts, self.skipped = (device.zeros(n, np.uint32) for n in (views, 1))
         self._defines = (("BLOCK", BLOCK), ("GROUP", device.scan_group))
 
     def apply(self, view, image):
@@ -47,7 +50,8 @@ class Exposures:
         """real[3, H, W]: the gradient by `image`, from that by `apply(view, image)`.
 
         Then takes one step on the view's own row, unless its gradient is not finite: that leaves
-        the row, its moments and its count as they were. Nothing waits for the device.
+        the row, its moments and its count as they were, and is counted in `skipped`. Nothing waits
+        for the device.
         """
         device, pixels = self.device, _pixels(image)
         blocks = -(-pixels // BLOCK)
@@ -61,17 +65,18 @@ class Exposures:
             device.launch(ADJOINT, blocks * group, group, self._defines, **values)
         device.launch(STEP, 1, 1, self._defines, view=view, rate=self.rate, pull=self.pull,
                       totals=sum_columns(device, partials), transforms=self.transforms, m=self.m,
-                      v=self.v, counts=self.counts)
+                      v=self.v, counts=self.counts, skipped=self.skipped)
         return grad_image
 
     def recentre(self):
-        """Move all rows alike, so that their mean is the identity again; waits.
+        """Move all rows alike, so that their mean is again what it was at the start; waits.
 
         The gaussians can make up for a change common to all views, so nothing else holds it; a
-        held-out view, drawn without a transform, would show it.
+        held-out view, drawn without a transform, would show it, and so would the seam between two
+        blocks of a scene.
         """
         transforms = self.transforms.download().astype(np.float64)
-        transforms -= transforms.mean(axis=0) - IDENTITY.ravel()
+        transforms -= transforms.mean(axis=0) - self._mean
         self.transforms.write(transforms)
         self._recentred = transforms.reshape(-1, 3, 4)
 

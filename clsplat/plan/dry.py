@@ -4,11 +4,10 @@ The code that trains runs on it as it is, so the count follows whatever that cod
 how long it holds it.
 """
 
-import weakref
-
 import numpy as np
 
 from clsplat.device import Array, Device
+from clsplat.device.device import Held
 
 
 class DryDevice(Device):
@@ -22,7 +21,7 @@ class DryDevice(Device):
     def __init__(self, device):
         self.__dict__.update(device.__dict__)
         self._pool = DryPool()
-        self._held = weakref.WeakSet()
+        self._held = Held()
         self._latest = None  # function of the last kernel launched
         self.visible = self.pairs = self.peak_bytes = 0
 
@@ -100,6 +99,11 @@ class DryPool:
         else:
             self.managed_bytes += rounded
         return Block(self._free, rounded)
+
+    def free_held(self):
+        """Forget the blocks that nothing refers to."""
+        self.managed_bytes -= sum(size * count for size, count in self._free.items())
+        self._free.clear()
 
 
 class Block:

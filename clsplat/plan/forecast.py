@@ -1,10 +1,12 @@
 """What a training would leave out, and what it would take."""
 
 import dataclasses
+import functools
 
 from clsplat.errors import InputError
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.options import seconds_of
+from clsplat.plan.detail import photo_detail
 from clsplat.plan.memory import Memory, predicted_memory
 from clsplat.plan.pace import predicted_seconds
 from clsplat.schedule import SCHEDULES, laid_over, scaled_steps
@@ -44,6 +46,7 @@ class Planned:
             raise InputError(f"{scene.name}: {len(self.views)} photos to train on; wants two or "
                              "more: add photos, or use a larger --test-every")
         self.needs = find_needs(self.scene, self.views, scaled_steps(options), device)
+        self._detail = functools.cache(lambda level: photo_detail(self.views, level))
 
     def forecast(self):
         """The Forecast. Takes some real steps on the device; raises DeviceError where they, or
@@ -64,7 +67,7 @@ class Planned:
         subject = dataclasses.replace(
             subject_of(self.scene, self.views,
                        inverse_distance=mean_inverse_distance(self.scene.points)), count=count)
-        return course(SCHEDULES[options.schedule](options, subject))
+        return course(SCHEDULES[options.schedule](options, subject), self._detail)
 
     def _streaming(self, memory):
         size = 3 * sum(v.camera.width * v.camera.height for v in self.views)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsplat.plan.dry import DryDevice
-from clsplat.plan.rehearsal import Rehearsal, spread_out, strewn
+from clsplat.plan.rehearsal import Rehearsal, settled, spread_out, strewn
 from clsplat.render.pipeline import Renderer
 from clsplat.train.photos import DEVICE_SHARE, at_level
 
-VIEWS = 12  # whose frames stand for all
+VIEWS = 48  # whose frames stand for all
 STREWN = 200_000  # gaussians at most that are rendered; more are extrapolated to
 
 
@@ -41,9 +41,10 @@ class Frames:
         shown = at_level(views, level)
         measured = []
         for count in sorted({min(count, STREWN) for count in counts}):
+            cameras = [shown[index].camera for index in self.indices]
             rows = {name: device.upload(values)
                     for name, values in strewn(scene, count, 0).rows.items()}
-            found = [_frame(renderer, rows, shown[index].camera) for index in self.indices]
+            found = [settled(renderer, rows, camera) for camera in cameras]
             measured.append((count, np.maximum(found, 1)))
         self.count, self.found = measured[0]
         self.power = np.ones_like(self.found, float)
@@ -54,11 +55,6 @@ class Frames:
     def at(self, count):
         """int[K, 2]: (splats, pairs) of each of `indices`."""
         return (self.found * (count / self.count) ** self.power).astype(int)
-
-
-def _frame(renderer, rows, camera):
-    frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, 0)
-    return len(frame.visible), frame.pairs.count
 
 
 def predicted_memory(device, scene, views, needs, gaussians, stretches):

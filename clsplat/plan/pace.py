@@ -4,18 +4,21 @@ A step is taken to cost a + b * pixels + c * gaussians; the three are fitted to 
 and two numbers of gaussians, and laid over the course that the schedule is expected to go.
 """
 
+import itertools
 import time
 
 import numpy as np
 from scipy.optimize import nnls
 
-from clsplat.plan.rehearsal import Rehearsal, spread_out, strewn
+from clsplat.plan.rehearsal import Rehearsal, sized, spread_out, strewn
+from clsplat.render.pipeline import Renderer
 from clsplat.train.photos import at_level, decode
 
-STEPS = 4  # timed, after one that is not
+VIEWS = 8  # stepped with in turn
+BATCH = 0.2  # seconds at least that are timed at once, as training goes: without waiting in between
+BATCHES = 3  # whose median counts
 MORE = 4  # times the initial gaussians, at most, are stepped with
 MOST = 200_000
-PRECIOUS = 2.0  # seconds for the steps of one size: a slow device takes fewer
 
 
 def predicted_seconds(device, scene, views, needs, gaussians, stretches):
@@ -57,22 +60,27 @@ def pixels(views, level):
 
 
 def _step_seconds(device, scene, views, needs, level, count, regularises):
-    """The median of some steps' seconds on real photos."""
+    """Seconds of a step on real photos."""
+    options, chosen = needs.options, spread_out(len(views), VIEWS)
+    renderer = Renderer(device, 0, options.near / scene.unit or scene.near_plane,
+                        options.antialiased)
+    cameras = [view.camera for view in at_level([views[index] for index in chosen], level)]
     rehearsal = Rehearsal(device, scene, views, needs,
-                          strewn(scene, count, needs.options.sh_degree), _read)
+                          sized(strewn(scene, count, options.sh_degree), renderer, cameras), _read)
     rehearsal.use(level)
-    steps = [rehearsal.prepare(index, regularises) for index in spread_out(len(views), STEPS)]
-    steps[0]()  # builds kernels and fills the pool
-    device.finish()
-    times, begin = [], time.perf_counter()
-    for step in steps:
-        before = time.perf_counter()
+    steps = [rehearsal.prepare(index, regularises) for index in chosen]
+    for step in steps:  # builds kernels and fills the pool
         step()
+    device.finish()
+    turns, each = itertools.cycle(steps), []
+    for _ in range(BATCHES):
+        begin, taken = time.perf_counter(), 0
+        while time.perf_counter() - begin < BATCH:
+            next(turns)()
+            taken += 1
         device.finish()
-        times.append(time.perf_counter() - before)
-        if time.perf_counter() - begin > PRECIOUS:
-            break
-    return float(np.median(times))
+        each.append((time.perf_counter() - begin) / taken)
+    return float(np.median(each))
 
 
 def _read(device, view):

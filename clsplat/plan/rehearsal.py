@@ -14,6 +14,9 @@ from clsplat.train.model import Model
 from clsplat.train.photos import at_level
 from clsplat.train.step import Step
 
+A_SPLAT, A_TILE = 2.2, 75  # pairs
+SIZES, HALVINGS = 2.0, 6  # logarithm of the size looked for, and how often its range is halved
+
 
 class Rehearsal:
     """What `train.loop.Training` would step with, for any level and any of its views.
@@ -82,6 +85,33 @@ def strewn(scene, count, sh_degree, seed=0):
         points = np.concatenate([points, moved])
         colours = np.concatenate([colours, colours[chosen]])
     return Gaussians.from_points(points, colours, sh_degree)
+
+
+def sized(gaussians, renderer, cameras):
+    """The gaussians made larger or smaller, all alike, so that the cameras' frames have as many
+    pairs together as `settled` says."""
+    low, high = -SIZES, SIZES
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        scaled = {**gaussians.rows, "log_scales": gaussians.log_scales + np.float32(middle)}
+        rows = {name: renderer.device.upload(values) for name, values in scaled.items()}
+        pairs = sum(_frame(renderer, rows, camera).pair_count for camera in cameras)
+        wanted = sum(settled(renderer, rows, camera)[1] for camera in cameras)
+        low, high = (low, middle) if pairs > wanted else (middle, high)
+    return Gaussians(scaled, gaussians.sh_degree)
+
+
+def settled(renderer, rows, camera):
+    """(splats, pairs) of a Camera's frame, were the gaussians trained: A_SPLAT pairs a splat and
+    A_TILE a tile. Of the trained models of five scenes that was off by 26 % at most, in the mean of
+    the views and in the largest; strewn gaussians had up to 2.5 times as many."""
+    splats = len(_frame(renderer, rows, camera).visible)
+    tiles = camera.width * camera.height / renderer.device.tile**2
+    return splats, A_SPLAT * splats + A_TILE * tiles
+
+
+def _frame(renderer, rows, camera):
+    return renderer.render(rows, renderer.pack(camera), camera.width, camera.height, 0)
 
 
 def spread_out(count, most):

@@ -57,7 +57,7 @@ def reproject(device, depth, transmittance, photo, neighbour, geometries, colour
     """
     height, width = depth.shape
     _, neighbour_height, neighbour_width = neighbour.shape
-    group = 1 if device.form == "item" else device.group_size
+    group = 1 if device.form == "item" else device.scan_group
     defines = (("GROUP", group),)
     grads = dict(grad_depth=device.empty(depth.shape),
                  grad_transmittance=device.empty(depth.shape))

@@ -50,12 +50,14 @@ class Gradients:
     """Gradients of a loss by the rows that a view saw.
 
     fields: name -> real[V, *row shape]; means: real[V, 2], by the splat's mean, pixels; rows:
-    uint[V], the gaussian of each, or 2^32 - 1 where a gradient was not finite.
+    uint[V], the gaussian of each, or 2^32 - 1 where a gradient was not finite; visible: uint[V],
+    the gaussian of each, whatever its gradient.
     """
 
     fields: dict[str, Array]
     means: Array
     rows: Array
+    visible: Array
 
 
 class Renderer:
@@ -119,7 +121,7 @@ class Renderer:
             sums = self._add_band(frame, frame.pairs_of(band), grads, sums)
         return Gradients(*project_adjoint(
             device, rows, frame.visible, frame.camera, frame.degree, self._project_defines, sums,
-            self.skipped))
+            self.skipped), frame.visible)
 
     def _add_band(self, frame, pairs, grads, sums):
         """The sums of a band added to those of earlier ones."""

@@ -1,17 +1,20 @@
 """The course of a run, foretold: a schedule driven to its end without a model.
 
 What only training can tell is taken as it was in our runs: the frequency has converged as soon as
-its schedule would believe it, and gaussians ask for more along a logistic curve, whose two numbers
-were chosen on the runs named here. Where a ceiling or a budget ends growth, the end was foretold
-within 1 % (sig on boruszyn, city, and caliterra with 30,000 steps; taming on boruszyn, lund).
-Elsewhere it was 0.4 to 2.3 times the true one (sig with 7000 steps: lund 1.1, caliterra 1.4 at half
-size, 2.2 at full; constant 0.8 to 2.3; dash 0.4 to 1.7): `--max-gaussians` makes it certain.
+its schedule would believe it, and in a round of growth so many gaussians ask for more as the photos
+have fine detail. The four numbers of that were fitted to runs of 7000 steps on caliterra (half and
+full size), boruszyn, lund and the city. There the most gaussians are foretold to 1.00 to 1.05 of
+what came under sig, 0.73 to 1.42 under constant, 0.52 to 1.01 under dash, 1.00 to 1.26 under
+taming; other scenes may be off by more. `--max-gaussians` makes the end certain.
+`python -m tools.foretold` compares.
 """
 
 from dataclasses import dataclass
 
-DEMAND = 0.25  # of few gaussians, the share that asks for more in a round of growth
-CROWDED = 40  # times the initial number: so many gaussians ask for no more
+ASKS = 0.4  # share of the gaussians at most that asks for more in a round of growth
+# of a level's training pixels, the share that asks for a gaussian in a round: the power of their
+# detail, until they are sharp, and of it what is left when the position rate has decayed
+ASKED, SHARP, POWER, SETTLES = 0.009, 0.0125, 3, 0.03
 VARIANTS = ("robust", "paper", "release")
 
 
@@ -26,11 +29,16 @@ class Stretch:
     regularises: bool
 
 
-def course(schedule):
-    """[Stretch, ...] of a whole run; `schedule`, a new one, is used up."""
-    options, start = schedule.options, schedule.subject.count
+def course(schedule, detail=None):
+    """[Stretch, ...] of a whole run; `schedule`, a new one, is used up.
+
+    detail: called with a level, gives the mean difference of a photo, at that level and in 0..1, to
+    its blocks of 2 x 2 pixels; None takes photos for sharp.
+    """
+    options = schedule.options
     flat = {f"{variant}_mean": 1.0 for variant in VARIANTS}
-    count, taken = start, []
+    count, taken = schedule.subject.count, []
+    pixels = schedule.subject.pixels
     for iteration in range(1, options.iterations + 1):
         plan = schedule.plan(iteration)
         kind = plan.level, count, plan.regularises > 0
@@ -39,7 +47,9 @@ def course(schedule):
         else:
             taken.append([kind, 1])
         if plan.grows:
-            count = _grown(schedule, iteration, count, start)
+            share = 1.0 if detail is None else min(1.0, (detail(plan.level) / SHARP) ** POWER)
+            asked = ASKED * share * pixels / plan.level**2 * SETTLES**plan.decay
+            count = _grown(schedule, iteration, count, asked)
         if iteration % schedule.look == 0:
             schedule.observe(iteration, flat)
     return [Stretch(steps, *kind) for kind, steps in taken]
@@ -50,9 +60,9 @@ def largest(stretches):
     return max(stretch.gaussians for stretch in stretches)
 
 
-def _grown(schedule, iteration, count, start):
+def _grown(schedule, iteration, count, asked):
     """Gaussians after a round of growth, as `train.step.Step` chooses them."""
-    above = int(DEMAND * count * max(0.0, 1 - count / (CROWDED * start)))
+    above = int(min(asked, ASKS * count))
     target, limit = schedule.target(iteration, count, above), schedule.options.max_gaussians
     if limit:
         target = min(limit, limit if target is None else target)

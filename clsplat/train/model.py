@@ -50,6 +50,7 @@ class Model:
     def regrow(self, growth):
         """Replace the rows by those a `densify.grow.Growth` names; new rows have no moments."""
         count = len(growth.source)
+        self.device.trim()  # frames of another number of gaussians ask for other sizes
         if count > self.capacity:
             self.capacity = int(count * GROWTH_ROOM)
         source = self.device.upload(growth.source)

@@ -1,9 +1,8 @@
-"""Gradients that are not finite: the device skips their rows and counts them (cl/project.cl).
+"""Gradients that are not finite: the device skips their rows and counts them (cl/project.cl, and
+cl/exposure.cl, whose rows are colour transforms of views).
 
 The host counts the rows it asked for, so nothing waits for the device but a look now and then.
 """
-
-import numpy as np
 
 # Share of the rows between two records above which training stops. Runs that go well skip none, a
 # few broken gaussians make some in a million. A skipped gaussian stays as it is, and all that it
@@ -12,20 +11,22 @@ TOO_MANY = 0.01
 
 
 class Skipped:
-    """counter: uint[1] on the device, rows skipped so far, modulo 2^32.
+    """counters: each uint[1] on the device, rows skipped since it was made, modulo 2^32.
 
     total: rows skipped in the whole run, as of the last `look`; asked: rows of gradients since the
     last `close`, to be kept up to date.
     """
 
-    def __init__(self, counter):
-        self._counter = counter
+    def __init__(self, *counters):
+        self._counters = counters
+        self._counted = 0  # by all counters, as of the last look
         self.total = self.asked = self._closed = 0
 
     def look(self):
         """Bring `total` up to date, and whether it has left zero; waits."""
-        before = self.total
-        self.total += (int(self._counter.download()[0]) - before) % 2**32
+        before, counted = self.total, sum(int(counter.last()) for counter in self._counters)
+        self.total += (counted - self._counted) % 2**32
+        self._counted = counted
         return self.total > before == 0
 
     def close(self):
@@ -40,4 +41,3 @@ class Skipped:
 
     def load(self, state):
         self.total, self._closed, self.asked = state["total"], state["closed"], state["asked"]
-        self._counter.write(np.array([self.total % 2**32], np.uint32))

@@ -35,26 +35,27 @@ class Run:
         self.count, self.steps = count, 0
 
     def step(self, seen, used=WIDTHS, scale=1.0):
-        """One step on gradients of `seen` random rows; every fifth row is marked as not finite."""
+        """One step on gradients of `seen` random rows; every fifth row's is marked as not finite:
+        its parameters and moments stay, in a dense engine as well."""
         self.steps += 1
         rows = self.rng.permutation(self.count)[:seen].astype(np.uint32)
         fields = {name: v * scale for name, v in random_rows(seen, self.rng).items()}
         for name, values in fields.items():
             spread = np.zeros_like(self.expected[name])
             spread[rows] = values.astype(self.device.real)
-            spread[rows[::5]] = 0
-            changed = slice(None) if self.dense else np.delete(rows, np.s_[::5])
+            changed = np.setdiff1d(np.arange(self.count) if self.dense else rows, rows[::5])
             columns = slice(0, used[name])
             flat = [a.reshape(self.count, -1)[:, columns] for a in (
                 self.expected[name], spread, self.first[name], self.second[name])]
             results = adam(*flat, self.steps, RATES[name], changed)
             for target, values in zip((self.expected, self.first, self.second), results):
                 target[name].reshape(self.count, -1)[:, columns] = values
+        visible = self.device.upload(rows)
         rows[::5] = NO_ROW
         for name in fields:
             fields[name][::5] = np.nan
         gradients = Gradients({name: self.device.upload(v) for name, v in fields.items()},
-                              self.device.zeros((seen, 2)), self.device.upload(rows))
+                              self.device.zeros((seen, 2)), self.device.upload(rows), visible)
         self.engine.step(self.rows, gradients, self.steps, RATES, used)
 
     def check(self, what=""):

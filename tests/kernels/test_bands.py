@@ -149,7 +149,8 @@ class ExactPool:
     """A device's pool that does not round sizes up, and remembers how much was taken at most."""
 
     def __init__(self, device):
-        self.most, allocator = 0, cl.tools.ImmediateAllocator(device.queue)
+        self.most = self.managed_bytes = 0
+        allocator = cl.tools.ImmediateAllocator(device.queue)
         self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=20)
 
     def allocate(self, size):

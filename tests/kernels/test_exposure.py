@@ -127,6 +127,7 @@ def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot):
         after = run.exposures.download()
         assert all(np.isfinite(values).all() for values in after.values()), label
         assert after["counts"].tolist() == [int(usable), 0, 0], label
+        assert run.exposures.skipped.last() == (not usable), label
         unchanged = [np.array_equal(after[name], before[name]) for name in before
                      if name != "recentred"]
         assert any(unchanged) != usable, label
@@ -210,3 +211,16 @@ def test_the_same_bytes_every_time(device):
         results.append([exposures.adjoint(0, image, grad).download(),
                         *exposures.download().values()])
     assert all(a.tobytes() == b.tobytes() for a, b in zip(*results))
+
+
+def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
+    device = float_device
+    image, grad = (device.upload(values) for values in a_pair(173, 151))
+    results = []
+    for group in (device.scan_group, 32, 128):
+        monkeypatch.setattr(device, "scan_group", group)
+        exposures = Run(device).exposures
+        results.append([exposures.adjoint(0, image, grad).download(),
+                        *exposures.download().values()])
+    for other in results[1:]:
+        assert all(a.tobytes() == b.tobytes() for a, b in zip(results[0], other))

@@ -29,3 +29,15 @@ def test_the_same_bytes_every_time(device):
     rows = device.upload(np.random.default_rng(2).normal(size=(5000, 3)))
     first = sum_columns(device, rows).download()
     assert all(np.array_equal(first, sum_columns(device, rows).download()) for _ in range(3))
+
+
+@pytest.mark.parametrize("count", [1, 200, 5000])
+def test_groups_of_any_size_add_in_the_same_order(float_device, monkeypatch, count):
+    device = float_device
+    rows = device.upload(np.random.default_rng(3).normal(size=(count, 3)))
+    expected = sum_columns(device, rows).download()
+    for group in (32, 128):
+        assert group < device.scan_group
+        with monkeypatch.context() as patch:
+            patch.setattr(device, "scan_group", group)
+            assert sum_columns(device, rows).download().tobytes() == expected.tobytes(), group

@@ -18,10 +18,12 @@ def a_view(device, count, seen, seed):
     rows = rng.permutation(count)[:seen].astype(np.uint32)
     means = rng.normal(size=(seen, 2)) * 1e-3
     broken = rng.random(seen) < 0.2
+    seen_rows = device.upload(rows)
     spread, visible = np.zeros((count, 2)), np.zeros(count, bool)
     spread[rows[~broken]], visible[rows[~broken]] = means[~broken], True
     means[broken], rows[broken] = np.nan, NO_ROW
-    return Gradients({}, device.upload(means), device.upload(rows)), spread, visible
+    gradients = Gradients({}, device.upload(means), device.upload(rows), seen_rows)
+    return gradients, spread, visible
 
 
 @pytest.mark.oclgrind

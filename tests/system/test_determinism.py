@@ -1,20 +1,18 @@
 """Same seed, same bytes, however the device cuts its work: into groups of another size, for more or
-fewer cores, in another number of runs.
+fewer cores, in another number of runs, frames in bands of any size.
 
-Left out, because float sums are then added in another order: the kernel form and the tile; the
-group of a tree of sums (`Device.scan_group`, in reduce.cl and exposure.cl) with exposures, Taming's
-scores or levels by frequency; `group_size` in the group form with depth regularisation, where a
-group adds up a row of pixels, or levels by frequency, where an item adds up its own gaussians. A
-device's own sizes do not change, so the same run on it has the same bytes.
+Left out, because float sums are then added in another order: the kernel form and the tile.
 """
 
 import pytest
 
 from clsplat.device import Device, device
+from clsplat.render.bands import choose_bands
 from tests.tiny_training import LEVELLED, model_digest, records, trained
 
 LONG = {"iterations": 500, "densify_until": 400, "densify_every": 40, "max_gaussians": 7000,
         "test_every": 0}
+TAMING = {"schedule": "taming", "iterations": 120, "downscale": 4.0, "exposure": "on"}
 
 
 def cut_otherwise(used, **sizes):
@@ -26,6 +24,22 @@ def cut_otherwise(used, **sizes):
     return made
 
 
+def cut_in_bands(patch, share):
+    """Frames come in bands of at most that share of their pairs, or of one tile; returns how many
+    bands each had."""
+    numbers = []
+
+    def chosen(counts, limit):
+        assert limit == 0
+        bands = choose_bands(counts, max(int(share * counts.sum()), int(counts.max())))
+        numbers.append(len(bands))
+        return bands
+
+    patch.setattr("clsplat.render.pipeline.pair_limit", lambda *_: 0)
+    patch.setattr("clsplat.render.pipeline.choose_bands", chosen)
+    return numbers
+
+
 def digest(folder, scene, used, **changes):
     run = trained(folder, scene, used, **changes)
     assert sum(record["split"] + record["cloned"] for record in records(run, "grow")) > 500
@@ -34,19 +48,25 @@ def digest(folder, scene, used, **changes):
 
 @pytest.mark.slow
 def test_500_steps(float_device, city, tmp_path, monkeypatch):
-    """The same again, and with other sizes."""
+    """The same again, with other sizes, and in bands."""
     first = digest(tmp_path / "first", city, float_device, **LONG)
     assert digest(tmp_path / "again", city, float_device, **LONG) == first
     small = cut_otherwise(float_device, group_size=32, scan_group=64, compute_units=1)
     assert digest(tmp_path / "small", city, small, **LONG) == first
+    with monkeypatch.context() as patch:
+        numbers = cut_in_bands(patch, 0.3)
+        assert digest(tmp_path / "bands", city, float_device, **LONG) == first
+    assert len(numbers) >= 500 and 2 < min(numbers), set(numbers)
     large = cut_otherwise(float_device, group_size=256, compute_units=13)
     monkeypatch.setattr(device, "RUNS_A_CORE", 7)
     assert digest(tmp_path / "large", city, large, **LONG) == first
 
 
 @pytest.mark.slow
-def test_the_whole_method(item_device, city, levelled, tmp_path, monkeypatch):
-    """Levels, exposures and adjacent photos: see above for the sizes that may not change."""
+@pytest.mark.parametrize("changes", [LEVELLED, TAMING], ids=lambda changes: changes["schedule"])
+def test_the_whole_method(float_device, city, tmp_path, monkeypatch, changes):
+    """Levels, exposures, adjacent photos, scores."""
+    first = digest(tmp_path / "first", city, float_device, **changes)
     monkeypatch.setattr(device, "RUNS_A_CORE", 3)
-    other = cut_otherwise(item_device, group_size=32, compute_units=5)
-    assert digest(tmp_path / "run", city, other, **LEVELLED) == model_digest(levelled)
+    other = cut_otherwise(float_device, group_size=32, scan_group=64, compute_units=5)
+    assert digest(tmp_path / "other", city, other, **changes) == first

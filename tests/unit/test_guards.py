@@ -27,11 +27,8 @@ class Counter:
     def add(self, rows):
         self.value = (self.value + rows) % 2**32
 
-    def download(self):
-        return np.array([self.value], np.uint32)
-
-    def write(self, values):
-        self.value = int(values[0])
+    def last(self):
+        return np.uint32(self.value)
 
 
 def test_counting():
@@ -52,16 +49,27 @@ def test_counting():
 
 
 def test_counting_past_what_32_bits_hold():
-    counter = Counter()
+    """Also by a resumed run, whose counters begin at zero again."""
+    counter, other = Counter(), Counter()
     counts = Skipped(counter)
     for _ in range(3):
         counter.add(2**31)
         counts.look()
-    again = Skipped(Counter())
+    again = Skipped(other)
     again.load(counts.state())
-    again._counter.add(1)
+    other.add(1)
     again.look()
     assert counts.total == 3 * 2**31 and again.close() == (3 * 2**31 + 1, 0)
+
+
+def test_counting_on_several_counters():
+    rows, exposures = Counter(), Counter(2**32 - 1)
+    counts = Skipped(rows, exposures)
+    assert counts.look() and counts.close() == (2**32 - 1, 0)
+    rows.add(3)
+    exposures.add(2)  # past its 32 bits
+    counts.look()
+    assert counts.close() == (5, 0)
 
 
 @pytest.mark.parametrize("value, good", [(1e38, True), (np.nan, False), (np.inf, False),
@@ -262,10 +270,16 @@ def test_a_spoilt_end_leaves_no_model(train, monkeypatch):
 
 @pytest.mark.slow
 def test_exposures_stay_as_they_are(train, poison, monkeypatch):
-    """In poisoned steps a view's transform, its moments and its count do not move."""
+    """In poisoned steps a view's transform, its moments and its count do not move; each is counted
+    as a row beside those of gaussians."""
     monkeypatch.setattr(loop, "TOO_MANY", 1.0)
-    poison(1, STEPS, share=0.1)
-    still = train("still", exposure="on").load_checkpoint()[0]
+    counted = []
+    for exposure in ("off", "on"):
+        poison(1, STEPS, share=0.1)
+        run = train(exposure, exposure=exposure)
+        counted.append([record["skipped_rows"] for record in records(run, "step")])
+    assert counted[1][0] == counted[0][0] + 1  # later, as gaussians differ, they skip others
+    still = run.load_checkpoint()[0]
     assert np.array_equal(still["exposure.transforms"], np.tile(np.eye(3, 4).ravel(), (3, 1)))
     assert not still["exposure.counts"].any() and not still["exposure.v"].any()
     poison(13, 13)

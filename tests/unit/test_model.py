@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from clsplat.densify.grow import Growth
+from clsplat.device import Device
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
+from clsplat.loss.exposure import Exposures
 from clsplat.options import TrainOptions
 from clsplat.render.pipeline import Renderer
 from clsplat.schedule import Plan, Subject
 from clsplat.schedule.constant import Constant
+from clsplat.train import step as train_step
 from clsplat.train.model import Model
 from clsplat.train.step import Step
 from tests import cases
@@ -87,6 +90,22 @@ def test_growth_upon_growth(float_device, engine):
     assert not model.adam.download(3)[0]["quaternions"][2].any()
 
 
+def test_growth_takes_more_memory_than_there_is_before_and_after(float_device):
+    """Old rows of a field beside new ones: `peak_bytes` tells, `memory_bytes` does not."""
+    device = Device(float_device.handle, form=float_device.form)
+    model, *_ = with_moments(device, "device", 1000)
+    before = device.memory_bytes
+    assert before > 3 * 4 * 1000 * 14 and device.peak_bytes == before
+    model.regrow(growth_of(np.resize(np.arange(1000), 2000), 1000, 0))
+    after = device.memory_bytes
+    assert 2 * before < after < device.peak_bytes < before + after
+    device.empty(after, np.uint8)  # the pool keeps it; noted when memory is asked for
+    pooled = device.memory_bytes - after
+    assert pooled >= after and device.peak_bytes == after + pooled
+    del model
+    assert device.memory_bytes == pooled and device.peak_bytes == after + pooled
+
+
 @ENGINES
 def test_limit_opacity(float_device, engine):
     model, given, m, _ = with_moments(float_device, engine, 7)
@@ -138,6 +157,51 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
         moments = ((own[name], other[name]) for own, other in zip(results[0][1:], results[1][1:]))
         for own, other in ((moved, again), *moments):
             assert np.abs(own - other).max() <= 1e-9 * np.abs(other).max(), name
+
+
+@ENGINES
+def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypatch):
+    """Its moments too, while those that the view did not see go on by theirs."""
+    device, case = float_device, cases.gaussians("degree_1")
+    width, height = size_of(case)
+    photo = device.upload(np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8))
+    renderer = Renderer(device, DEGREE, case["near"])
+    count = len(case["rows"]["positions"])
+    model = Model(device, Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()},
+                                    DEGREE), engine, dense=True)
+    moments = gaussians_of(count).rows
+    model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
+    step = Step(renderer, model, 1.0, TrainOptions(iterations=100), Exposures(device, 1))
+    plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
+                decay=0.5)
+
+    def spoilt(*arguments):
+        sums, grad_image = image_loss(*arguments)
+        values = grad_image.download()
+        values[:, :height // 3] = np.nan
+        grad_image.write(values)
+        return sums, grad_image
+
+    def kept(*arguments):
+        found.append(adjoint(*arguments))
+        return found[0]
+
+    found, adjoint, image_loss = [], renderer.adjoint, train_step.image_loss
+    monkeypatch.setattr(renderer, "adjoint", kept)
+    monkeypatch.setattr(train_step, "image_loss", spoilt)
+    before = model.download().rows, *model.adam.download(count)
+    step.take(1, plan, 0, renderer.pack(camera_of(case)), photo)
+    after = model.download().rows, *model.adam.download(count)
+    seen = found[0].visible.download()
+    usable = found[0].rows.download() == seen
+    skipped, unseen = seen[~usable], np.delete(np.arange(count), seen)
+    assert len(skipped) > 1 and usable.sum() > 1
+    for name in before[1]:
+        for old, new in zip(before, after):
+            assert np.array_equal(new[name][skipped], old[name][skipped]), name
+            assert (new[name][unseen] != old[name][unseen]).all(), name
+    step.skipped.look()
+    assert step.skipped.close() == (len(skipped) + 1, len(seen) + 1)  # and the view's exposure
 
 
 # --- a round of growth, from statistics to rows
@@ -206,3 +270,13 @@ def test_spheres_are_kept_through_growth(float_device):
     assert np.allclose(after.max_offsets, [1, 2, 2, 0.7 * 3, 0.7 * 3], rtol=1e-6)
     assert np.array_equal(after.positions[:3], given.positions[[0, 1, 1]])
     assert (after.positions[3:] != given.positions[2]).all()
+
+
+def test_growth_gives_back_what_the_pool_kept(float_device):
+    device = float_device
+    model = Model(device, gaussians_of(10), "device")
+    before = device.memory_bytes
+    device.empty(12_345_678)  # and let it go
+    assert device.memory_bytes > before + 40_000_000
+    model.regrow(growth_of(np.arange(10), 10, 0))
+    assert device.memory_bytes <= before + 10_000

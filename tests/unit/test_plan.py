@@ -1,7 +1,6 @@
 """What is foretold of a training: its course, its memory, its time; and what a model can lose."""
 
 import os
-import weakref
 
 import numpy as np
 import pyopencl.tools
@@ -9,20 +8,25 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
+from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.device import choose_device
+from clsplat.device.device import Held
 from clsplat.gaussians import Gaussians
+from clsplat.io.images import write_image
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.plan import thin
+from clsplat.plan.detail import photo_detail
 from clsplat.plan.dry import DryDevice, block_bytes
 from clsplat.plan.forecast import Planned
 from clsplat.plan.memory import Memory
 from clsplat.plan.pace import fitted, foretold, pixels
 from clsplat.plan.rehearsal import Rehearsal, strewn
 from clsplat.render.pipeline import Renderer
+from clsplat.scene import View
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.schedule.course import Stretch, course, largest
 from clsplat.train.needs import find_needs
@@ -45,7 +49,7 @@ def emptied(device, monkeypatch):
     """The device, as if nothing had been allocated on it; what is built stays."""
     monkeypatch.setattr(device, "_pool", pyopencl.tools.MemoryPool(
         pyopencl.tools.ImmediateAllocator(device.queue), leading_bits_in_bin_id=1))
-    monkeypatch.setattr(device, "_held", weakref.WeakSet())
+    monkeypatch.setattr(device, "_held", Held())
     return device
 
 
@@ -85,11 +89,35 @@ def test_a_limit_is_kept():
         assert 8900 < largest(stretches) <= 9000
 
 
-def test_demand_falls_off():
-    counts = [s.gaussians for s in course_of(1000, 10**9, schedule="constant", iterations=30000)]
-    assert counts[1] == 1000 + int(0.25 * 1000 * (1 - 1 / 40)) and 39_000 < counts[-1] <= 40_000
-    limited = course_of(1000, 10**9, schedule="constant", iterations=30000, max_gaussians=30_000)
-    assert [s.gaussians for s in limited][:9] == counts[:9]  # room is not demand
+def test_demand_is_that_of_fine_detail():
+    """Of few gaussians a share asks; later a share of the pixels, less where photos are blurred and
+    positions have settled."""
+    def counts(detail=None, **limits):
+        options = scaled_steps(resolve({}, {"schedule": "constant", "iterations": 30000, **limits}))
+        schedule = SCHEDULES["constant"](options, Subject((512, 382), 1000, 20.0, tuple, 10**6))
+        return [s.gaussians for s in course(schedule, detail)]
+
+    sharp = counts()
+    assert sharp[1] == 1400
+    added = np.diff(sharp)
+    assert added.max() < 9000 and 9000 * 0.03**0.5 < added[-1] < 9000 * 0.03**0.48
+    assert counts(lambda level: 1.0) == sharp
+    blurred = np.diff(counts(lambda level: 0.00625))
+    assert blurred[-1] == pytest.approx(added[-1] / 8, rel=0.01)
+    limited = counts(max_gaussians=30_000)
+    assert limited[:9] == sharp[:9]  # room is not demand
+
+
+def test_detail_is_what_half_the_size_would_not_show(tmp_path):
+    board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((1, 1)))[..., None].repeat(3, 2)
+    cases = (("board", 255 * board, 0.5), ("flat", 0 * board + 90, 0.0),
+             ("blocks", np.kron(255 * board, np.ones((2, 2, 1))), 0.0))
+    for name, image, expected in cases:
+        write_image(tmp_path / f"{name}.png", image.astype(np.uint8))
+        height, width = image.shape[:2]
+        camera = Camera(width, height, (10.0, 10.0), (4.0, 4.0), np.eye(3), np.zeros(3))
+        view = View(name, camera, tmp_path / f"{name}.png")
+        assert photo_detail([view], 1.0) == pytest.approx(expected, abs=1e-6), name
 
 
 def test_photos_are_compared_while_growing_only():

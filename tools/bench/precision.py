@@ -19,7 +19,7 @@ from clsplat.render.project import cull
 from .measure import arguments
 from .numerics import gradient_error, html, markdown
 from .project import DEFINES as CULL_DEFINES
-from .timing import milliseconds, spread
+from .timing import in_turn, spread
 from .variants import (
     DEFAULT,
     DOUBLE,
@@ -37,7 +37,7 @@ VISIBLE_ERROR = 1e-4  # of an image value
 
 
 def main(argv):
-    options = arguments(argv, __doc__, gaussians="50k", size=[512, 384], repeats=5, html="",
+    options = arguments(argv, __doc__, gaussians="50k", size=[512, 384], repeats=15, html="",
                         markdown="", records=[""])
     records = []
     if any(options.records):
@@ -72,17 +72,19 @@ def measured(spec, form, scene, repeats):
                   "same_order": Frame(in_this_order, scene).result(),
                   "no_cutoff": Frame(devices[NO_CUTOFF], scene).result(),
                   "no_stop": Frame(devices[NO_STOP], scene).result()}
+    frames = {variant: Frame(devices[variant], scene) for variant in VARIANTS if variant.is_timed}
+    times = dict(zip(frames, map(spread, in_turn(
+        [(frame.device, frame.run) for frame in frames.values()], repeats))))
     for variant in VARIANTS:
-        frame = Frame(devices[variant], scene)
+        frame = frames.get(variant) or Frame(devices[variant], scene)
         result = frame.result()
-        times = spread(milliseconds(frame.device, frame.run, repeats)) if variant.is_timed else {}
         gaussians, (camera, *_) = scene
         yield {"family": "precision", "knob": variant.knob, "variant": variant.name,
                "form": frame.device.form, "device": frame.device.name,
                "platform": handle.platform.name.strip(), "driver": handle.driver_version,
                "size": {"gaussians": gaussians.count, "width": camera.width,
                         "height": camera.height, "skipped": result["skipped"]},
-               **times, **{kind: errors(result, reference)
+               **times.get(variant, {}), **{kind: errors(result, reference)
                            for kind, reference in references.items()}}
 
 

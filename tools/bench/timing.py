@@ -7,16 +7,20 @@ import numpy as np
 
 def milliseconds(device, function, repeats, warm_up=3):
     """Wall times float[repeats] of `function()` including its completion on the device."""
-    for _ in range(warm_up):
-        function()
-    device.finish()
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        function()
-        device.finish()
-        times.append((time.perf_counter() - begin) * 1e3)
-    return np.array(times)
+    return in_turn([(device, function)], repeats, warm_up)[0]
+
+
+def in_turn(works, repeats, warm_up=3):
+    """Wall times float[len(works), repeats] of several (device, function), one after the other in
+    each round, so that what a shared machine does meanwhile meets them alike."""
+    times = np.empty((len(works), warm_up + repeats))
+    for turn in range(warm_up + repeats):
+        for number, (device, function) in enumerate(works):
+            begin = time.perf_counter()
+            function()
+            device.finish()
+            times[number, turn] = (time.perf_counter() - begin) * 1e3
+    return times[:, warm_up:]
 
 
 def spread(times):
