@@ -24,6 +24,12 @@ class View:
     camera: Camera
     source: Path | bytes
 
+    def sees(self, points):
+        """bool[N]: which points float64[N, 3] lie in front and within the image, hidden or not."""
+        pixels, depths = self.camera.project(points)
+        size = self.camera.width, self.camera.height
+        return (depths > 0) & (pixels > 0).all(axis=1) & (pixels < size).all(axis=1)
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -33,6 +39,9 @@ class Scene:
     original world coordinates are (`original = offset + unit * local`), so that exports restore
     them; path: where it was read from; observations: int32[M, 2], rows (point, view) that say which
     view the sparse model saw a point in, each once, sorted; None where the file does not tell.
+    held_out: names of the views that are for testing where the data set says so itself, or None.
+    Of a block of a larger scene: region, the region.Region it owns, and exposures, name ->
+    float64[3, 4], the colour transforms its views start from; else None.
     """
 
     name: str
@@ -43,6 +52,9 @@ class Scene:
     path: Path = Path()
     observations: np.ndarray | None = None
     unit: float = 1.0
+    held_out: frozenset | None = None
+    region: object = None
+    exposures: dict | None = None
 
     @property
     def extent(self):
@@ -69,12 +81,36 @@ class Scene:
         return self.extent * NEAR_SHARE
 
     def split(self, test_every):
-        """(train, test) tuples of views: every `test_every`-th view by name, from the first, is
-        held out; 0 holds out none."""
+        """(train, test) tuples of views: those of `held_out`, or else every `test_every`-th view by
+        name, from the first, is held out; 0 holds out none."""
         if test_every <= 0:
             return self.views, ()
-        test = self.views[::test_every]
-        return tuple(v for i, v in enumerate(self.views) if i % test_every), test
+        held_out = self.held_out
+        if held_out is None:
+            held_out = {view.name for view in self.views[::test_every]}
+        return (tuple(v for v in self.views if v.name not in held_out),
+                tuple(v for v in self.views if v.name in held_out))
+
+    def reached(self, positions):
+        """bool[N]: which local positions [N, 3] a block's region reaches, its margin included."""
+        return self.region.reaches(self.offset + self.unit * np.asarray(positions, np.float64))
+
+    def part(self, indices):
+        """The scene of the views int[V] alone, with the points that they see."""
+        views = tuple(self.views[i] for i in sorted(indices))
+        if self.observations is None:
+            seen, known = np.zeros(len(self.points), bool), None
+            for view in views:
+                seen |= view.sees(self.points)
+        else:
+            place = np.full(len(self.views), -1)
+            place[np.sort(indices)] = np.arange(len(views))
+            point, view = self.observations.T
+            point, view = point[place[view] >= 0], place[view[place[view] >= 0]]
+            seen = np.bincount(point, minlength=len(self.points)) > 0
+            known = np.stack([np.cumsum(seen)[point] - 1, view], axis=1).astype(np.int32)
+        return replace(self, views=views, points=self.points[seen], colours=self.colours[seen],
+                       observations=known)
 
     def reduced(self, downscale, max_resolution=0):
         """The scene with smaller images; see `Camera.reduced`."""

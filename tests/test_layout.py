@@ -23,15 +23,16 @@ LAYERS = (
     {"device"},
     {"primitives"},
     {"camera", "options"},
-    {"gaussians", "scene"},
+    {"gaussians", "region", "scene"},
     {"drift", "neighbours", "io"},
-    {"render", "schedule", "synth", "frequency", "constrain"},
+    {"render", "schedule", "partition", "synth", "frequency", "constrain"},
     {"loss", "optimise", "regularise"},
     {"densify"},
     {"evaluate"},
     {"report"},
     {"train"},
     {"plan"},
+    {"distribute"},
     {"selftest"},
     {"bench"},
     {"cli"},
@@ -40,8 +41,8 @@ LAYERS = (
 LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
 
 # tested without OpenCL, though they stand above the device layer
-NO_DEVICE = {"camera", "options", "gaussians", "scene", "drift", "neighbours", "schedule",
-             "constrain", "synth", "report"}
+NO_DEVICE = {"camera", "options", "gaussians", "region", "scene", "drift", "neighbours", "schedule",
+             "partition", "constrain", "synth", "report"}
 
 # package -> the only folders that may import it
 WALLS = {
@@ -50,12 +51,15 @@ WALLS = {
     "OpenImageIO": ("clsplat/io/",),
     "click": ("clsplat/cli/",),
     "skimage": ("clsplat/io/", "clsplat/evaluate/"),
+    "dask": ("clsplat/distribute/", "tools/simulate.py"),
+    "distributed": ("clsplat/distribute/", "tools/simulate.py"),
     "matplotlib": ("clsplat/report/", "tools/"),
     "tests": (),  # the wheel carries clsplat/ and tools/bench/, not the tests
 }
 
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
-FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/io/": {"pycolmap", "OpenImageIO"}}
+FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/io/": {"pycolmap", "OpenImageIO"},
+                    "clsplat/distribute/": {"distributed"}}  # an extra, seldom asked for
 
 FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}
 LONGEST_FILE = 400

@@ -29,15 +29,21 @@ def read_colmap(folder):
     Raises InputError for whatever cannot be trained on.
     """
     folder = Path(folder)
-    model = find_model(folder)
-    check_files(model)
-    arrays = _read_in_child(model)
+    model, arrays = read_model(folder)
     if len(arrays["distorted"]):
         raise InputError(_undistort(folder, model, arrays["distorted"]))
     sources = [folder / "images" / name for name in arrays["names"]]
     scene = checked_scene(model, folder.resolve().name, arrays, sources)
     check_photos(scene.views)
     return replace(scene, path=folder).recentred()
+
+
+def read_model(folder, may_be_empty=()):
+    """(folder of its model, arrays of `colmap_child.model_arrays`) of a scene folder, wherever its
+    photos are; may_be_empty: see `check_files`. Raises InputError where the model is damaged."""
+    model = find_model(folder)
+    check_files(model, may_be_empty)
+    return model, _read_in_child(model)
 
 
 def _undistort(folder, model, names):

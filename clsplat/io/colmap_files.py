@@ -36,9 +36,10 @@ def find_model(folder):
                      "make one with `clsplat sfm` or COLMAP")
 
 
-def check_files(model):
+def check_files(model, may_be_empty=()):
     """InputError unless the three files of the model are there, and they and those of rigs and
-    frames, which COLMAP has had since 3.12, are not empty and not cut short."""
+    frames, which COLMAP has had since 3.12, are not empty and not cut short; may_be_empty: parts
+    that may hold nothing, such as points3D of views that are only for testing."""
     kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
     for part, walk in WALKS.items():
         path = model / f"{part}.{kind}"
@@ -48,21 +49,21 @@ def check_files(model):
             raise InputError(f"{path}: missing from the COLMAP model; copy the whole model")
         try:
             if kind == "bin":
-                _check_binary(path, part, walk)
+                _check_binary(path, part, walk, part in may_be_empty)
             else:
-                _check_text(path, part)
+                _check_text(path, part, part in may_be_empty)
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
                              ) from None
 
 
-def _check_binary(path, part, walk):
+def _check_binary(path, part, walk, may_be_empty):
     size = path.stat().st_size
     if size < 8:
         raise InputError(f"{path}: empty or cut short ({size} bytes); copy the model again")
     with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         count = struct.unpack_from("<Q", data)[0]
-        if count == 0:
+        if count == 0 and not may_be_empty:
             raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
         try:
             end = walk(data, count)
@@ -124,7 +125,7 @@ WALKS = {"cameras": _walk_cameras, "images": _walk_images, "points3D": _walk_poi
 COUNT_FIELDS = {"rigs": 1, "frames": 9}
 
 
-def _check_text(path, part):
+def _check_text(path, part, may_be_empty):
     filled = made_by_colmap = False
     line = b""
     with open(path, "rb") as file:
@@ -135,7 +136,7 @@ def _check_text(path, part):
             if line.strip() and not line.lstrip().startswith(b"#"):
                 filled = True
                 _check_count(path, line.split(), COUNT_FIELDS.get(part))
-    if not filled:
+    if not (filled or may_be_empty):
         raise InputError(f"{path}: holds no {part}; copy the model again, or reconstruct the scene")
     if made_by_colmap and not line.endswith(b"\n"):
         raise InputError(f"{path}: cut short: its last line has no end; copy the model again, "

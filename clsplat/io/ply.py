@@ -54,7 +54,7 @@ def write_part(path, source, keep, degree):
     Comments and every other column stay as they are, to the bit. InputError where the file is not a
     PLY of gaussians, or has no harmonics of that degree.
     """
-    element, comments = _read_vertices(source)
+    element, comments = read_vertices(source)
     names = element.data.dtype.names
     there = _sh_degree(source, names)
     if degree > there:
@@ -95,7 +95,7 @@ def read_ply(path, offset=None):
     training. Normals and bands that are missing are left out; what is not finite, not gaussians
     or cut short raises InputError.
     """
-    element, comments = _read_vertices(path)
+    element, comments = read_vertices(path)
     degree = _sh_degree(path, element.data.dtype.names)
     fields = LEARNED
     if all(name in element.data.dtype.names for field in SPHERE for name in field.ply):
@@ -144,7 +144,8 @@ def _needs_double(positions, log_scales):
     return bool(moved > TOLERANCE * np.exp(np.median(log_scales.astype(np.float64))))
 
 
-def _read_vertices(path):
+def read_vertices(path):
+    """(plyfile's element of the vertices, comments) of a PLY; InputError where there is none."""
     try:
         _check_claims(path)
         with np.errstate(over="ignore"):  # text beyond float: infinite, and refused as such

@@ -1,6 +1,7 @@
 """The folder of a run: the only code that knows its file names."""
 
 import json
+import re
 import subprocess
 import zipfile
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import clsplat
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL, replacing
+from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.reason import reason
@@ -21,7 +23,8 @@ CHECKPOINT = "checkpoint.npz"
 MODEL = "point_cloud.ply"
 REPORT = "report.html"
 RENDERS = "renders"
-FILES = (OPTIONS, METRICS, CHECKPOINT, MODEL, REPORT)
+LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
+FILES = (OPTIONS, METRICS, CHECKPOINT, EXPOSURES, MODEL, REPORT)
 STATE = "state.json"  # the member of a checkpoint that holds what is no array
 
 
@@ -70,6 +73,9 @@ class RunFolder:
         for name in FILES:
             (self.path / name).unlink(missing_ok=True)
             (self.path / (name + PARTIAL)).unlink(missing_ok=True)
+        for path in (self.path / LOD).glob("level_*"):
+            if SNAPSHOT.fullmatch(path.name.removesuffix(PARTIAL)):
+                path.unlink()
         renders = self.path / RENDERS
         for image in renders.rglob("*.png"):
             image.unlink()
@@ -97,6 +103,10 @@ class RunFolder:
         except ValueError as error:
             raise InputError(f"{path}: damaged ({reason(error)}); start the run again with "
                              "--overwrite") from None
+
+    @property
+    def is_begun(self):
+        return (self.path / OPTIONS).is_file()
 
     @property
     def has_metrics(self):
@@ -171,9 +181,29 @@ class RunFolder:
         except (KeyError, ValueError) as error:
             raise InputError(f"{path}: {what} ({STATE}: {reason(error)}); {cure}") from None
 
+    def save_exposures(self, exposures):
+        """Replace what the run has learned of its photos' colours: name -> float[3, 4]."""
+        write_exposures(self.path / EXPOSURES, exposures)
+
+    def load_exposures(self):
+        """name -> float64[3, 4], or None where the run learned none."""
+        path = self.path / EXPOSURES
+        return read_exposures(path) if path.is_file() else None
+
     def save_model(self, gaussians, offset, comments=(), sphere=False):
         """Replace the finished model; see `ply.write_ply`."""
         write_ply(self.path / MODEL, gaussians, offset, comments, sphere)
+
+    def save_snapshot(self, level, gaussians, offset, comments=()):
+        """Replace the model of a level, by its down-sampling factor; see `ply.write_ply`."""
+        path = self.path / LOD / f"level_{level:g}.ply"
+        make_folder(path.parent)
+        write_ply(path, gaussians, offset, comments)
+
+    def snapshots(self):
+        """[(factor, path)] of the models that levels left, coarse to fine; without the finished."""
+        found = ((SNAPSHOT.fullmatch(path.name), path) for path in (self.path / LOD).glob("*"))
+        return sorted(((float(name[1]), path) for name, path in found if name), reverse=True)
 
     @property
     def has_model(self):
@@ -201,12 +231,17 @@ class RunFolder:
         path = self.path / RENDERS / kind / f"{name}.png"
         if not path.resolve().is_relative_to((self.path / RENDERS).resolve()):
             raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{path.parent}: cannot be made ({error.strerror}); "
-                             "check the run folder") from None
+        make_folder(path.parent)
         return path
+
+
+def make_folder(path):
+    """Make a folder for pictures or models, with those above it; InputError where it cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made ({error.strerror}); check its path"
+                         ) from None
 
 
 def find_runs(path):

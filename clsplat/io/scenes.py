@@ -1,20 +1,30 @@
 """Reads a scene, whatever its format, and names its content."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from clsplat.errors import InputError
+from clsplat.io.city import PACKED, attached
+from clsplat.io.citygs import has_parts, read_citygs
 from clsplat.io.colmap import read_colmap
+from clsplat.io.meganerf import has_metadata, read_meganerf
 from clsplat.io.packed import read_packed
+from clsplat.io.transforms import has_transforms, read_transforms
+
+# how a folder that is no COLMAP folder is told, and its reader
+LAYOUTS = ((has_metadata, read_meganerf), (has_parts, read_citygs),
+           (has_transforms, read_transforms))
 
 
 def read_scene(path):
-    """The Scene of a folder with a COLMAP model, or of a packed .npz; else InputError."""
+    """The Scene of a folder with a COLMAP model, transforms.json, or the layout of Mega-NeRF or
+    CityGS, or of a packed .npz; else InputError."""
     path = Path(path)
     if path.is_dir():
-        return read_colmap(path)
+        return attached(_read_folder(path), path)
     if not path.exists():
         raise InputError(f"{path}: no such scene; give a folder with images and sparse/0, or a "
                          "packed .npz")
@@ -22,6 +32,14 @@ def read_scene(path):
         return read_packed(path)
     raise InputError(f"{path}: not a scene; give a folder with images and sparse/0, or a packed "
                      ".npz")
+
+
+def _read_folder(path):
+    packed = path / PACKED
+    if packed.is_file():  # a block of a packed scene
+        return replace(read_packed(packed), name=path.resolve().name, path=path)
+    read = next((read for found, read in LAYOUTS if found(path)), read_colmap)
+    return read(path)
 
 
 def fingerprint(scene):

@@ -30,6 +30,7 @@ from clsplat.scene import Scene, View
 from clsplat.synth import geometry
 from clsplat.synth.layout import city as plan_city
 from clsplat.train import checkpoint
+from tests.large import layouts
 from tests.made_runs import made_run
 from tests.tiny_model import reconstruction, write_scene
 
@@ -161,6 +162,35 @@ def _packed(folder):
     _usable(read_scene(folder / "town.npz"))
 
 
+def _made_transforms(folder):
+    scene = read_scene(write_scene(folder / "made"))
+    whole, angled, parted, exported = (
+        folder / kind for kind in ("whole", "angled", "parted", "exported"))
+    for seed in (whole, angled, parted):
+        table = layouts.write_transforms(seed, scene)
+    (angled / "sparse_pc.ply").unlink()  # points are drawn, and suffixes tried
+    layouts.write_json(angled / "transforms.json", {**layouts.camera_angle(scene), "frames": [
+        {**frame, "file_path": frame["file_path"][:-4]} for frame in table["frames"]]})
+    for number, part in enumerate(("train", "test")):
+        layouts.write_json(parted / f"transforms_{part}.json", {
+            **table, "frames": table["frames"][number::2]})
+    layouts.write_export(exported, scene)
+    return whole, angled, parted, exported
+
+
+def _made_meganerf(folder):
+    scene = read_scene(write_scene(folder / "made"))
+    for kind, dtype in (("double", np.float64), ("single", np.float32)):
+        layouts.write_meganerf(folder / kind, scene, {"photo_2.png"}, dtype=dtype)
+        yield folder / kind
+
+
+def _made_citygs(folder):
+    scene = read_scene(write_scene(folder / "made"))
+    layouts.write_citygs(folder / "town", scene, {"photo_1.png", "photo_3.png"})
+    yield folder / "town"
+
+
 def _made_checkpoints(folder):
     for degree in (0, 1):
         seed = folder / str(degree)
@@ -257,6 +287,9 @@ READERS = {
     "ply": Reader(_made_plys, _ply, files=(".ply",)),
     "image": Reader(_made_images, _image),
     "packed": Reader(_made_packed, _packed),
+    "transforms": Reader(_made_transforms, _scene, text=True, files=(".json", ".ply")),
+    "meganerf": Reader(_made_meganerf, _scene, files=(".pt", ".txt")),
+    "citygs": Reader(_made_citygs, _scene, files=(".bin",)),
     "checkpoint": Reader(_made_checkpoints, _checkpoint, files=(".npz",)),
     "options": Reader(_made_options, _options, text=True),
     "run": Reader(_made_run_folders, _run, text=True, files=("a/options.json", "a/metrics.jsonl")),

@@ -1,0 +1,223 @@
+"""A scene written in the layouts of large data sets, so that reading it back can be compared."""
+
+import io
+import json
+import math
+import shutil
+import struct
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import plyfile
+
+from clsplat.io import colmap, colmap_child
+from clsplat.io.colmap_write import Tracks, write_colmap
+
+OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes right, down, forward to right, up, back
+# torch's world axes of Mega-NeRF: right, down, forward to down, right, back
+DRB = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
+STORAGES = {"float32": "Float", "float64": "Double", "int64": "Long"}
+
+
+def read_models_here(monkeypatch):
+    """Healthy models need no child process each, which takes a second."""
+    monkeypatch.setattr(colmap, "_run_child", lambda model, out, limit: (
+        colmap_child.main(model, out) or 0, b""))
+
+
+def every_fourth(scene):
+    """The scene with every fourth view: enough to compare, and quickly read."""
+    seen = scene.observations[scene.observations[:, 1] % 4 == 0]
+    return replace(scene, views=scene.views[::4], observations=seen // (1, 4))
+
+
+def world_points(scene):
+    return scene.points + scene.offset
+
+
+def pose(scene, view):
+    """float64[4, 4], camera to world, OpenGL axes, original coordinates."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = view.camera.rotation.T * OPENGL
+    matrix[:3, 3] = view.camera.position + scene.offset
+    return matrix
+
+
+def intrinsics(camera):
+    return {"w": camera.width, "h": camera.height, "fl_x": camera.focal[0],
+            "fl_y": camera.focal[1], "cx": camera.centre[0], "cy": camera.centre[1]}
+
+
+def put_photo(view, path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(view.source, path)
+
+
+def write_json(path, table):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(table))
+
+
+def write_ply(path, points, colours=None):
+    kinds = [(name, "f8") for name in "xyz"]
+    kinds += [(name, "u1") for name in ("red", "green", "blue")] if colours is not None else []
+    rows = np.empty(len(points), kinds)
+    for axis, name in enumerate("xyz"):
+        rows[name] = points[:, axis]
+    for axis, name in enumerate(rows.dtype.names[3:]):
+        rows[name] = colours[:, axis]
+    plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")]).write(str(path))
+
+
+def write_transforms(folder, scene, photos="images"):
+    """nerfstudio's transforms.json, one camera for all, and sparse_pc.ply."""
+    for view in scene.views:
+        put_photo(view, folder / photos / view.name)
+    write_ply(folder / "sparse_pc.ply", world_points(scene), scene.colours)
+    table = {"camera_model": "OPENCV", **intrinsics(scene.views[0].camera), "k1": 0.0, "p2": 0,
+             "aabb_scale": 16, "ply_file_path": "sparse_pc.ply",
+             "frames": [{"file_path": f"{photos}/{view.name}",
+                         "transform_matrix": pose(scene, view).tolist()} for view in scene.views]}
+    write_json(folder / "transforms.json", table)
+    return table
+
+
+def camera_angle(scene):
+    camera = scene.views[0].camera
+    return {"camera_angle_x": 2 * math.atan(camera.width / 2 / camera.focal[0])}
+
+
+def write_splits(folder, scene, held_out):
+    """MatrixCity's tree, photos in aerial/train/block_1 and aerial/test/block_1_test; returns the
+    folder of the split, aerial/pose/block_A."""
+    split = folder / "aerial" / "pose" / "block_A"
+    for part, block in (("train", "block_1"), ("test", "block_1_test")):
+        frames = []
+        for view in scene.views:
+            if (view.name in held_out) == (part == "test"):
+                put_photo(view, folder / "aerial" / part / block / view.name)
+                frames.append({"file_path": f"../../{part}/{block}/{view.name}",
+                               "transform_matrix": pose(scene, view).tolist()})
+        write_json(split / f"transforms_{part}.json", {
+            **camera_angle(scene), **intrinsics(scene.views[0].camera), "frames": frames})
+    write_ply(split / "points3D.ply", world_points(scene), scene.colours)
+    return split
+
+
+def write_export(folder, scene):
+    """What MatrixCity exported: rotations divided by 100, metres, photos by number; {old name: new
+    name}."""
+    names, frames = {}, []
+    for number, view in enumerate(scene.views):
+        names[view.name] = f"{number:04d}.png"
+        put_photo(view, folder / names[view.name])
+        matrix = pose(scene, view)
+        matrix[:3, :3] /= 100
+        frames.append({"frame_index": number, "rot_mat": matrix.tolist()})
+    write_json(folder / "transforms.json", {**camera_angle(scene), "frames": frames})
+    write_ply(folder / "points3D.ply", world_points(scene) / 100, scene.colours)
+    return names
+
+
+def torch_file(table, root="archive", program=None):
+    """The bytes that `torch.save` makes of {text: number, text or array}; program: another pickle
+    than that of the table."""
+    storages = []
+
+    def written(value):
+        match value:
+            case np.ndarray():
+                storages.append(value.tobytes())
+                kind, *strides = STORAGES[str(value.dtype)], *value.strides
+                return (b"ctorch._utils\n_rebuild_tensor_v2\n((" + written("storage")
+                        + f"ctorch\n{kind}Storage\n".encode() + written(str(len(storages) - 1))
+                        + written("cpu") + written(value.size) + b"tQK\0" + several(value.shape)
+                        + several(stride // value.itemsize for stride in strides)
+                        + b"\x89ccollections\nOrderedDict\n)RtR")
+            case int():
+                return b"J" + struct.pack("<i", value)
+            case float():
+                return b"G" + struct.pack(">d", value)
+            case str():
+                return b"X" + struct.pack("<I", len(value)) + value.encode()
+        raise TypeError(type(value))
+
+    def several(numbers):
+        return b"(" + b"".join(written(int(number)) for number in numbers) + b"t"
+
+    pairs = b"".join(written(key) + written(value) for key, value in table.items())
+    members = {"data.pkl": program or b"\x80\x02}(" + pairs + b"u.", "byteorder": b"little",
+               **{f"data/{key}": storage for key, storage in enumerate(storages)}}
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(zipfile.ZipInfo(f"{root}/{name}"), content)
+    return out.getvalue()
+
+
+def write_meganerf(folder, scene, held_out, scale=50.0, dtype=np.float64):
+    """Mega-NeRF's tree, without points; numbers in `dtype`."""
+    poses = {view.name: pose(scene, view)[:3] for view in scene.views}
+    origin = DRB @ np.mean([matrix[:, 3] for matrix in poses.values()], axis=0)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "coordinates.pt").write_bytes(torch_file(
+        {"origin_drb": origin.astype(dtype), "pose_scale_factor": scale}))
+    lines = []
+    for number, view in enumerate(scene.views):
+        part, camera = "val" if view.name in held_out else "train", view.camera
+        matrix = DRB @ poses[view.name]
+        matrix[:, 3] = (matrix[:, 3] - origin) / scale
+        put_photo(view, folder / part / "rgbs" / f"{number:06d}{view.source.suffix}")
+        metadata = folder / part / "metadata" / f"{number:06d}.pt"
+        metadata.parent.mkdir(parents=True, exist_ok=True)
+        metadata.write_bytes(torch_file({
+            "H": camera.height, "W": camera.width, "c2w": matrix.astype(dtype),
+            "intrinsics": np.array([*camera.focal, *camera.centre], dtype),
+            "distortion": np.array([0.01, 0, 0, 0], dtype)}, f"{number:06d}"))
+        lines.append(f"{view.name},{number:06d}.pt\n")
+    (folder / "mappings.txt").write_text("".join(lines))
+
+
+def write_model(folder, scene, views, points):
+    """A COLMAP model in original coordinates of some views, and of the points they see."""
+    names = [view.name for view in scene.views]
+    place = {names.index(view.name): number for number, view in enumerate(views)}
+    seen = scene.observations
+    seen = seen[np.isin(seen[:, 0], points) & np.isin(seen[:, 1], list(place))]
+    view = np.array([place[number] for number in seen[:, 1]])
+    pixels = np.empty((len(seen), 2))
+    for number, one in enumerate(views):
+        pixels[view == number], _ = one.camera.project(scene.points[seen[view == number, 0]])
+    moved = [replace(view, camera=view.camera.shifted(-scene.offset)) for view in views]
+    write_colmap(folder, moved, world_points(scene)[points], scene.colours[points], Tracks(
+        np.searchsorted(points, seen[:, 0]), view, pixels))
+
+
+def write_citygs(folder, scene, held_out, photos="images"):
+    for part in ("train", "val"):
+        views = [view for view in scene.views if (view.name in held_out) == (part == "val")]
+        for view in views:
+            put_photo(view, folder / part / photos / view.name)
+        write_model(folder / part / "sparse" / "0", scene, views, np.arange(len(scene.points)))
+
+
+def assert_same_cameras(read, scene, name_of, unit=1.0, tolerance=1e-9):
+    """Every view of `scene` was read: its camera, in original coordinates divided by `unit`, and
+    where it projects the points; name_of: name of a view -> name it was read by."""
+    views = {view.name: view for view in read.views}
+    assert len(views) == len(scene.views)
+    local = world_points(scene) / unit - read.offset
+    for view in scene.views:
+        camera, found = view.camera, views[name_of(view.name)].camera
+        assert (found.width, found.height) == (camera.width, camera.height)
+        np.testing.assert_allclose(found.focal, camera.focal, rtol=tolerance)
+        np.testing.assert_allclose(found.centre, camera.centre, rtol=tolerance)
+        np.testing.assert_allclose(found.rotation, camera.rotation, atol=tolerance)
+        place = (camera.position + scene.offset) / unit
+        np.testing.assert_allclose(found.position + read.offset, place,
+                                   atol=tolerance * np.abs(place).max())
+        (pixels, depths), (expected, far) = found.project(local), camera.project(scene.points)
+        ahead = far > 0.1 * far.max()
+        np.testing.assert_allclose(pixels[ahead], expected[ahead], rtol=0, atol=1e6 * tolerance)
+        np.testing.assert_allclose(depths * unit, far, rtol=0, atol=1e3 * tolerance * far.max())
