@@ -33,6 +33,7 @@ def option(default, group, text, short=None, choices=None, minimum=None, maximum
 AUTO = "auto"
 SHOWN = 200  # characters, of what a user gave, in a message
 SIG = ("sig",)
+LEVELLED = ("sig", "dash")  # schedules that change the level
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class TrainOptions:
     eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps; repeatable",
                                      minimum=1, wish="a list of steps, each at least 1")
     eval_every: int = option(0, "Run", "also evaluate every so many steps (0: off)", minimum=0)
+    snapshots: bool = option(False, "Run", "keep the model as each level leaves it: the levels of "
+                             "detail of `clsplat render --lod`", only=LEVELLED)
 
     downscale: float = option(1.0, "Scene", "divide image width and height by this", short="-r",
                               minimum=1.0)
@@ -68,6 +71,8 @@ class TrainOptions:
                            choices=("sig", "constant", "dash", "taming"))
     preset: str = option("ours", "Method", "choices of the SIG paper, its released code, or ours",
                          choices=("ours", "paper", "release"), only=SIG)
+    coarse: bool = option(False, "Method", "a scaffold for the blocks of a larger scene: photos at "
+                          "half size, unless -r says otherwise")
     size: str = option("S", "Method", "growth threshold of the paper's small or large model",
                        choices=("S", "L"))
     exposure: str = option("auto", "Method", "learn a colour transform a photo; auto: where photos "
@@ -183,6 +188,7 @@ CHOICES = {
             "optimizer": "sparse", "ssim_weight": 0.33},
     },
     "size": {"L": {"grow_threshold": 1.25e-4}},
+    "coarse": {True: {"downscale": 2.0}},
 }
 UNITS = {"s": 1, "m": 60, "h": 3600}
 

@@ -13,7 +13,7 @@ from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions, resolve
-from clsplat.render.pipeline import Renderer
+from clsplat.render.slabs import open_model
 
 SCORES = ("psnr", "ssim", "psnr_cc", "ssim_cc")
 
@@ -119,8 +119,7 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
 
 
 def _opened(device, gaussians, scene, options):
-    """(Renderer, device rows, degree) for a finished model."""
-    renderer = Renderer(device, gaussians.sh_degree, options.near or scene.near_plane,
-                        options.antialiased, options.background)
-    rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+    """(renderer, rows, degree) of a finished model."""
+    renderer, rows = open_model(device, gaussians, options.near or scene.near_plane,
+                                options.antialiased, options.background)
     return renderer, rows, gaussians.sh_degree

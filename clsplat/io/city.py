@@ -48,6 +48,14 @@ class CityFolder:
     def has_partition(self):
         return (self.path / PARTITION).is_file()
 
+    def make(self):
+        """The folder itself, if it is missing."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be made ({error.strerror}); choose another "
+                             "--output") from None
+
     def write(self, record):
         """Replace city.json: a dict for JSON, with at least `fingerprint`, of the whole scene."""
         _write(self.path / CITY, record)

@@ -71,8 +71,6 @@ def _turned(angle):
 
 def quantiles(values, weights, shares):
     """float64[K]: below which numbers these shares of the weight of values float64[N] lie."""
-    counts = weights > 0
-    values, weights = values[counts], weights[counts]
     order = np.argsort(values, kind="stable")
     weight = np.cumsum(weights[order])
     return np.interp(shares, (weight - weights[order] / 2) / weight[-1], values[order])

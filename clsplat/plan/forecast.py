@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 
+from clsplat.blocks import seen_pixels
 from clsplat.errors import InputError
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.options import seconds_of
@@ -53,21 +54,27 @@ class Planned:
         those to come, do not fit."""
         options, arguments = self.needs.options, (self.device, self.scene, self.views, self.needs)
         gaussians = initial_gaussians(self.scene, options)
-        stretches = self._course(options, gaussians.count)
+        stretches = self._course(options, gaussians)
         seconds, measured = predicted_seconds(*arguments, gaussians, stretches)
         if options.time_budget:
             budget = seconds_of(options.time_budget)
             options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
-            stretches, seconds = self._course(options, gaussians.count), budget
+            stretches, seconds = self._course(options, gaussians), budget
         memory = predicted_memory(*arguments, gaussians, stretches)
         return Forecast(options.iterations, largest(stretches), memory, seconds, measured,
                         self._streaming(memory))
 
-    def _course(self, options, count):
+    def _course(self, options, gaussians):
+        """Stretches of a run that begins with these Gaussians; of a block's, some never grow."""
+        grows = (gaussians.count if self.scene.region is None
+                 else int(self.scene.reached(gaussians.positions).sum()))
         subject = dataclasses.replace(
             subject_of(self.scene, self.views,
-                       inverse_distance=mean_inverse_distance(self.scene.points)), count=count)
-        return course(SCHEDULES[options.schedule](options, subject), self._detail)
+                       inverse_distance=mean_inverse_distance(self.scene.points)),
+            count=grows, pixels=seen_pixels(self.scene, self.views))
+        stretches = course(SCHEDULES[options.schedule](options, subject), self._detail)
+        return [dataclasses.replace(stretch, gaussians=stretch.gaussians + gaussians.count - grows)
+                for stretch in stretches]
 
     def _streaming(self, memory):
         size = 3 * sum(v.camera.width * v.camera.height for v in self.views)

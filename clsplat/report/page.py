@@ -66,6 +66,12 @@ class Table:
         return "\n".join([self.title, *aligned, *self.notes])
 
 
+def embedded(path, what):
+    """HTML of a PNG file, held in the page; `what` describes it to who cannot see."""
+    data = base64.b64encode(path.read_bytes()).decode()
+    return f'<img alt="{escape(what)}" src="data:image/png;base64,{data}">'
+
+
 def picture(figure, what):
     """HTML of a matplotlib Figure, drawn into the page; `what` describes it to who cannot see."""
     svg = io.BytesIO()

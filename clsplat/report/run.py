@@ -11,16 +11,18 @@ FACTS = ("scene", "fingerprint", "extent", "offset", "opencl_device", "kernel_fo
          "commit")
 
 
-def write_report(run):
+def write_report(run, *more):
     """Write the report of a RunFolder from its options and metrics; returns the page's path.
 
-    Parts without records, such as the levels of a schedule that has none, are left out.
+    Parts without records, such as the levels of a schedule that has none, are left out. more:
+    Tables and HTML that follow the scores.
     """
     options, records = run.read_options(), run.records()
     scores, steps, frequency = (draw(records) for draw in
                                 (score_figure, step_figure, frequency_figure))
     parts = (
-        scores and _drawn("Held-out views", scores), score_table(records), plan_table(records),
+        scores and _drawn("Held-out views", scores), score_table(records), *more,
+        plan_table(records),
         steps and _drawn("Growth and loss", steps), level_table(records),
         frequency and _drawn("Scene frequency", frequency))
     lead = (f"{options.get('schedule', '?')} schedule, seed {options.get('seed', '?')}, "

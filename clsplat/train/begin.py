@@ -8,6 +8,7 @@ from clsplat.constrain.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ply import read_ply
+from clsplat.loss.exposure import IDENTITY
 
 
 def initial_gaussians(scene, options):
@@ -40,6 +41,14 @@ def initial_gaussians(scene, options):
         raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
                          f"{gaussians.count}; allow at least that many")
     return gaussians
+
+
+def initial_exposures(scene, views):
+    """float64[V, 3, 4]: the colour transforms that a block's `views` start from, the identity for
+    one that has none; None where the scene is no block, or brings none."""
+    if not scene.exposures:
+        return None
+    return np.array([scene.exposures.get(view.name, IDENTITY) for view in views])
 
 
 def of_degree(gaussians, sh_degree):

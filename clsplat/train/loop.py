@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 
+from clsplat.blocks import seen_pixels
 from clsplat.errors import InputError, Interrupted
 from clsplat.evaluate.views import evaluate_views
 from clsplat.frequency import scene_frequency
@@ -22,13 +23,14 @@ from clsplat.report.run import write_report
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.train import checkpoint
 from clsplat.train.adjacent import Adjacent
-from clsplat.train.begin import initial_gaussians
+from clsplat.train.begin import initial_exposures, initial_gaussians
 from clsplat.train.clock import Clock
 from clsplat.train.interrupt import deferred_interrupt
 from clsplat.train.model import Model
 from clsplat.train.needs import find_needs, smallest_size
 from clsplat.train.photos import Photos, decoded
 from clsplat.train.skipped import TOO_MANY
+from clsplat.train.snapshots import save_snapshot
 from clsplat.train.step import Step
 from clsplat.train.warn import find_warnings
 
@@ -120,16 +122,21 @@ class Training(Clock):
         self.needs = find_needs(scene, self.train_views, scaled_steps(options), device)
         self.options = options = self.needs.options
         initial = gaussians or initial_gaussians(scene, options)
+        growing = (int(scene.reached(initial.positions).sum()) if scene.region
+                   else initial.count)
         views = self.train_views
         self.schedule = SCHEDULES[options.schedule](options, Subject(
-            smallest_size(views), initial.count, mean_inverse_distance(scene.points) / scene.unit,
-            lambda: decoded(views), sum(v.camera.width * v.camera.height for v in views)))
+            smallest_size(views), growing, mean_inverse_distance(scene.points) / scene.unit,
+            lambda: decoded(views), seen_pixels(scene, views)))
         near = options.near / scene.unit or scene.near_plane
         self.renderer = Renderer(device, options.sh_degree, near,
                                  options.antialiased, options.background)
         model = Model(device, initial, options.engine, options.optimizer == "dense")
-        exposures = Exposures(device, len(self.train_views)) if options.exposure == "on" else None
-        self.step = Step(self.renderer, model, scene.extent, options, exposures)
+        exposures = None
+        if options.exposure == "on":
+            exposures = Exposures(device, len(views), initial=initial_exposures(scene, views))
+        self.step = Step(self.renderer, model, scene.extent, options, exposures,
+                         scene.reached if scene.region else None)
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
         self.budget = self.measured_budget() if options.time_budget else None
@@ -176,9 +183,16 @@ class Training(Clock):
             raise Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
                               f"{self.scene.path} -o {self.run.path} --resume")
         write_report(self.run)
+        if self.step.exposures:
+            self.run.save_exposures(self.learned_exposures())
         gaussians = self.step.model.download().scaled(self.scene.unit)
         self.run.save_model(gaussians, self.scene.offset, self.comments(),
                             self.options.sphere_columns)
+
+    def learned_exposures(self):
+        """View name -> float[3, 4]."""
+        rows = self.step.exposures.transforms.download().reshape(-1, 3, 4)
+        return {view.name: row for view, row in zip(self.train_views, rows)}
 
     def finished(self):
         """Whether all steps are taken, or all time is spent."""
@@ -191,6 +205,8 @@ class Training(Clock):
         """One step with what follows it, and its evaluation where one is due."""
         iteration = self.iteration + 1
         plan = self.schedule.plan(iteration)
+        if self.options.snapshots and plan.level != self.level:
+            save_snapshot(self)
         self.use_level(plan.level)
         index = self.view_of(iteration)
         photo = self.photos[index]

@@ -19,14 +19,15 @@ class Step:
     """Everything a step needs: renderer, model, statistics and the options that never change.
 
     extent: scene extent, world units; options: TrainOptions with scaled steps; exposures:
-    loss.exposure.Exposures or None.
+    loss.exposure.Exposures or None; reaches: of positions float32[N, 3], which may grow, bool[N];
+    None: all.
     """
 
-    def __init__(self, renderer, model, extent, options, exposures=None):
+    def __init__(self, renderer, model, extent, options, exposures=None, reaches=None):
         self.renderer, self.model, self.extent, self.options = renderer, model, extent, options
-        self.device, self.exposures = renderer.device, exposures
+        self.device, self.exposures, self.reaches = renderer.device, exposures, reaches
         self.statistics = Statistics(self.device, model.count)
-        self.skipped = Skipped(renderer.skipped)
+        self.skipped = Skipped(renderer.skipped, *([exposures.skipped] if exposures else []))
         self.pixel_pairs = 0  # pairs of gaussian and pixel so far: all pixels of a tile it meets
 
     def take(self, iteration, plan, view, camera, photo, pair=None):
@@ -51,7 +52,7 @@ class Step:
             _, grad_depth, grad_transmittance = reproject(
                 self.device, blended.depth, blended.transmittance, photo, *pair, plan.regularises)
         gradients = self.renderer.adjoint(rows, frame, grad_image, grad_depth, grad_transmittance)
-        self.skipped.asked += len(gradients.rows)
+        self.skipped.asked += len(gradients.rows) + bool(exposures)
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
         learned = {field.name: rows[field.name] for field in LEARNED}
         model.adam.step(learned, gradients, iteration, rates, self._used(plan.degree))
@@ -90,6 +91,8 @@ class Step:
                                    options.ssim_weight, gradient)
             if schedule.spares_half(iteration):
                 prunes = half_of(prunes, scores, rng)
+        inside = self.reaches(rows["positions"]) if self.reaches else np.ones(len(prunes), bool)
+        gradient = np.where(inside, gradient, -np.inf)  # the surroundings of a block stay as many
         grows = self._chosen(iteration, schedule, gradient, candidates, prunes, scores, rng)
         growth = plan_growth(candidates, grows, prunes, rng)
         model.regrow(growth)
@@ -97,12 +100,17 @@ class Step:
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 
     def _chosen(self, iteration, schedule, gradient, candidates, prunes, scores, rng):
-        """bool[N]: which gaussians are cloned or split; each adds one."""
-        limit, threshold = self.options.max_gaussians, self.options.grow_threshold
-        count = int(len(prunes) - prunes.sum())
-        target = schedule.target(iteration, count, int((gradient >= threshold)[~prunes].sum()))
-        if limit and (target is None or target > limit):
-            target = limit
+        """bool[N]: which gaussians are cloned or split; each adds one.
+
+        gradient: -inf where none may grow; the schedule is asked about the others only.
+        """
+        threshold, limit = self.options.grow_threshold, self.options.max_gaussians
+        counted = ~prunes & (gradient != -np.inf)
+        count = int(counted.sum())
+        target = schedule.target(iteration, count, int((gradient >= threshold)[counted].sum()))
+        if limit:
+            limit -= int((~prunes & ~counted).sum())
+            target = limit if target is None else min(target, limit)
         room = None if target is None else max(0, target - count)
         if schedule.selection == "score":
             return by_score(np.where(prunes, 0, scores), gradient, threshold, candidates.is_small,

@@ -1,0 +1,181 @@
+"""What is done to a city's folder, in order: begin, coarse, cut into blocks, train them."""
+
+import dataclasses
+import json
+from contextlib import nullcontext
+
+import numpy as np
+
+from clsplat.blocks import cut
+from clsplat.city.visibility import DropTest
+from clsplat.distribute import Task, run
+from clsplat.errors import InputError
+from clsplat.evaluate.views import run_options
+from clsplat.io.atomic import replacing
+from clsplat.io.run import MODEL, RunFolder
+from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.options import resolve
+from clsplat.partition import Partition, geojson, make_partition
+from clsplat.report.map import partition_map
+from clsplat.train.block import block_options, options_of_blocks, train_block
+from clsplat.train.loop import resume, train
+
+COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
+LEVELS = (2.0, 1.0)  # of blocks under sig: they begin where the coarse run, at half size, ended
+
+
+def begin(city, scene, options):
+    """Write what was asked for into city.json; InputError where it holds another scene or other
+    options. options: TrainOptions of the whole, as one run would have them."""
+    record = {"scene": str(scene.path.resolve()), "fingerprint": fingerprint(scene),
+              "options": dataclasses.asdict(options)}
+    if city.has_record:
+        there = city.read()
+        if there["fingerprint"] != record["fingerprint"]:
+            raise InputError(f"{city.path}: is the city of another scene, {there.get('scene')}; "
+                             "choose another --output")
+        changed = [name for name, value in there["options"].items()
+                   if name != "device" and _plain(record["options"].get(name)) != value]
+        if changed:
+            raise InputError(f"{city.path}: was begun with {changed[0]} "
+                             f"{there['options'][changed[0]]}; give the same options, or choose "
+                             "another --output")
+    city.make()
+    city.write(record)
+
+
+def begin_from_coarse(city):
+    """(Scene, TrainOptions of the whole) of a city by its city.json, which is written here where
+    the coarse run in CITY/coarse was trained by itself."""
+    if city.has_record:
+        record = city.read()
+        scene = read_scene(record.get("scene", ""))
+        if fingerprint(scene) != record["fingerprint"]:
+            raise InputError(f"{city.path}: its scene {record['scene']} has changed since; put it "
+                             "back, or begin a new city")
+        return scene, resolve({}, record.get("options", {}))
+    folder = RunFolder.open(city.coarse)
+    record, coarse = folder.read_options(), run_options(folder)
+    if not coarse.coarse:
+        raise InputError(f"{city.coarse}: was not trained with --coarse; begin again with "
+                         f"`clsplat train SCENE --coarse -o {city.coarse}`")
+    scene = read_scene(record["scene"])
+    options = dataclasses.replace(
+        coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / 2),
+        iterations=int(coarse.iterations / COARSE_SHARE))
+    begin(city, scene, options)
+    return scene, options
+
+
+def train_coarse(city, scene, options, device, progress=None):
+    """Train the scaffold into city.coarse, or go on with it; returns its RunFolder."""
+    folder = RunFolder(city.coarse)
+    if folder.has_model:
+        return folder
+    wanted = coarse_options(options)
+    start = resume if folder.is_begun else train
+    folder = folder if folder.is_begun else RunFolder.create(city.coarse)
+    start(scene, wanted, device, folder, progress)
+    return folder
+
+
+def coarse_options(options):
+    """TrainOptions of the coarse run: photos half as large, and part of the steps."""
+    return dataclasses.replace(
+        options, coarse=True, downscale=2 * options.downscale, snapshots=options.schedule == "sig",
+        iterations=max(1, int(COARSE_SHARE * options.iterations)), eval_at=(), eval_every=0)
+
+
+def cut_into_blocks(city, scene, options, wanted, device):
+    """Make the Partition of a city whose coarse run is finished, and its blocks' folders.
+
+    options: TrainOptions of the whole; wanted: PartitionOptions. What is there already stays as it
+    is. A block takes as many steps a view as one run of the whole would.
+    """
+    coarse = RunFolder(city.coarse)
+    record, gaussians = coarse.read_options(), coarse.load_model()
+    reduced = scene.reduced(options.downscale, options.max_resolution)
+    training = {view.name for view in scene.split(options.test_every)[0]}
+    views = np.flatnonzero([view.name in training for view in scene.views])
+    if city.has_partition:
+        partition = partition_of(city)
+    else:
+        drop = None
+        if wanted.method == "citygs" and wanted.grid != (1, 1):
+            drop = DropTest(device, gaussians, scene.reduced(record["downscale"]))
+        partition = make_partition(scene, wanted, gaussians, views, drop)
+        city.write_partition(partition.record())
+    counts = np.bincount(owner_of(partition, gaussians, scene.offset),
+                         minlength=len(partition.regions))
+    draw(city, partition, scene, counts)
+    exposures = coarse.load_exposures()
+    for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
+        share = len(chosen) / len(views)
+        given = block_steps(options, share)
+        part = cut(gaussians, reduced, region, [reduced.views[index] for index in chosen])
+        city.write_block(
+            number, scene, chosen, region, part.gaussians, exposures,
+            options_of_blocks(given, record),
+            {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
+             "surroundings": part.surroundings})
+    return partition, counts
+
+
+def block_steps(options, share):
+    """{option: value} of a block with this share of the views."""
+    steps = max(1, round(options.iterations * share))
+    shrunk = dataclasses.replace(options, iterations=steps, snapshots=options.schedule == "sig",
+                                 eval_at=(), eval_every=0)
+    if options.schedule == "sig" and not options.levels:
+        shrunk = dataclasses.replace(shrunk, levels=LEVELS)
+    return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
+            if field.name not in ("init", "coarse")}
+
+
+def owner_of(partition, gaussians, offset):
+    """int[N]: the block of each gaussian, in a frame at `offset`."""
+    return partition.owner(gaussians.positions.astype(np.float64) + offset)
+
+
+def partition_of(city):
+    """The Partition of a CityFolder; InputError where it is damaged."""
+    try:
+        return Partition.from_record(city.read_partition())
+    except ValueError as error:
+        raise InputError(f"{city.path}: its partition is damaged ({error}); remove it, and run "
+                         f"`clsplat partition {city.path}` again") from None
+
+
+def draw(city, partition, scene, counts):
+    """Write the partition as a map and as GeoJSON."""
+    with replacing(city.picture) as file:
+        partition_map(partition, scene, counts).savefig(file, format="png", dpi=110)
+    with replacing(city.map) as file:
+        file.write((json.dumps(geojson(partition, scene, [
+            {"gaussians": int(count)} for count in counts])) + "\n").encode())
+
+
+def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=None):
+    """Train what is not finished; the Outcome of every block.
+
+    workers, scheduler, devices: see `distribute.run`; progress: makes that of a training, a context
+    manager, where blocks are trained one after the other in this process; told: called with each
+    Outcome as it comes.
+    """
+    blocks = {block.path.name: block for block in city.blocks()}
+    tasks = [Task(name, ("block", str(block.path), "-q",
+                         *(("--device", devices[0]) if len(devices) == 1 else ())),
+                  block.run / MODEL) for name, block in blocks.items()]
+
+    def here(task):
+        block = blocks[task.name]
+        block.check()
+        options = block_options(block, **({"device": devices[0]} if devices else {}))
+        with progress() if progress else nullcontext() as shown:
+            train_block(block, options, shown)
+
+    return run(tasks, workers, scheduler, progress=told, devices=devices, call=here)
+
+
+def _plain(value):
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,188 @@
+"""`clsplat city` and its stages `partition` and `merge`: large scenes, block by block."""
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import click
+
+from clsplat.cli.flags import given_options, training_flags
+from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.errors import InputError, Interrupted
+
+BLOCKS = {"cls": SectionedOption, "section": "Blocks"}
+
+
+def _grid(context, option, text):
+    if text is None:
+        return None
+    try:
+        n, m = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise InputError(f"--grid {text}: wants blocks along both sides, such as 3x3") from None
+    return n, m
+
+
+def partition_flags(command):
+    """Decorator: how a scene is cut."""
+    for option in (
+            click.option("--least-views", default=8, show_default=True, **BLOCKS,
+                         help="A block with fewer views is starved."),
+            click.option("--starved", type=click.Choice(("refuse", "join")), default="refuse",
+                         show_default=True, **BLOCKS, help="What becomes of a starved block of "
+                         "--grid: refused, or joined to a neighbour."),
+            click.option("--bounds", type=float, nargs=4, **BLOCKS, help="X0 Y0 X1 Y1: the area of "
+                         "interest on the map."),
+            click.option("--up", type=float, nargs=3, **BLOCKS, help="The direction that is up."),
+            click.option("--margin", type=float, **BLOCKS, help="Share of a block's sides that it "
+                         "trains beyond them; each method has its own."),
+            click.option("--block-gaussians", type=int, default=0, **BLOCKS, help="Gaussians that "
+                         "a block may end with; chooses the grid (0: what fits the device)."),
+            click.option("--grid", callback=_grid, **BLOCKS, help="Blocks along both sides of the "
+                         "ground, such as 3x3; chosen where left out."),
+            click.option("--method", type=click.Choice(("citygs", "blockgs", "vastgs")),
+                         default="citygs", show_default=True, **BLOCKS, help="citygs: a grid, and "
+                         "the views that change without a block; blockgs: halves of equal content, "
+                         "and views by tracks; vastgs: cells of equal cameras.")):
+        command = option(command)
+    return command
+
+
+@click.command(cls=SectionedCommand)
+@click.argument("scene", type=click.Path(path_type=Path))
+@training_flags
+@partition_flags
+@click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
+              help="Folder of the city; SCENE.city where left out.")
+@click.option("--workers", default=1, show_default=True, **BLOCKS,
+              help="Blocks trained at a time on this machine.")
+@click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
+              "tcp://10.0.0.1:8786, whose workers train the blocks.")
+@click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, take the coarse model's "
+              "gaussians; the report says so.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress line.")
+@click.pass_context
+def city(ctx, scene, output, workers, scheduler, fill, quiet, **_):
+    """Train SCENE in blocks: coarse run, partition, blocks, merge, evaluation.
+
+    Run again after any failure, it goes on where it was. The folder is a run like any other, for
+    `clsplat eval`, `render` and `compare`. Several devices: --device 0,1 with --workers 2.
+    """
+    from clsplat.city.forecast import block_table
+    from clsplat.city.stages import begin, cut_into_blocks, train_blocks, train_coarse
+    from clsplat.device import choose_device
+    from clsplat.io.city import CityFolder
+    from clsplat.io.scenes import read_scene
+    from clsplat.options import resolve
+    given = given_options(ctx)
+    devices = tuple(given.pop("device", "").split(",")) if given.get("device") else ()
+    options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
+    if options.init != "sfm" or options.coarse:
+        raise InputError("--init, --coarse: the coarse run begins a city, blocks begin with it; "
+                         "leave them out")
+    data = read_scene(scene)
+    folder = CityFolder(output or scene.with_name(scene.name + ".city"))
+    device = choose_device(options.device, form=options.form)
+    begin(folder, data, options)
+
+    def shown():
+        return nullcontext() if quiet else _progress(options)
+
+    try:
+        with shown() as progress:
+            train_coarse(folder, data, options, device, progress)
+        _, counts = cut_into_blocks(
+            folder, data, options, partition_options(ctx.params, data, options, device), device)
+        if not quiet:
+            click.echo(block_table(folder, device, counts).text())
+        outcomes = train_blocks(folder, workers, scheduler, devices, shown, _told(quiet))
+    except Interrupted:
+        raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command goes on"
+                          ) from None
+    failed = [outcome for outcome in outcomes if not outcome.ok]
+    for outcome in failed:
+        click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
+                   err=True)
+    _finish(folder, data, options, device, fill, quiet)
+
+
+@click.command("partition", cls=SectionedCommand)
+@click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
+@partition_flags
+@click.pass_context
+def partition_command(ctx, folder, **_):
+    """Cut the scene of CITY into blocks, by the coarse run in CITY/coarse.
+
+    Writes partition.json, partition.geojson, the map partition.png, and a folder a block.
+    """
+    from clsplat.city.forecast import block_table
+    from clsplat.city.stages import begin_from_coarse, cut_into_blocks
+    from clsplat.device import choose_device
+    from clsplat.io.city import CityFolder
+    there = CityFolder(folder)
+    data, options = begin_from_coarse(there)
+    device = choose_device(options.device, form=options.form)
+    _, counts = cut_into_blocks(
+        there, data, options, partition_options(ctx.params, data, options, device), device)
+    click.echo(block_table(there, device, counts).text())
+    click.echo(f"{there.picture}")
+
+
+@click.command()
+@click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
+@click.option("--fill", is_flag=True, help="Take the coarse model's gaussians where a block is "
+              "missing, unfinished or starved; the report says so.")
+@click.option("--device", default="auto", show_default=True,
+              help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
+def merge(folder, fill, device):
+    """Merge the finished blocks of CITY to one model, and score it.
+
+    Every gaussian is owned once. Says what is missing, and then ends with exit code 2.
+    """
+    from clsplat.city.stages import begin_from_coarse
+    from clsplat.device import choose_device
+    from clsplat.io.city import CityFolder
+    there = CityFolder(folder)
+    data, options = begin_from_coarse(there)
+    _finish(there, data, options, choose_device(device), fill, False)
+
+
+def _finish(folder, data, options, device, fill, quiet):
+    from clsplat.city.finish import evaluate_city, merge_city
+    from clsplat.cli.evaluate import summary
+    from clsplat.merge import seam_table
+    merged = merge_city(folder, data, options, device, fill)
+    scores, seams = evaluate_city(folder, data, options, device)
+    if quiet:
+        return
+    click.echo(merged.table().text())
+    if seams:
+        click.echo(seam_table(seams).text())
+    if scores:
+        click.echo(summary(scores))
+    click.echo(f"{folder.path}: {merged.gaussians.count:,} gaussians of {len(merged.shares)} "
+               "blocks")
+
+
+def partition_options(params, scene, options, device):
+    """PartitionOptions of the flags; the grid where none is given is what fits the device."""
+    from clsplat.city.forecast import expected_gaussians, gaussians_that_fit
+    from clsplat.partition import PartitionOptions
+    return PartitionOptions(
+        method=params["method"], grid=params["grid"], up=params["up"] or None,
+        bounds=params["bounds"] or None, margin=params["margin"],
+        least_views=params["least_views"], starved=params["starved"],
+        expected=expected_gaussians(scene, options),
+        limit=params["block_gaussians"] or gaussians_that_fit(device, options))
+
+
+def _told(quiet):
+    def told(outcome):
+        if not quiet:
+            click.echo(f"block {outcome.task.name}: "
+                       f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
+    return told
+
+
+def _progress(options):
+    from clsplat.cli.progress import Progress
+    return Progress(options.stop_at)

@@ -1,0 +1,188 @@
+"""Blocks to one model: each cropped to its cell, so that every gaussian is owned once.
+
+A block trains a margin around its cell, and surroundings; both belong to its neighbours. What a
+block lacks is listed, never passed over: `Merged.check` refuses a model with holes.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.ply import read_ply
+from clsplat.io.reason import reason
+from clsplat.io.run import MODEL
+from clsplat.io.scenes import fingerprint
+from clsplat.partition import Partition
+from clsplat.report.page import Table
+
+STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well
+WHOLE = ("merged", "coarse")  # states of a block whose cell is filled
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a block gave. state: merged; coarse, the coarse model's gaussians in its place; or why
+    not: missing, unfinished, starved, refused. gaussians: that the merged model has of it; trained:
+    that its own model has, margin and surroundings included; views: it trained with; points: sparse
+    ones in its cell; note: more, for people."""
+
+    block: int
+    state: str
+    gaussians: int
+    trained: int
+    views: int
+    points: int
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """gaussians: in the frame of the whole scene, block after block; shares: a Share a block, in
+    the same order; dropped: {name of a view: why no block took it}; path: of the city."""
+
+    gaussians: Gaussians
+    shares: tuple[Share, ...]
+    dropped: dict
+    path: object
+
+    def check(self):
+        """Raise InputError where a cell is empty that should not be: one line that names all."""
+        lacking = [share for share in self.shares if share.state not in WHOLE]
+        if not lacking:
+            return
+        named = ", ".join(f"{share.block:03d} {share.state}" for share in lacking)
+        cure = (f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, or fill them from "
+                "the coarse model with --fill")
+        refused = [share for share in lacking if share.state == "refused"]
+        if refused:
+            cure = refused[0].note
+        raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be "
+                         f"merged: {named}; {cure}")
+
+    def record(self):
+        """A dict for JSON."""
+        return {"blocks": [asdict(share) for share in self.shares], "dropped": self.dropped,
+                "gaussians": self.gaussians.count}
+
+    def table(self):
+        """Table of the blocks."""
+        rows = [(f"{s.block:03d}", s.state, f"{s.gaussians}", f"{s.trained}", f"{s.views}",
+                 f"{s.points}", s.note) for s in self.shares]
+        notes = [f"{name}: in no block: {why}" for name, why in self.dropped.items()]
+        head = ("block", "state", "gaussians", "trained", "views", "points", "note")
+        return Table("Blocks", head, rows, (2, 3, 4, 5), tuple(notes))
+
+
+def merge(city, scene, fill=False):
+    """Merge the finished blocks of a CityFolder; returns a `Merged`, whole or not: `check` it.
+
+    scene: the whole Scene, as `read_scene` gave it. fill: take the coarse model's gaussians for
+    cells that are missing, unfinished or starved. One block at a time is read; what its cell holds
+    is kept. Raises InputError for another scene, a damaged partition, and block folders that are
+    none of it.
+    """
+    if fingerprint(scene) != city.read()["fingerprint"]:
+        raise InputError(f"{city.path}: is a city of another scene than {scene.path}; give the one "
+                         "that it was begun with, or begin a new city")
+    partition = _partition_of(city)
+    _refuse_strangers(city, len(partition.regions))
+    owner = partition.owner(scene.points + scene.offset)
+    points = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
+    pieces, shares = [], []
+    for number, views in enumerate(partition.views):
+        state, trained, piece, note = _block(city.block(number), number, partition, scene)
+        if state == "merged" and piece.count < STARVED * points[number]:
+            state, note = "starved", f"only {piece.count} gaussians in its cell"
+        if state != "merged":
+            piece = None
+        pieces.append(piece)
+        shares.append(Share(number, state, piece.count if piece else 0, trained, len(views),
+                            int(points[number]), note))
+    lacking = [s for s in shares if s.state not in ("merged", "refused")]
+    if fill and lacking:
+        coarse = read_ply(city.coarse / MODEL, scene.offset)
+        for share in lacking:
+            piece = pieces[share.block] = cropped(coarse, partition, share.block, scene.offset)
+            shares[share.block] = Share(share.block, "coarse", piece.count, share.trained,
+                                        share.views, share.points, f"{share.state}: {share.note}")
+    dropped = {scene.views[view].name: why for view, why in partition.dropped.items()}
+    return Merged(joined([piece for piece in pieces if piece]), tuple(shares), dropped, city.path)
+
+
+def cropped(gaussians, partition, number, offset):
+    """The Gaussians that block `number` owns, of those in a frame at `offset` float64[3], world."""
+    kept = partition.owner(gaussians.positions.astype(np.float64) + offset) == number
+    return Gaussians({f.name: gaussians.rows[f.name][kept] for f in LEARNED}, gaussians.sh_degree)
+
+
+def joined(pieces):
+    """One Gaussians of several, in order, with harmonics up to the highest degree among them. The
+    pieces' rows are given up one field after the other, so that both are not in memory whole."""
+    degree = max((piece.sh_degree for piece in pieces), default=0)
+    rows = {}
+    for field in LEARNED:
+        shape = field.row_shape(degree)
+        rows[field.name] = np.concatenate(
+            [_raised(piece.rows.pop(field.name), shape) for piece in pieces]
+            or [np.empty((0, *shape), np.float32)])
+    return Gaussians(rows, degree)
+
+
+def _raised(values, shape):
+    """Rows of a lower SH degree as rows of `shape`: the bands they lack are zero."""
+    if values.shape[1:] == shape:
+        return values
+    result = np.zeros((len(values), *shape), values.dtype)
+    result[:, :values.shape[1]] = values
+    return result
+
+
+def _block(folder, number, partition, scene):
+    """(state, gaussians trained, those of its cell or None, note) of a BlockFolder."""
+    if not folder.is_there:
+        return "missing", 0, None, "it was never written"
+    if not (folder.run / MODEL).is_file():
+        return "unfinished", 0, None, "its run has no model yet"
+    try:
+        folder.check()
+        gaussians = read_ply(folder.run / MODEL, scene.offset)
+    except InputError as error:
+        return "refused", 0, None, str(error)
+    return "merged", gaussians.count, cropped(gaussians, partition, number, scene.offset), ""
+
+
+def _partition_of(city):
+    try:
+        return Partition.from_record(city.read_partition())
+    except ValueError as error:
+        raise InputError(f"{city.path}: its partition is damaged ({reason(error)}); make it again "
+                         f"with `clsplat partition {city.path}`") from None
+
+
+def _refuse_strangers(city, count):
+    """InputError where a folder is of no block, or claims to be of another than its name says."""
+    for folder in city.blocks():
+        number = folder.read()["number"]
+        if folder.path != city.block(number).path or not 0 <= number < count:
+            raise InputError(f"{folder.path}: says that it is block {number} of {count}; two "
+                             "partitions are mixed here: remove those folders that are not yours")
+
+
+def seam_table(seams):
+    """Table of what `evaluate.seams.find_seams` found."""
+    def cell(value, digits=2):
+        return "-" if value is None else f"{value:.{digits}f}"
+
+    rows = [(" | ".join(f"{block:03d}" for block in record["blocks"]),
+             cell(record["overlap_psnr"]), cell(record["density_jump"]), str(record["pixels"]),
+             cell(record["psnr"]), cell(record["elsewhere_psnr"]), cell(record["seam_db"]))
+            for record in seams["borders"]]
+    rows.append(("all", "", "", "", "", "", cell(seams["seam_db"])))
+    return Table("Seams", ("blocks", "overlap dB", "density jump", "pixels", "PSNR", "elsewhere",
+                           "seam dB"), rows, (1, 2, 3, 4, 5, 6), (
+        "overlap: one block against the other, uncropped, beside their border; density jump: ln of "
+        "gaussians beyond it over those before it, less that of the reference; seam: PSNR "
+        "(colour-corrected) gained over the reference elsewhere, less that gained beside the "
+        "border.",))

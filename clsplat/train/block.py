@@ -1,0 +1,60 @@
+"""Trains one block of a larger scene, from the folder that says all about it."""
+
+import dataclasses
+import json
+
+from clsplat.device import choose_device
+from clsplat.errors import InputError
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.options import checked, resolve
+from clsplat.train.loop import resume, train
+
+# what the coarse run has decided for all blocks, or their tones and degrees would not meet
+DECIDED = ("exposure", "sh_degree")
+MAY_DIFFER = ("init", "device", "checkpoint_every", "stop_at")  # from what a run began with
+
+
+def options_of_blocks(given, coarse):
+    """{option: value} of every block, for CityFolder.write_block.
+
+    given: what the user asks of blocks; coarse: the coarse run's options.json, whose needs decide
+    what must be equal in all. Blocks hold out nothing: they are given training views only. The
+    gaussians have their harmonics already, so these are not switched on one by one.
+    """
+    decided = {name: coarse["needs"][name] for name in DECIDED}
+    return {"sh_every": 1, **given, **decided, "coarse": False, "test_every": 0}
+
+
+def block_options(block, **changes):
+    """The TrainOptions of a BlockFolder, changed as given; InputError for what is none."""
+    values = {key: checked(str(block.path), key, value)
+              for key, value in block.read()["options"].items()}
+    return resolve(values, {"init": str(block.initial), **changes})
+
+
+def train_block(block, options, progress=None):
+    """Train a BlockFolder to its end: from the start, or on from the last checkpoint of its run.
+
+    options: those of `block_options`. Returns whether there was anything to do: a finished run is
+    left alone. InputError where it was begun with other options.
+    """
+    run = RunFolder(block.run)
+    begun = run.is_begun
+    if begun:
+        _check_same(run, options)
+    if run.has_model:
+        return False
+    scene = read_scene(block.path)
+    device = choose_device(options.device, form=options.form)
+    run, start = (run, resume) if begun else (RunFolder.create(run.path), train)
+    start(scene, options, device, run, progress=progress)
+    return True
+
+
+def _check_same(run, options):
+    record = run.read_options()
+    for name, value in json.loads(json.dumps(dataclasses.asdict(options))).items():
+        if name not in MAY_DIFFER and record.get(name) != value:
+            raise InputError(f"{run.path}: was begun with {name} {record.get(name)}, and "
+                             f"block.json has {value}; put that back, or remove the run")

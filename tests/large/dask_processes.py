@@ -1,0 +1,61 @@
+"""A Dask scheduler and workers as people start them: processes, here on one machine."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+ENDED_SECONDS = 20
+
+
+class DaskProcesses:
+    """Context manager; `address` is the scheduler's, `workers` the processes of workers."""
+
+    def __init__(self):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.address = f"tcp://127.0.0.1:{self.port}"
+        self.scheduler, self.workers = None, []
+        self._scratch = tempfile.TemporaryDirectory()
+
+    def __enter__(self):
+        self.start_scheduler()
+        return self
+
+    def __exit__(self, *_):
+        for process in [*self.workers, self.scheduler]:
+            self.kill(process)
+        self._scratch.cleanup()
+
+    def start_scheduler(self):
+        self.scheduler = self._dask("scheduler", "--host", "127.0.0.1", "--port", str(self.port),
+                                    "--no-dashboard")
+
+    def start_worker(self, *words, device="", resources="device=1"):
+        """One without a nanny, or with what `words` say; device: its CLSPLAT_DEVICE."""
+        self.workers.append(self._dask(
+            "worker", self.address, "--nthreads", "1", "--no-dashboard", "--memory-limit", "0",
+            "--local-directory", self._scratch.name, *(words or ["--no-nanny"]),
+            *(["--resources", resources] if resources else []), device=device))
+        return self.workers[-1]
+
+    @staticmethod
+    def kill(process):
+        """As `kill -9` does; unlike a machine that goes away, it leaves no nanny behind."""
+        if process.poll() is None:
+            process.send_signal(signal.SIGKILL)
+        process.wait(ENDED_SECONDS)
+
+    def _dask(self, *words, device=""):
+        environment = {**os.environ, "CLSPLAT_DEVICE": device, "PYTHONPATH": str(ROOT)}
+        if not device:
+            del environment["CLSPLAT_DEVICE"]
+        with open(Path(self._scratch.name) / "log.txt", "ab") as log:
+            return subprocess.Popen([sys.executable, "-m", "dask", *words], env=environment,
+                                    cwd=self._scratch.name, stdin=subprocess.DEVNULL, stdout=log,
+                                    stderr=log)

@@ -1,0 +1,142 @@
+"""Spaces and regions: who owns a point, how far a margin goes, and what a file may say."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from clsplat.region import Region, Space
+
+RNG = np.random.default_rng(7)
+UTM = np.array([5.4e6, 4.2e5, 300.0])
+
+
+def space(contracted=False, seed=0, origin=(1.0, 2.0, 3.0)):
+    rotation = Rotation.random(random_state=seed).as_matrix()
+    return Space(rotation, origin, (4.0, 5.0, 2.0), contracted)
+
+
+def at(where, *along):
+    """The world point at these coordinates along u, v and up, in half sides from the origin."""
+    return (where.origin + np.array(along) * where.half @ where.rotation)[None]
+
+
+def test_coordinates_are_half_sides_from_the_origin():
+    where = space()
+    assert np.allclose(where.to(at(where, 0.5, -3, 1)), [[0.5, -3, 1]])
+    assert where.to(where.origin + 4 * where.rotation[0][None])[0, 0] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("along, expected", [
+    ((0, 0, 0), (0.5, 0.5, 0.5)),
+    ((1, -1, 0.5), (0.75, 0.25, 0.625)),  # the area itself is only scaled
+    ((2, 0, 0), (0.875, 0.5, 0.5)),  # (2 - 1/2) / 4 + 1/2
+    ((2, -1, 0), (0.875, 0.3125, 0.5)),  # the largest decides for all: -1/2 of 3/2
+    ((0, 0, -4), (0.5, 0.5, 0.0625)),
+    ((1e30, 0, 0), (1, 0.5, 0.5)),
+])
+def test_contraction_by_hand(along, expected):
+    where = space(contracted=True)
+    assert where.to(at(where, *along)) == pytest.approx(np.array([expected]), abs=1e-12)
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+def test_world_is_the_way_back(contracted):
+    where = space(contracted, origin=UTM)
+    points = UTM + RNG.normal(0, 20, (500, 3))
+    assert np.abs(where.world(where.to(points)) - points).max() < 1e-7
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+def test_a_border_belongs_to_the_upper_cell(contracted):
+    where = Space(np.eye(3), np.zeros(3), np.ones(3), contracted)
+    lower, upper = Region(where).cut(1, where.to(np.array([[0, 0.25, 0]]))[0, 1])
+    points = np.array([[0, 0.25 - 1e-9, 0], [0, 0.25, 0], [0, 1e300, 0]])
+    assert lower.owns(points).tolist() == [True, False, False]
+    assert upper.owns(points).tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+def test_nobody_owns_what_is_nowhere(contracted):
+    points = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0, -np.inf, np.inf], [-np.inf, 0, 0]])
+    diagonal = np.linalg.qr([[1.0, 1, 0], [1, 0, 1], [1, 0, 0]])[0]  # x is along all three axes
+    diagonal *= np.sign(diagonal[:, :1])
+    for rotation in (diagonal, np.eye(3)):
+        where = Space(rotation, np.zeros(3), np.ones(3), contracted)
+        assert not Region(where).owns(points).any()
+
+
+def test_digits_are_kept_far_from_the_origin():
+    where = Space(np.eye(3), UTM, np.full(3, 1000.0))
+    _, upper = Region(where).cut(0, 0.25)
+    assert upper.owns(UTM + [[250.001, 0, 0], [249.999, 0, 0]]).tolist() == [True, False]
+
+
+def test_a_margin_is_a_share_of_each_side():
+    where = Space(np.eye(3), np.zeros(3), np.ones(3))
+    cell = Region(where, (0, 0.2, -np.inf), (0.4, np.inf, np.inf), 0.25)
+    inside = [[-0.09, 0.5, 9], [0.49, 0.5, -9], [0.2, 0.01, 0], [0.2, 99, 0]]
+    outside = [[-0.11, 0.5, 9], [0.51, 0.5, -9], [0.2, -0.01, 0]]  # v's side ends at 1: 0.8
+    assert cell.reaches(np.array(inside)).all() and not cell.reaches(np.array(outside)).any()
+    assert not cell.owns(np.array(inside)).all()
+
+
+def test_a_cell_reaches_all_that_is_near_it():
+    for seed in range(20):
+        where = space(contracted=seed % 2 == 1, seed=seed)
+        rng = np.random.default_rng(seed)
+        low = where.bounds[0] + rng.uniform(0, 0.4, 3) * (where.bounds[1] - where.bounds[0])
+        cell = Region(where, low, low + 0.3, 0.2)
+        points = where.origin + rng.normal(0, 10, (2000, 3))
+        coordinates = where.to(points)
+        away = np.maximum(cell.low - coordinates, coordinates - cell.high).max(axis=1)
+        assert cell.reaches(points)[cell.owns(points)].all()
+        assert (cell.reaches(points) == (away < 0.3 * 0.2)).all()
+
+
+def test_the_map_has_x_and_y_where_z_is_up():
+    points = UTM + RNG.normal(0, 20, (50, 3))
+    turned = Space(Rotation.from_euler("z", 1).as_matrix(), UTM, np.ones(3))
+    assert np.array_equal(turned.map(points), points[:, :2])
+
+
+def test_a_map_is_seen_from_above():
+    for seed in range(50):
+        where = space(seed=seed)
+        if seed == 0:
+            where = Space(np.diag([1.0, -1, -1]), np.zeros(3), np.ones(3))
+        u, v, up = (where.map(where.origin + axis[None])[0] - where.map(where.origin[None])[0]
+                    for axis in where.rotation)
+        assert np.allclose(up, 0) and np.allclose([u @ u, v @ v, u @ v], [1, 1, 0])
+        assert u[0] * v[1] - u[1] * v[0] == pytest.approx(1)  # not mirrored
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+def test_records_are_exact(contracted):
+    cell = Region(space(contracted, origin=UTM), (-np.inf, 0.1, 1 / 3), (0.7, np.inf, 2 / 3), 0.1)
+    text = json.dumps(cell.record(), allow_nan=False)
+    again = Region.from_record(json.loads(text))
+    assert again.record() == cell.record() and again.space.contracted is contracted
+    points = UTM + RNG.normal(0, 10, (1000, 3))
+    assert np.array_equal(again.owns(points), cell.owns(points))
+
+
+@pytest.mark.parametrize("change", [
+    {"low": [0, 0]}, {"low": [1, 1, "x"]}, {"low": [2, 0, 0]}, {"high": [0, 1, 1]}, {"low": None},
+    {"margin": -0.1}, {"margin": None}, {"margin": 1e400}, {"space": None}, {"space": {}},
+    {"low": [float("nan"), 0, 0]}])
+def test_a_damaged_record_is_refused(change):
+    record = {**Region(space(), (0, 0, 0), (1, 1, 1), 0.1).record(), **change}
+    with pytest.raises(ValueError):
+        Region.from_record(record)
+    with pytest.raises(ValueError):
+        Region.from_record({key: value for key, value in record.items() if key not in change})
+
+
+@pytest.mark.parametrize("change", [
+    {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}, {"rotation": [1, 0, 0]}, {"half": [1, 0, 1]},
+    {"half": [1, -1, 1]}, {"origin": [0, 0]}, {"origin": [0, 0, float("inf")]}, {"half": "no"}])
+def test_a_space_that_is_none_is_refused(change):
+    with pytest.raises(ValueError):
+        Space.from_record({**space().record(), **change})
