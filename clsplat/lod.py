@@ -21,11 +21,9 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.images import write_image
 from clsplat.io.ply import read_ply
-from clsplat.io.reason import reason
 from clsplat.io.run import MODEL, RunFolder, make_folder
 from clsplat.io.scenes import read_scene
-from clsplat.merge import cropped, joined
-from clsplat.partition.partition import Partition
+from clsplat.merge import cropped, joined, partition_of
 from clsplat.render.slabs import open_model
 from clsplat.train.begin import of_degree
 
@@ -144,7 +142,8 @@ class Detail:
                              "--snapshots, and more than one of --levels")
         models = [read_ply(path, scene.offset) for _, path in snapshots]
         models.append(read_ply(run.path / MODEL, scene.offset))
-        partition = partition_of(run.path)
+        city = CityFolder(run.path)
+        partition = partition_of(city) if city.has_partition else None
         self.levels = Levels.of(models, partition and (
             lambda positions: partition.owner(scene.offset + positions)))
         self.device, self.background = device, options.background
@@ -241,7 +240,7 @@ def merge_levels(city, scene):
 
     scene: the whole Scene, as `read_scene` gave it.
     """
-    partition = partition_of(city.path)
+    partition = partition_of(city)
     parts = {}
     for block in city.blocks():
         for factor, path in RunFolder(block.run).snapshots():
@@ -252,18 +251,6 @@ def merge_levels(city, scene):
         RunFolder(city.path).save_snapshot(factor, joined(pieces), scene.offset,
                                            (f"level {factor:g}",))
     return sorted(parts, reverse=True)
-
-
-def partition_of(path):
-    """The Partition in the folder of a city, or None; InputError where it is damaged."""
-    city = CityFolder(path)
-    if not city.has_partition:
-        return None
-    try:
-        return Partition.from_record(city.read_partition())
-    except ValueError as error:
-        raise InputError(f"{city.path}: its partition is damaged ({reason(error)}); make it again "
-                         f"with `clsplat partition {city.path}`") from None
 
 
 def _timed(device, draw, camera):

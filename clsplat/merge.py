@@ -15,6 +15,7 @@ from clsplat.io.reason import reason
 from clsplat.io.run import MODEL
 from clsplat.io.scenes import fingerprint
 from clsplat.partition import Partition
+from clsplat.partition.site import world_of
 from clsplat.report.page import Table
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well
@@ -86,9 +87,9 @@ def merge(city, scene, fill=False):
     if fingerprint(scene) != city.read()["fingerprint"]:
         raise InputError(f"{city.path}: is a city of another scene than {scene.path}; give the one "
                          "that it was begun with, or begin a new city")
-    partition = _partition_of(city)
+    partition = partition_of(city)
     _refuse_strangers(city, len(partition.regions))
-    owner = partition.owner(scene.points + scene.offset)
+    owner = partition.owner(world_of(scene, scene.points))
     points = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
     pieces, shares = [], []
     for number, views in enumerate(partition.views):
@@ -153,7 +154,8 @@ def _block(folder, number, partition, scene):
     return "merged", gaussians.count, cropped(gaussians, partition, number, scene.offset), ""
 
 
-def _partition_of(city):
+def partition_of(city):
+    """The Partition of a CityFolder; InputError where it is damaged."""
     try:
         return Partition.from_record(city.read_partition())
     except ValueError as error:

@@ -29,7 +29,7 @@ def adjacent_views(scene, views, count=3):
     Where `scene.observations` is None, a view sees each of at most 10000 evenly picked points that
     project into its image, hidden or not.
     """
-    points, point, view = _sightings(scene, views)
+    points, point, view = sightings(scene, views)
     sees = csr_array((np.ones(len(view), np.int8), (view, point)), (len(views), len(points)))
     seen_by = csr_array(sees.T)
     positions = np.array([v.camera.position for v in views]).reshape(-1, 3)
@@ -49,7 +49,7 @@ class Spread:
 def view_spread(scene, views):
     """The Spread of the sparse points of a Scene over its `views`, as `adjacent_views` counts who
     sees what: by the tracks, else by projection, hidden or not."""
-    points, point, view = _sightings(scene, views)
+    points, point, view = sightings(scene, views)
     cameras = [v.camera for v in views]
     positions, forward = (np.array(values).reshape(-1, 3) for values in (
         [c.position for c in cameras], [c.rotation[2] for c in cameras]))
@@ -73,7 +73,7 @@ def view_spread(scene, views):
     return Spread(cap[several], np.exp((high - low)[several]))
 
 
-def _sightings(scene, views):
+def sightings(scene, views):
     """(points float64[P, 3], point int[M], view int[M]): which of `views` sees which point."""
     if scene.observations is None:
         return _projected(scene.points, views)

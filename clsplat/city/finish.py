@@ -2,14 +2,13 @@
 
 import dataclasses
 
-from clsplat.city.stages import partition_of
 from clsplat.evaluate.seams import find_seams
 from clsplat.evaluate.views import evaluate_run
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.lod import merge_levels
-from clsplat.merge import merge, seam_table
+from clsplat.merge import merge, partition_of, seam_table
 from clsplat.report.page import Table, embedded
 from clsplat.report.run import write_report
 
@@ -24,9 +23,10 @@ def merge_city(city, scene, options, device, fill=False):
     merged.check()
     run, spent = RunFolder(city.path), cost(city)
     run.write_options({
-        "scene": scene.path, **dataclasses.asdict(options), "fingerprint": city.read()["fingerprint"],
-        "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
-        "offset": scene.offset.tolist(), "blocks": len(merged.shares)})
+        "scene": scene.path, **dataclasses.asdict(options),
+        "fingerprint": city.read()["fingerprint"], "opencl_device": device.name,
+        "kernel_form": device.form, "extent": scene.extent, "offset": scene.offset.tolist(),
+        "blocks": len(merged.shares)})
     run.rewind(-1)
     run.log({"event": "merge", **spent, "level": 1.0, "gaussians": merged.gaussians.count,
              **merged.record()})
@@ -35,8 +35,10 @@ def merge_city(city, scene, options, device, fill=False):
     return merged
 
 
-def evaluate_city(city, scene, options, device, images=False):
+def evaluate_city(city, scene, options, device, against=None, images=False):
     """Score the merged model on the held-out views, look for seams, and write the report.
+
+    against: path of the PLY, or of the run, that seams are measured by; None: the coarse model.
 
     Returns (scores as of `evaluate_views`, or None without held-out views; seams as of
     `find_seams`, by the training views where none are held out).
@@ -55,11 +57,12 @@ def evaluate_city(city, scene, options, device, images=False):
             path = city.block(number).run / MODEL
             return read_ply(path, scene.offset) if path.is_file() else None
 
-        model = run.load_model()
+        model, reference = run.load_model(), against or city.coarse
+        reference = reference / MODEL if reference.is_dir() else reference
         seams = find_seams(
             device, partition_of(city), scene, test or train, options, model,
             [share["gaussians"] for share in merged["blocks"]],
-            plain(read_ply(city.coarse / MODEL, scene.offset)), model_of)
+            plain(read_ply(reference, scene.offset)), model_of)
         run.log({"event": "seams", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
                  "seam_db": seams["seam_db"], "worst_seam_db": seams["worst_seam_db"]})
     write_report(run, embedded(city.picture, "map of the blocks"), block_shares(merged),

@@ -14,14 +14,15 @@ from clsplat.evaluate.views import run_options
 from clsplat.io.atomic import replacing
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.merge import partition_of
 from clsplat.options import resolve
-from clsplat.partition import Partition, geojson, make_partition
+from clsplat.partition import geojson, make_partition
 from clsplat.report.map import partition_map
 from clsplat.train.block import block_options, options_of_blocks, train_block
 from clsplat.train.loop import resume, train
 
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
-LEVELS = (2.0, 1.0)  # of blocks under sig: they begin where the coarse run, at half size, ended
+LEVELS = (1.0,)  # of blocks under sig: the coarse run, at half size, has been through the others
 
 
 def begin(city, scene, options):
@@ -135,15 +136,6 @@ def block_steps(options, share):
 def owner_of(partition, gaussians, offset):
     """int[N]: the block of each gaussian, in a frame at `offset`."""
     return partition.owner(gaussians.positions.astype(np.float64) + offset)
-
-
-def partition_of(city):
-    """The Partition of a CityFolder; InputError where it is damaged."""
-    try:
-        return Partition.from_record(city.read_partition())
-    except ValueError as error:
-        raise InputError(f"{city.path}: its partition is damaged ({error}); remove it, and run "
-                         f"`clsplat partition {city.path}` again") from None
 
 
 def draw(city, partition, scene, counts):

@@ -5,12 +5,14 @@ from pathlib import Path
 
 import click
 
+from clsplat.cli.flags import DEVICE
 from clsplat.errors import Interrupted
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--device", help="As for `clsplat train`, instead of what the city was given.")
+@click.option("--device", envvar=DEVICE,
+              help="As for `clsplat train`, instead of what the city was given.")
 @click.option("--stop-at", type=click.IntRange(min=1), help="Stop after this step.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress line.")
 def block(folder, device, stop_at, quiet):

@@ -27,6 +27,9 @@ def partition_flags(command):
     for option in (
             click.option("--least-views", default=8, show_default=True, **BLOCKS,
                          help="A block with fewer views is starved."),
+            click.option("--threshold", type=float, default=0.08, show_default=True, **BLOCKS,
+                         help="citygs: a view is given to a block where it changes by more than "
+                         "this without the block, as 1 - SSIM."),
             click.option("--starved", type=click.Choice(("refuse", "join")), default="refuse",
                          show_default=True, **BLOCKS, help="What becomes of a starved block of "
                          "--grid: refused, or joined to a neighbour."),
@@ -59,9 +62,11 @@ def partition_flags(command):
               "tcp://10.0.0.1:8786, whose workers train the blocks.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, take the coarse model's "
               "gaussians; the report says so.")
+@click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
+              "scene, or its PLY, that seams are measured by, in place of the coarse model.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress line.")
 @click.pass_context
-def city(ctx, scene, output, workers, scheduler, fill, quiet, **_):
+def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     """Train SCENE in blocks: coarse run, partition, blocks, merge, evaluation.
 
     Run again after any failure, it goes on where it was. The folder is a run like any other, for
@@ -102,7 +107,7 @@ def city(ctx, scene, output, workers, scheduler, fill, quiet, **_):
     for outcome in failed:
         click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
                    err=True)
-    _finish(folder, data, options, device, fill, quiet)
+    _finish(folder, data, options, device, fill, against, quiet)
 
 
 @click.command("partition", cls=SectionedCommand)
@@ -131,9 +136,11 @@ def partition_command(ctx, folder, **_):
 @click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
 @click.option("--fill", is_flag=True, help="Take the coarse model's gaussians where a block is "
               "missing, unfinished or starved; the report says so.")
+@click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
+              "PLY, that seams are measured by, in place of the coarse model.")
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
-def merge(folder, fill, device):
+def merge(folder, fill, against, device):
     """Merge the finished blocks of CITY to one model, and score it.
 
     Every gaussian is owned once. Says what is missing, and then ends with exit code 2.
@@ -143,15 +150,15 @@ def merge(folder, fill, device):
     from clsplat.io.city import CityFolder
     there = CityFolder(folder)
     data, options = begin_from_coarse(there)
-    _finish(there, data, options, choose_device(device), fill, False)
+    _finish(there, data, options, choose_device(device), fill, against, False)
 
 
-def _finish(folder, data, options, device, fill, quiet):
+def _finish(folder, data, options, device, fill, against, quiet):
     from clsplat.city.finish import evaluate_city, merge_city
     from clsplat.cli.evaluate import summary
     from clsplat.merge import seam_table
     merged = merge_city(folder, data, options, device, fill)
-    scores, seams = evaluate_city(folder, data, options, device)
+    scores, seams = evaluate_city(folder, data, options, device, against)
     if quiet:
         return
     click.echo(merged.table().text())
@@ -170,7 +177,7 @@ def partition_options(params, scene, options, device):
     return PartitionOptions(
         method=params["method"], grid=params["grid"], up=params["up"] or None,
         bounds=params["bounds"] or None, margin=params["margin"],
-        least_views=params["least_views"], starved=params["starved"],
+        threshold=params["threshold"], least_views=params["least_views"], starved=params["starved"],
         expected=expected_gaussians(scene, options),
         limit=params["block_gaussians"] or gaussians_that_fit(device, options))
 

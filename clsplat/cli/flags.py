@@ -9,6 +9,8 @@ from click.core import ParameterSource
 from clsplat.cli.sections import SectionedOption
 from clsplat.options import AUTO, TrainOptions
 
+DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
+
 
 class Numbers(click.ParamType):
     """Numbers of one kind, separated by commas."""
@@ -74,5 +76,7 @@ def _flag(option):
         settings.update(type=type(default[0]), nargs=len(default))
     else:
         settings["type"] = type(default)
+    if option.name == "device":
+        settings["envvar"] = DEVICE
     names = [name, option.name] if meta["short"] is None else [meta["short"], name, option.name]
     return click.option(*names, cls=SectionedOption, section=meta["group"], **settings)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.neighbours import _sightings
+from clsplat.neighbours import sightings
 from clsplat.partition.frame import ground_axes, quantiles, up_axis
 from clsplat.region import Space, map_axes
 
@@ -45,7 +45,7 @@ class Site:
         """
         views = np.arange(len(scene.views)) if views is None else np.asarray(views)
         chosen = [scene.views[index] for index in views]
-        points, point, view = _sightings(scene, chosen)
+        points, point, view = sightings(scene, chosen)
         points = world_of(scene, points)
         rotations = np.array([v.camera.rotation for v in chosen])
         cameras = world_of(scene, [v.camera.position for v in chosen])
