@@ -9,6 +9,9 @@ class InputError(ClsplatError):
     """A file, scene or option that cannot be used; the message names it and says what to do."""
 
 
+TOO_LARGE = "does not fit the device"  # begins what a DeviceError says of memory
+
+
 class DeviceError(ClsplatError):
     """No working OpenCL device, a kernel that does not build, or memory that is not there."""
 

@@ -3,7 +3,7 @@
     python -m tools.foretold OUT SCENE[:DOWNSCALE] ... -- --schedule sig
 
 Each scene is planned, then trained on the same device. Gaussians: the most at a time; memory: the
-largest that a step record of metrics.jsonl has; time: of training. Take it on a machine that does
+most at a time, while the model grows too; time: of training. Take it on a machine that does
 nothing else.
 """
 
@@ -39,16 +39,16 @@ def forecast(run):
     """The Forecast of a `runs.Wanted`, on a device of its own, as `clsplat plan` makes it."""
     device = choose_device(run.options.device, form=run.options.form)
     found = Planned(read_scene(run.scene.path), run.options, device).forecast()
-    print(f"{run.scene.name}: {found.gaussians:,} gaussians, {found.memory.steps / MIB:,.0f} MiB, "
+    print(f"{run.scene.name}: {found.gaussians:,} gaussians, {found.memory.total / MIB:,.0f} MiB, "
           f"{found.seconds:,.0f} s", flush=True)
     return found
 
 
 def compared(forecast, records):
-    """Cells: foretold, taken and their ratio of gaussians, MiB after a step, and seconds."""
+    """Cells: foretold, taken and their ratio of gaussians, MiB, and seconds."""
     steps = [record for record in records if record["event"] == "step"]
     pairs = ((forecast.gaussians, max(record["gaussians"] for record in records)),
-             (forecast.memory.steps / MIB, max(record["memory_bytes"] for record in steps) / MIB),
+             (forecast.memory.total / MIB, max(record["peak_bytes"] for record in steps) / MIB),
              (forecast.seconds, records[-1]["train_seconds"]))
     return [text for told, took in pairs
             for text in (f"{told:,.0f}", f"{took:,.0f}", f"{told / took:.2f}")]

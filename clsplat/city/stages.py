@@ -7,6 +7,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from clsplat.blocks import cut
+from clsplat.city.split import split_blocks, too_large
 from clsplat.city.visibility import DropTest
 from clsplat.distribute import Task, run
 from clsplat.errors import InputError
@@ -17,11 +18,14 @@ from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.merge import partition_of
 from clsplat.options import resolve
 from clsplat.partition import geojson, make_partition
+from clsplat.partition.site import world_of
 from clsplat.report.map import partition_map
 from clsplat.train.block import block_options, options_of_blocks, train_block
 from clsplat.train.loop import resume, train
 
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
+ASKED = "asked"  # key of partition.json: the PartitionOptions
+SPLITS = 4  # of a block, one after the other
 LEVELS = (1.0,)  # of blocks under sig: the coarse run, at half size, has been through the others
 
 
@@ -90,8 +94,8 @@ def coarse_options(options):
 def cut_into_blocks(city, scene, options, wanted, device):
     """Make the Partition of a city whose coarse run is finished, and its blocks' folders.
 
-    options: TrainOptions of the whole; wanted: PartitionOptions. What is there already stays as it
-    is. A block takes as many steps a view as one run of the whole would.
+    options: TrainOptions of the whole; wanted: PartitionOptions, of no use where there is a
+    partition. What is there already stays as it is. A block takes as many steps a view as one run of the whole would.
     """
     coarse = RunFolder(city.coarse)
     record, gaussians = coarse.read_options(), coarse.load_model()
@@ -100,13 +104,14 @@ def cut_into_blocks(city, scene, options, wanted, device):
     views = np.flatnonzero([view.name in training for view in scene.views])
     if city.has_partition:
         partition = partition_of(city)
+        _check_asked(city, wanted)
     else:
         drop = None
         if wanted.method == "citygs" and wanted.grid != (1, 1):
             drop = DropTest(device, gaussians, scene.reduced(record["downscale"]))
         partition = make_partition(scene, wanted, gaussians, views, drop)
-        city.write_partition(partition.record())
-    counts = np.bincount(owner_of(partition, gaussians, scene.offset),
+        city.write_partition({**partition.record(), ASKED: _plain(wanted)})
+    counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
     exposures = coarse.load_exposures()
@@ -133,11 +138,6 @@ def block_steps(options, share):
             if field.name not in ("init", "coarse")}
 
 
-def owner_of(partition, gaussians, offset):
-    """int[N]: the block of each gaussian, in a frame at `offset`."""
-    return partition.owner(gaussians.positions.astype(np.float64) + offset)
-
-
 def draw(city, partition, scene, counts):
     """Write the partition as a map and as GeoJSON."""
     with replacing(city.picture) as file:
@@ -155,9 +155,9 @@ def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=
     Outcome as it comes.
     """
     blocks = {block.path.name: block for block in city.blocks()}
-    tasks = [Task(name, ("block", str(block.path), "-q",
-                         *(("--device", devices[0]) if len(devices) == 1 else ())),
-                  block.run / MODEL) for name, block in blocks.items()]
+    chosen = ("--device", devices[0]) if len(devices) == 1 else ()
+    tasks = [Task(name, ("block", str(block.path.resolve()), "-q", *chosen), block.run / MODEL)
+             for name, block in blocks.items()]
 
     def here(task):
         block = blocks[task.name]
@@ -169,5 +169,34 @@ def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=
     return run(tasks, workers, scheduler, progress=told, devices=devices, call=here)
 
 
+def train_all_blocks(city, scene, options, device, told=None, **how):
+    """`train_blocks`; blocks that do not fit their device are cut in two and begun again."""
+    outcomes = train_blocks(city, told=told, **how)
+    for _ in range(SPLITS):
+        numbers = too_large(outcomes)
+        if not numbers:
+            break
+        gaussians = RunFolder(city.coarse).load_model()
+        _, whole = split_blocks(city, numbers, world_of(scene, gaussians.positions))
+        cut_into_blocks(city, scene, options, None, device)
+        if len(whole) == len(numbers):
+            break
+        outcomes = train_blocks(city, told=told, **how)
+    return outcomes
+
+
+def _check_asked(city, wanted):
+    """InputError where the blocks that are there were cut as PartitionOptions say otherwise."""
+    asked = city.read_partition().get(ASKED, {})
+    for name, value in (_plain(wanted) if wanted else {}).items():
+        if name in asked and name not in ("limit", "expected") and asked[name] != value:
+            raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {asked[name]}, "
+                             f"not {value}; remove partition.json and blocks/ there, or choose "
+                             "another --output")
+
+
 def _plain(value):
-    return list(value) if isinstance(value, tuple) else value
+    """As JSON gives it back."""
+    if dataclasses.is_dataclass(value):
+        value = dataclasses.asdict(value)
+    return json.loads(json.dumps(value))

@@ -27,7 +27,7 @@ def partition_flags(command):
     for option in (
             click.option("--least-views", default=8, show_default=True, **BLOCKS,
                          help="A block with fewer views is starved."),
-            click.option("--threshold", type=float, default=0.08, show_default=True, **BLOCKS,
+            click.option("--threshold", type=float, default=0.04, show_default=True, **BLOCKS,
                          help="citygs: a view is given to a block where it changes by more than "
                          "this without the block, as 1 - SSIM."),
             click.option("--starved", type=click.Choice(("refuse", "join")), default="refuse",
@@ -36,8 +36,8 @@ def partition_flags(command):
             click.option("--bounds", type=float, nargs=4, **BLOCKS, help="X0 Y0 X1 Y1: the area of "
                          "interest on the map."),
             click.option("--up", type=float, nargs=3, **BLOCKS, help="The direction that is up."),
-            click.option("--margin", type=float, **BLOCKS, help="Share of a block's sides that it "
-                         "trains beyond them; each method has its own."),
+            click.option("--margin", type=float, default=0.3, show_default=True, **BLOCKS,
+                         help="Share of a block's sides that it trains beyond them."),
             click.option("--block-gaussians", type=int, default=0, **BLOCKS, help="Gaussians that "
                          "a block may end with; chooses the grid (0: what fits the device)."),
             click.option("--grid", callback=_grid, **BLOCKS, help="Blocks along both sides of the "
@@ -73,7 +73,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     `clsplat eval`, `render` and `compare`. Several devices: --device 0,1 with --workers 2.
     """
     from clsplat.city.forecast import block_table
-    from clsplat.city.stages import begin, cut_into_blocks, train_blocks, train_coarse
+    from clsplat.city.stages import begin, cut_into_blocks, train_all_blocks, train_coarse
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.scenes import read_scene
@@ -99,7 +99,9 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
             folder, data, options, partition_options(ctx.params, data, options, device), device)
         if not quiet:
             click.echo(block_table(folder, device, counts).text())
-        outcomes = train_blocks(folder, workers, scheduler, devices, shown, _told(quiet))
+        outcomes = train_all_blocks(
+            folder, data, options, device, _told(quiet), workers=workers, scheduler=scheduler,
+            devices=devices, progress=shown)
     except Interrupted:
         raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command goes on"
                           ) from None

@@ -14,7 +14,7 @@ from clsplat.device.array import Array
 from clsplat.device.capabilities import probe_capabilities
 from clsplat.device.kernel import SCALARS
 from clsplat.device.source import kernel_folder, kernel_source
-from clsplat.errors import DeviceError
+from clsplat.errors import TOO_LARGE, DeviceError
 
 RUNS_A_CORE = 4  # of the item form: enough for cores that are not equally busy
 
@@ -94,14 +94,15 @@ class Device:
         limit = self.largest_buffer
         if size > limit:
             raise DeviceError(
-                f"{self.name}: one buffer of {size >> 20} MiB is asked for, the limit is "
-                f"{limit >> 20} MiB; use fewer gaussians (--max-gaussians) or smaller images (-r)")
+                f"{self.name}: {TOO_LARGE}: one buffer of {size >> 20} MiB is asked for, the limit "
+                f"is {limit >> 20} MiB; use fewer gaussians (--max-gaussians) or smaller images (-r)")
         try:
             return Array(self, allocate(size), shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(
-                f"{self.name}: no memory for {size >> 20} MiB more ({self.memory_bytes >> 20} MiB "
-                f"held): use --max-gaussians or -r ({error})") from None
+                f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
+                f"({self.memory_bytes >> 20} MiB held): use --max-gaussians or -r ({error})"
+            ) from None
 
     def zeros(self, shape, dtype=None):
         """A long-lived Array of zeros."""

@@ -80,6 +80,12 @@ class CityFolder:
         digest = hashlib.sha256((self.path / PARTITION).read_bytes()).hexdigest()
         return {"city": self.read()["fingerprint"], "partition": digest}
 
+    def adopt(self):
+        """Make the blocks that are there those of the present partition."""
+        identity = self.identity()
+        for block in self.blocks():
+            _write(block.path / BLOCK, {**block.read(), **identity})
+
     def block(self, number):
         """The BlockFolder of a block, there or not."""
         return BlockFolder(self.path / "blocks" / f"{number:03d}")

@@ -27,11 +27,11 @@ class Exposures:
     transforms, m, v: real[V, 12], rows [M | t] of 3 x 4 in row-major order, which start at
     `initial` float64[V, 3, 4], by default identities; counts: uint[V], steps taken by each view;
     skipped: uint[1], steps not taken. rate: learning rate; pull: weight in the loss of
-    mean((E - I)^2) over the 12 entries E of the view's row.
+    mean((E - I)^2) over the 12 entries E of the view's row; learns: whether they change at all.
     """
 
-    def __init__(self, device, views, rate=1e-3, pull=0.01, initial=None):
-        self.device, self.rate, self.pull = device, rate, pull
+    def __init__(self, device, views, rate=1e-3, pull=0.01, initial=None, learns=True):
+        self.device, self.rate, self.pull, self.learns = device, rate, pull, learns
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
         self._mean = self._recentred.reshape(views, 12).mean(axis=0)
         self.transforms = device.upload(self._recentred.reshape(views, 12))
@@ -63,9 +63,10 @@ class Exposures:
         else:
             group = device.scan_group
             device.launch(ADJOINT, blocks * group, group, self._defines, **values)
-        device.launch(STEP, 1, 1, self._defines, view=view, rate=self.rate, pull=self.pull,
-                      totals=sum_columns(device, partials), transforms=self.transforms, m=self.m,
-                      v=self.v, counts=self.counts, skipped=self.skipped)
+        if self.learns:
+            device.launch(STEP, 1, 1, self._defines, view=view, rate=self.rate, pull=self.pull,
+                          totals=sum_columns(device, partials), transforms=self.transforms,
+                          m=self.m, v=self.v, counts=self.counts, skipped=self.skipped)
         return grad_image
 
     def recentre(self):
@@ -75,6 +76,8 @@ class Exposures:
         held-out view, drawn without a transform, would show it, and so would the seam between two
         blocks of a scene.
         """
+        if not self.learns:
+            return
         transforms = self.transforms.download().astype(np.float64)
         transforms -= transforms.mean(axis=0) - self._mean
         self.transforms.write(transforms)

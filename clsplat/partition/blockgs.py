@@ -17,7 +17,7 @@ def blockgs(site, grid, options, drop=None):
     space = site.space()
     inside = site.inside()
     coordinates, weights = space.to(site.content[inside]), site.weights[inside]
-    regions = _bisected(Region(space, margin=options.margin_of("blockgs")), coordinates, weights,
+    regions = _bisected(Region(space, margin=options.margin), coordinates, weights,
                         grid[0] * grid[1])
     return regions, seen_by_tracks(site, [region.grown(region.margin) for region in regions])
 

@@ -23,7 +23,7 @@ def citygs(site, grid, options, drop=None):
     (`seen_by_tracks`).
     """
     space = _contracted(site, grid)
-    margin = options.margin_of("citygs")
+    margin = options.margin
     across, along = (_ends(n) for n in grid)
     regions = [Region(space, (u0, v0, -np.inf), (u1, v1, np.inf), margin)
                for v0, v1 in zip(along, along[1:]) for u0, u1 in zip(across, across[1:])]

@@ -14,8 +14,6 @@ from clsplat.partition.starved import join_starved, refuse_starved
 from clsplat.partition.vastgs import vastgs
 
 METHODS = {"citygs": citygs, "blockgs": blockgs, "vastgs": vastgs}
-# of a cell's sides: 0.1 here, 0.05 as BlockGaussian's boxes, 0.2 as VastGaussian's
-MARGINS = {"citygs": 0.1, "blockgs": 0.05, "vastgs": 0.2}
 
 
 @dataclass(frozen=True)
@@ -23,7 +21,8 @@ class PartitionOptions:
     """method: a key of METHODS; grid: (N, M) cells along u and v, or None to choose it; limit:
     gaussians that a block may hold with its margin, and expected: those of the whole scene at the
     end of training, which choose it (0: one block); up, bounds: see `Site.of`; margin: share of a
-    cell's sides, None: the method's; threshold: of citygs, 1 - SSIM; least_views, least_gaussians:
+    cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; with less than 0.3, seams showed on
+    caliterra: docs/city.md); threshold: of citygs, 1 - SSIM; least_views, least_gaussians:
     a block with fewer is starved; starved: "refuse" a grid that starves a block, or "join" it to a
     neighbour, as is done with a chosen grid always.
     """
@@ -34,14 +33,11 @@ class PartitionOptions:
     expected: int = 0
     up: tuple[float, float, float] | None = None
     bounds: tuple[float, float, float, float] | None = None
-    margin: float | None = None
-    threshold: float = 0.08
+    margin: float = 0.3
+    threshold: float = 0.04
     least_views: int = 8
     least_gaussians: int = 100
     starved: str = "refuse"
-
-    def margin_of(self, method):
-        return MARGINS[method] if self.margin is None else self.margin
 
 
 def make_partition(scene, options, gaussians=None, views=None, drop=None):
@@ -77,7 +73,7 @@ def _chosen_grid(site, options):
         return 1, 1
     low, high = site.bulk()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
-    shared = (1 + 2 * options.margin_of(options.method)) ** 2  # of gaussians: margins hold twice
+    shared = (1 + 2 * options.margin) ** 2  # of gaussians: margins hold twice
     return choose_grid(options.expected * shared, options.limit, side[0] / side[1])
 
 

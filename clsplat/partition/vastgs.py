@@ -22,7 +22,7 @@ def vastgs(site, grid, options, drop=None):
     """
     space = site.space()
     cameras = space.to(site.cameras)
-    whole = Region(space, margin=options.margin_of("vastgs"))
+    whole = Region(space, margin=options.margin)
     regions = [cell for strip in _strips(whole, cameras, 0, grid[0])
                for cell in _strips(strip, cameras[strip.holds(cameras)], 1, grid[1])]
     content = space.to(site.content)

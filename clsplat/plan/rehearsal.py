@@ -14,7 +14,7 @@ from clsplat.train.model import Model
 from clsplat.train.photos import at_level
 from clsplat.train.step import Step
 
-A_SPLAT, A_TILE = 2.2, 75  # pairs
+A_SPLAT, A_TILE = 1.62, 114  # pairs
 SIZES, HALVINGS = 2.0, 6  # logarithm of the size looked for, and how often its range is halved
 
 

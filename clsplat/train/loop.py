@@ -106,6 +106,7 @@ class Training(Clock):
 
     def __init__(self, scene, options, device, run, progress, gaussians=None):
         super().__init__(device)
+        device.peak_bytes = 0  # of this run: a city may train several on one device
         self.iteration = 0
         self.evaluated_at = self.level = self.sums = None
         self.fingerprint = fingerprint(scene)
@@ -134,7 +135,8 @@ class Training(Clock):
         model = Model(device, initial, options.engine, options.optimizer == "dense")
         exposures = None
         if options.exposure == "on":
-            exposures = Exposures(device, len(views), initial=initial_exposures(scene, views))
+            given = initial_exposures(scene, views)  # blocks that learned their own would not agree
+            exposures = Exposures(device, len(views), initial=given, learns=given is None)
         self.step = Step(self.renderer, model, scene.extent, options, exposures,
                          scene.reached if scene.region else None)
         for _ in decoded(self.test_views):
@@ -285,6 +287,7 @@ class Training(Clock):
         if self.due(LOG_EVERY) or self.iteration == 1:
             skipped, asked = self.step.skipped.close()
             self.log("step", loss=loss, l1=l1, ssim=ssim, memory_bytes=memory,
+                     peak_bytes=self.device.peak_bytes,
                      skipped_rows=self.step.skipped.total, skipped_since=skipped,
                      frequency=self.frequency, convergence=self.schedule.latest)
             if self.iteration > 1 and skipped > TOO_MANY * asked:  # one view alone says little

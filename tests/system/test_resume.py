@@ -30,7 +30,7 @@ from tests.tiny_training import (
     trained,
 )
 
-TIMES = ("train_seconds", "wall_seconds", "memory_bytes")
+TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes")
 
 
 def history(run):

@@ -199,7 +199,7 @@ def test_records_carry_what_reports_read(item_device, city, tmp_path):
     own = {event: set(records(run, event)[-1]) - set(COMMON)
            for event in ("plan", "step", "grow", "eval")}
     assert own == {"plan": {"reasons", "levels"},
-                   "step": {"loss", "l1", "ssim", "memory_bytes", "skipped_rows",
+                   "step": {"loss", "l1", "ssim", "memory_bytes", "peak_bytes", "skipped_rows",
                             "skipped_since", "frequency", "convergence"},
                    "grow": {"cloned", "split", "pruned"},
                    "eval": {"psnr", "ssim", "psnr_cc", "ssim_cc", "views"}}

@@ -1,0 +1,49 @@
+"""A block that its device cannot hold, cut in two."""
+
+import shutil
+
+import numpy as np
+
+from clsplat.errors import TOO_LARGE
+from clsplat.merge import partition_of
+from clsplat.partition import Partition
+from clsplat.partition.grid import best_cut
+
+
+def too_large(outcomes):
+    """Numbers of the blocks that failed for memory."""
+    return [int(outcome.task.name) for outcome in outcomes
+            if not outcome.ok and TOO_LARGE in outcome.message]
+
+
+def split_blocks(city, numbers, positions_world):
+    """Cut these blocks of a CityFolder across their longer side, into halves of equal content.
+
+    positions_world: float64[N, 3], of the coarse gaussians. The first half keeps the number, the
+    other gets a new one; both keep the views. The folders of these blocks are removed, the others
+    are theirs as before. Returns the Partition, and which of the blocks could not be cut.
+    """
+    partition = partition_of(city)
+    regions, views, whole = list(partition.regions), list(partition.views), []
+    coordinates = partition.space.to(positions_world)
+    notes = list(partition.notes)
+    for number in numbers:
+        region = regions[number]
+        axis = int(np.argmax((region.side * partition.space.half)[:2]))
+        inside = coordinates[region.holds(coordinates)][:, axis]
+        at = best_cut(inside, np.ones(len(inside)), 0.5) if len(inside) else None
+        if at is None:
+            whole.append(number)
+            continue
+        regions[number], other = region.cut(axis, at)
+        regions.append(other)
+        views.append(views[number])
+        notes.append(f"block {number:03d} did not fit the device: cut in two, the other half is "
+                     f"{len(regions) - 1:03d}")
+    made = Partition(partition.method, tuple(regions), tuple(views), partition.dropped,
+                     tuple(notes))
+    city.write_partition({**city.read_partition(), **made.record()})
+    for number in set(numbers) - set(whole):
+        shutil.rmtree(city.block(number).path)
+    city.adopt()
+    return made, whole
