@@ -5,7 +5,7 @@
 Times steps of the real training at full size on --gaussians gaussians strewn about the sparse
 points: with everything on, without one part each, with everything off, and then with what a scene
 may need besides. A scene's first VIEWS photos stand for all where so many are asked for. Each row
-has a device of its own, so that memory is that of the row. Take it on a machine that does nothing
+has a device of its own, so that memory is that of the row, and rows step in turn. Take it on a machine that does nothing
 else:
 
     python -m tools.leave_out out/leave ../shared/data/caliterra data_samples/city \\
@@ -31,7 +31,7 @@ from clsplat.report.page import Table
 from clsplat.schedule import scaled_steps
 from clsplat.train.needs import find_needs
 from clsplat.train.photos import decode
-from tools.bench.measure import milliseconds
+from tools.bench.timing import in_turn
 from tools.evidence import markdown, outermost
 from tools.runs import Scene
 
@@ -58,12 +58,15 @@ def main(argv):
     given.out.mkdir(parents=True, exist_ok=True)
     records = []
     for name, scene in scenes:
-        for row, options, parts in variants():
+        rows = [(row, *prepared(given, scene, options, parts))
+                for row, options, parts in variants()]
+        times = in_turn([(device, step) for _, device, step in rows], given.repeats, warm_up=VIEWS)
+        for (row, device, _), measured in zip(rows, times):
             records.append({"scene": name, "variant": row,
-                            **measured(given, scene, options, parts)})
+                            **record(given, scene, device, measured)})
             print(json.dumps(records[-1]), flush=True)
-            with replacing(given.out / "leave_out.jsonl") as file:
-                file.writelines((json.dumps(record) + "\n").encode() for record in records)
+        with replacing(given.out / "leave_out.jsonl") as file:
+            file.writelines((json.dumps(record) + "\n").encode() for record in records)
     tables = [table(name, [r for r in records if r["scene"] == name]) for name, _ in scenes]
     with replacing(given.out / "leave_out.md") as file:
         file.write(("# What parts of a step cost\n\n" + "\n\n".join(map(markdown, tables)) + "\n"
@@ -115,8 +118,8 @@ def _scene(text):
                                                         observations=seen)
 
 
-def measured(given, scene, options, parts):
-    """One row's record: median and quartiles of a step's milliseconds, and the device's MiB."""
+def prepared(given, scene, options, parts):
+    """(device, a function that takes the next step on it) of one row."""
     device = choose_device(given.device, form=given.form)
     options = scaled_steps(resolve({}, options))
     needs = find_needs(scene, scene.views, options)
@@ -137,7 +140,11 @@ def measured(given, scene, options, parts):
         def steps(index):
             ready[index]()
     turns = itertools.cycle(indices)
-    times = milliseconds(device, lambda: steps(next(turns)), given.repeats, warm_up=len(indices))
+    return device, lambda: steps(next(turns))
+
+
+def record(given, scene, device, times):
+    """A row's record: median and quartiles of a step's milliseconds, and the device's MiB."""
     low, median, high = np.percentile(times, (25, 50, 75))
     camera = scene.views[0].camera
     return {"gaussians": given.gaussians, "views": len(scene.views), "width": camera.width,

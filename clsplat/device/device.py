@@ -95,7 +95,7 @@ class Device:
         if size > limit:
             raise DeviceError(
                 f"{self.name}: {TOO_LARGE}: one buffer of {size >> 20} MiB is asked for, the limit "
-                f"is {limit >> 20} MiB; use fewer gaussians (--max-gaussians) or smaller images (-r)")
+                f"is {limit >> 20} MiB; use --max-gaussians or -r")
         try:
             return Array(self, allocate(size), shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:

@@ -10,8 +10,8 @@ LARGEST = 1e100  # of a number: sums of squares stay finite
 # where they are there and not null, these are whole numbers, numbers, text, or objects
 WHOLE = ("iteration", "gaussians", "views", "seed")
 NUMBERS = ("train_seconds", "wall_seconds", "level", "psnr", "psnr_cc", "ssim", "ssim_cc", "lpips",
-           "loss", "l1", "memory_bytes", "peak_bytes", "since", "slope", "threshold", "hits", "rounds",
-           "pixel_pairs", "kernel_bytes")
+           "loss", "l1", "memory_bytes", "peak_bytes", "since", "slope", "threshold", "hits",
+           "rounds", "pixel_pairs", "kernel_bytes")
 TEXT = ("event", "scene", "fingerprint", "opencl_device", "kernel_form", "version", "commit",
         "schedule")
 OBJECTS = ("reasons",)

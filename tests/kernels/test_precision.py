@@ -19,6 +19,7 @@ from tools.bench.variants import (
     Variant,
     VariantDevice,
 )
+from tools.bench.workloads import city
 
 EXP = """
 #include "real.h"
@@ -182,3 +183,14 @@ def test_the_order_of_another_device_is_taken(double_device):
     assert errors(result(own.depth_keys()), plain)["image_max"] == 0
     all_equal = np.full(COUNT, 7, np.uint32)  # in the order of the rows
     assert errors(result(all_equal), plain)["image_max"] > 0.01
+
+
+def test_frames_that_share_a_device_keep_their_variant(float_device):
+    """Variants are timed in turn: each must run as itself, whichever was prepared last."""
+    devices, scene = Devices(float_device.handle, float_device.form), city(300, (64, 48))
+    coarse = Variant("alpha cutoff", "1/16", (("ALPHA_STEPS", 16),))
+    frames = [Frame(devices[variant], scene) for variant in (DEFAULT, coarse)]
+    assert frames[0].device is frames[1].device
+    first, second = (frame.result()["image"] for frame in frames)
+    assert not np.array_equal(first, second)
+    assert np.array_equal(first, frames[0].result()["image"])

@@ -94,6 +94,7 @@ class Frame:
     def __init__(self, device, scene):
         gaussians, (camera, *_) = scene
         self.device, self.count = device, gaussians.count
+        self.variant = device.variant  # frames of several share the device
         self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
         self.camera, self.size = self.renderer.pack(camera), (camera.width, camera.height)
@@ -108,6 +109,7 @@ class Frame:
         return np.where(flags.download(), keys.download(), 0)
 
     def run(self):
+        self.device.variant = self.variant
         frame = self.renderer.render(self.rows, self.camera, *self.size, degree=3)
         return frame, self.renderer.adjoint(self.rows, frame, self.grad)
 
