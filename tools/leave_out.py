@@ -5,8 +5,8 @@
 Times steps of the real training at full size on --gaussians gaussians strewn about the sparse
 points: with everything on, without one part each, with everything off, and then with what a scene
 may need besides. A scene's first VIEWS photos stand for all where so many are asked for. Each row
-has a device of its own, so that memory is that of the row, and rows step in turn. Take it on a machine that does nothing
-else:
+has a device of its own, so that memory is that of the row, and rows step in turn. Take it on a
+machine that does nothing else:
 
     python -m tools.leave_out out/leave ../shared/data/caliterra data_samples/city \\
         ../shared/data/caliterra@10

@@ -7,6 +7,11 @@ from clsplat.report.page import Table
 from clsplat.train.block import block_options
 from clsplat.train.model import GROWTH_ROOM
 
+GIB = 2**30
+COARSE_COST = 0.25  # of the time of one run of the whole, that the coarse run takes
+PLY_BYTES = 248  # a gaussian with all harmonics
+# of a cluster's scheduler, client and workers together, a block: tools/simulate.py
+DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
 PIXELS = 40  # of training photos a gaussian, which is where sig ends at the latest
 
@@ -24,6 +29,37 @@ def gaussians_that_fit(device, options):
     floats = sum(field.width(degree) for field in LEARNED)
     each = 3 * floats * GROWTH_ROOM * device.real.itemsize
     return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
+
+
+def scale_table(planned, forecast, device, margin, photos):
+    """A Table of what cities of so many photos of the kind of a planned scene would take.
+
+    planned, forecast: plan.forecast.Planned and Forecast of a scene that stands for the whole;
+    margin: of blocks; photos: numbers of them. Everything grows with their number but for a block,
+    which is as large as the device allows.
+    """
+    views, options = planned.views, planned.needs.options
+    pixels = sum(view.camera.width * view.camera.height for view in views) / len(views)
+    limit, shared = gaussians_that_fit(device, options), (1 + 2 * margin) ** 2
+    rows = []
+    for count in photos:
+        share = count / len(views)
+        gaussians = int(forecast.gaussians * share)
+        whole = gaussians <= limit
+        times = 1 if whole else shared  # that a photo is trained with, on average
+        blocks = -(-int(gaussians * times) // limit)
+        seconds = forecast.seconds * share * (times + (0 if whole else COARSE_COST))
+        steps = options.iterations * share * times / blocks
+        rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
+                     f"{steps:,.0f}", f"{gaussians:,}", f"{gaussians * PLY_BYTES / GIB:,.1f}",
+                     f"{3 * pixels * count / GIB:,.1f}", f"{seconds / 3600:,.1f}",
+                     f"{DASK_SECONDS * blocks:,.1f}", f"{DASK_BYTES * blocks / MIB:,.2f}"))
+    head = ("photos", "blocks", "photos a block", "steps a block", "gaussians", "model, GiB",
+            "pixels, GiB", "device hours", "scheduler, s", "MiB")
+    return Table("At scale", head, rows, range(10), (
+        f"Photos like these, on {device.name}, in as few blocks as fit it, at as many steps a "
+        "photo; a part of a scene that two blocks train counts twice. Scheduler: CPU and bytes of "
+        "a Dask cluster in all.",))
 
 
 def block_table(city, device, counts):

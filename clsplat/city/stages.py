@@ -95,7 +95,8 @@ def cut_into_blocks(city, scene, options, wanted, device):
     """Make the Partition of a city whose coarse run is finished, and its blocks' folders.
 
     options: TrainOptions of the whole; wanted: PartitionOptions, of no use where there is a
-    partition. What is there already stays as it is. A block takes as many steps a view as one run of the whole would.
+    partition. What is there already stays as it is. A block takes as many steps a view as one run
+    of the whole would.
     """
     coarse = RunFolder(city.coarse)
     record, gaussians = coarse.read_options(), coarse.load_model()

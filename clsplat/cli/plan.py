@@ -6,6 +6,7 @@ import click
 
 from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
+from clsplat.errors import InputError
 
 MIB = 2**20
 WIDTH = 12  # of the column of names
@@ -16,8 +17,12 @@ WIDTH = 12  # of the column of names
 @training_flags
 @click.option("--config", type=click.Path(path_type=Path),
               help="TOML file of options; flags win over it.")
+@click.option("--photos", default="", help="Also say what cities of so many photos like these "
+              "would take, in blocks: such as 1000,10000,100000.")
+@click.option("--margin", default=0.3, show_default=True,
+              help="Of these blocks; see `clsplat city`.")
 @click.pass_context
-def plan(ctx, scene, config, **_):
+def plan(ctx, scene, config, photos, margin, **_):
     """Say what `clsplat train` would do with SCENE, given the same options.
 
     One line a part that may be left out: its value, the reason, and the number behind it; a flag
@@ -40,6 +45,20 @@ def plan(ctx, scene, config, **_):
     _line("photos", forecast.streaming.reason)
     _line("memory", _memory(forecast, device))
     _line("time", _time(forecast))
+    if photos:
+        from clsplat.city.forecast import scale_table
+        click.echo("\n" + scale_table(planned, forecast, device, margin, _numbers(photos)).text())
+
+
+def _numbers(text):
+    try:
+        numbers = [int(part) for part in text.split(",")]
+        if min(numbers) < 1:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"--photos {text}: wants whole numbers of at least 1, such as "
+                         "1000,10000,100000") from None
+    return numbers
 
 
 def _line(name, text):

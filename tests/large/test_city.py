@@ -1,18 +1,24 @@
 """`clsplat city` from scene to report: stages, going on after failures, and what it refuses."""
 
 import json
+import resource
 import shutil
+import subprocess
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from clsplat.city import stages
+from clsplat.city.forecast import gaussians_that_fit, scale_table
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.merge import partition_of
+from clsplat.options import resolve
 from tests.tiny_training import CITY
 
 FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
@@ -172,6 +178,43 @@ def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch):
     halves = records[0]["own"], records[2]["own"]
     assert sum(halves) == refused[0] and abs(halves[0] - halves[1]) <= 1
     assert RunFolder.open(copy.path).read_options()["blocks"] == 3
+
+
+def test_what_ten_times_the_photos_take():
+    device = SimpleNamespace(name="a card", real=np.dtype(np.float32),
+                             handle=SimpleNamespace(global_mem_size=2**30))
+    view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
+    options = resolve({}, {"iterations": 1000})
+    planned = SimpleNamespace(views=[view] * 100, needs=SimpleNamespace(options=options))
+    limit = gaussians_that_fit(device, options)
+    forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0)
+    head, *_ = table = scale_table(planned, forecast, device, 0.5, [200, 2000]).rows
+    small, large = (dict(zip(("photos", "blocks", "views", "steps", "gaussians", "model", "pixels",
+                              "hours"), row)) for row in table)
+    assert head[0] == "200" and small["blocks"] == "1" and small["hours"] == "2.0"
+    assert small["steps"] == "2,000" and small["views"] == "200"
+    # twenty times the scene, each part of it in four blocks
+    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * 4.25:.1f}"
+    assert large["steps"] in ("2,000", "2,051")
+
+
+@pytest.mark.slow
+def test_a_full_disk_loses_nothing(copy):
+    """While a block is trained and while the blocks are merged: the same command goes on."""
+    before = model(copy)
+    for path in (copy.block(1).run, copy.block(0).path):
+        shutil.rmtree(path)
+    (copy.path / "point_cloud.ply").unlink()
+    whole = (copy.block(1).path / "initial.ply").stat().st_size
+    for most in (whole // 2, int(whole * 1.1), len(before) - 100):
+        ended = subprocess.run(
+            [sys.executable, "-m", "clsplat", "city", str(CITY), "-o", str(copy.path), "-q",
+             *FLAGS], check=False, capture_output=True, text=True,
+            preexec_fn=lambda most=most: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)))
+        assert ended.returncode == 2 and "Traceback" not in ended.stderr, ended.stderr
+        assert not (copy.path / "point_cloud.ply").exists()
+    city(copy.path)
+    assert model(copy) == before
 
 
 @pytest.mark.slow
