@@ -101,3 +101,11 @@ __kernel void invert_rows(uint count, __global const uint *restrict visible,
     FOR_EACH(i, count)
         places[visible[i]] = rows[i] == NO_ROW ? NOT_FINITE : i;
 }
+
+// rows[i] becomes NO_ROW, of a gradient that nothing follows, where held[visible[i]] is not 0.
+__kernel void hold_rows(uint count, __global const uint *restrict visible,
+                        __global const uint *restrict held, __global uint *restrict rows)
+{
+    FOR_EACH(i, count)
+        rows[i] = held[visible[i]] ? NO_ROW : rows[i];
+}

@@ -25,6 +25,16 @@ ROWS = Kernel("adam.cl", "adam_rows", **_ARGUMENTS, rows=("uint", "V"), **_MOMEN
 ALL = Kernel("adam.cl", "adam_all", **_ARGUMENTS, places=("uint", "N"), **_MOMENTS)
 INVERT = Kernel("adam.cl", "invert_rows", count="uint", visible=("uint", "V"), rows=("uint", "V"),
                 places=("uint", "N"))
+HOLD = Kernel("adam.cl", "hold_rows", count="uint", visible=("uint", "V"), held=("uint", "N"),
+              rows=("uint", "V"))
+
+
+def hold_rows(device, gradients, held):
+    """Take their rows from the Gradients of gaussians that are to stay as they are: held uint[N]
+    on the device, not 0."""
+    count = len(gradients.rows)
+    device.launch_each(HOLD, count, count=count, visible=gradients.visible, held=held,
+                       rows=gradients.rows)
 
 
 def corrections(step):

@@ -62,8 +62,10 @@ class Model:
         for name, (first, values) in growth.changes.items():
             self._arrays[name].write(values, first)
 
-    def limit_opacity(self, logit):
-        """No opacity logit stays above `logit`; their moments are forgotten (Kerbl et al. 2023)."""
+    def limit_opacity(self, logit, which=None):
+        """No opacity logit stays above `logit`, of all or of those where `which` bool[N]; their
+        moments are forgotten (Kerbl et al. 2023)."""
         logits = self.rows["opacity_logits"]
-        logits.write(np.minimum(logits.download(), logit))
+        values = logits.download()
+        logits.write(np.minimum(values, logit, out=values, where=True if which is None else which))
         self.adam.reset("opacity_logits")

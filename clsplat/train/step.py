@@ -8,6 +8,7 @@ from clsplat.densify.select import above_threshold, by_score, half_of, highest
 from clsplat.densify.statistics import Statistics
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import image_loss
+from clsplat.optimise.adam import hold_rows
 from clsplat.optimise.rates import learning_rates
 from clsplat.regularise.reproject import reproject
 from clsplat.train.skipped import Skipped
@@ -19,8 +20,9 @@ class Step:
     """Everything a step needs: renderer, model, statistics and the options that never change.
 
     extent: scene extent, world units; options: TrainOptions with scaled steps; exposures:
-    loss.exposure.Exposures or None; reaches: of positions float32[N, 3], which may grow, bool[N];
-    None: all.
+    loss.exposure.Exposures or None; reaches: of positions float32[N, 3], which are trained and may
+    grow, bool[N]; None: all. It is asked at each growth; the others are `held`, uint[N] on the
+    device.
     """
 
     def __init__(self, renderer, model, extent, options, exposures=None, reaches=None):
@@ -28,6 +30,8 @@ class Step:
         self.device, self.exposures, self.reaches = renderer.device, exposures, reaches
         self.statistics = Statistics(self.device, model.count)
         self.skipped = Skipped(renderer.skipped, *([exposures.skipped] if exposures else []))
+        self.held = None
+        self._hold(model.rows["positions"])
         self.pixel_pairs = 0  # pairs of gaussian and pixel so far: all pixels of a tile it meets
 
     def take(self, iteration, plan, view, camera, photo, pair=None):
@@ -53,6 +57,8 @@ class Step:
                 self.device, blended.depth, blended.transmittance, photo, *pair, plan.regularises)
         gradients = self.renderer.adjoint(rows, frame, grad_image, grad_depth, grad_transmittance)
         self.skipped.asked += len(gradients.rows) + bool(exposures)
+        if self.held is not None:
+            hold_rows(self.device, gradients, self.held)
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
         learned = {field.name: rows[field.name] for field in LEARNED}
         model.adam.step(learned, gradients, iteration, rates, self._used(plan.degree))
@@ -73,8 +79,14 @@ class Step:
         """
         event = self._grow(iteration, plan, schedule, look) if plan.grows else None
         if plan.resets_opacity:
-            self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)))
+            self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
+                                     None if self.held is None else self.held.download() == 0)
         return event
+
+    def _hold(self, positions):
+        if self.reaches:
+            inside = self.reaches(positions.download())
+            self.held = self.device.upload((~inside).astype(np.uint32))
 
     def _grow(self, iteration, plan, schedule, look):
         model, options = self.model, self.options
@@ -91,11 +103,13 @@ class Step:
                                    options.ssim_weight, gradient)
             if schedule.spares_half(iteration):
                 prunes = half_of(prunes, scores, rng)
-        inside = self.reaches(rows["positions"]) if self.reaches else np.ones(len(prunes), bool)
-        gradient = np.where(inside, gradient, -np.inf)  # the surroundings of a block stay as many
+        self._hold(model.rows["positions"])
+        if self.held is not None:  # the surroundings of a block stay as many
+            gradient = np.where(self.held.download(), -np.inf, gradient)
         grows = self._chosen(iteration, schedule, gradient, candidates, prunes, scores, rng)
         growth = plan_growth(candidates, grows, prunes, rng)
         model.regrow(growth)
+        self._hold(model.rows["positions"])
         self.statistics.clear(model.count)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 

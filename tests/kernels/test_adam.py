@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.adam import NO_ROW, DeviceAdam, NumpyAdam
+from clsplat.optimise.adam import NO_ROW, DeviceAdam, NumpyAdam, hold_rows
 from clsplat.render.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -147,3 +147,16 @@ def test_moments_are_saved_taken_over_and_forgotten(device, engine):
     m, v = other.engine.download(6)
     assert not m["opacity_logits"].any() and not v["opacity_logits"].any()
     assert m["positions"].any() and v["positions"].any()
+
+
+@pytest.mark.parametrize("seen", [0, 1, 255, 256, 300])
+def test_rows_that_are_held(device, seen):
+    """Gradients of held gaussians are taken out, the others and their order stay."""
+    rng = np.random.default_rng(seen)
+    visible = rng.permutation(400)[:seen].astype(np.uint32)
+    rows = np.where(rng.random(seen) < 0.2, NO_ROW, visible).astype(np.uint32)
+    held = (rng.random(400) < 0.5) * rng.integers(1, 2**31, 400)
+    gradients = Gradients({}, None, device.upload(rows), device.upload(visible))
+    hold_rows(device, gradients, device.upload(held, np.uint32))
+    expected = np.where(held[visible] > 0, NO_ROW, rows)
+    assert np.array_equal(gradients.rows.download(), expected)

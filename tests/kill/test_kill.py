@@ -80,7 +80,7 @@ def test_killed_and_resumed(whole, item_device, city, tmp_path, moment, number):
 
 
 @pytest.mark.parametrize("deaths", [
-    [("checkpoint", "40")],
+    pytest.param([("checkpoint", "40")], marks=pytest.mark.slow),
     pytest.param([("rename", "1"), ("renamed", "1"), ("step", "5"), ("growth", "1"),
                   ("saved", "1"), ("model", "1")], marks=pytest.mark.slow)], ids=["once", "often"])
 def test_killed_again_and_again(item_device, city, tmp_path, deaths):

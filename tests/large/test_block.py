@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.spatial import cKDTree
 
 from clsplat.blocks import cut, largest_sizes, seen_pixels
 from clsplat.camera import Camera
@@ -78,8 +79,22 @@ def test_only_what_the_region_reaches_grows(item_device, city, tmp_path, rounds,
     assert sum(grows.sum() for _, grows, _ in rounds) > 100
     for reached, (_, grows, _) in zip(inside, rounds):
         assert not (grows & ~reached).any() and (~reached).sum() > 1000
-    if schedule == "constant":  # lowers opacities in time for the last round
-        assert (rounds[-1][2] & ~inside[-1]).any()
+
+
+def test_surroundings_stay_as_they_are(item_device, city, tmp_path):
+    """While others grow and opacities are reset."""
+    scene = block_of(city)
+    before = Gaussians.from_points(city.points, city.colours, 1)
+    run = trained(tmp_path / "run", scene, item_device, sh_degree=1, **{**SHORT, "reset_every": 20})
+    after = run.load_model()
+    outside = ~scene.region.reaches(city.points + city.offset)
+    distance, place = cKDTree(after.positions).query(before.positions)
+    same = distance < 1e-5 * scene.extent
+    assert same[outside].mean() > 0.95  # a reset prunes what is too large
+    assert same[~outside].mean() < 0.2
+    stays = outside & same
+    for name in ("sh_constant", "opacity_logits", "quaternions"):
+        assert np.array_equal(after.rows[name][place[stays]], before.rows[name][stays]), name
 
 
 def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path, rounds,

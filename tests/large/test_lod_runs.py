@@ -25,6 +25,8 @@ from tests.tiny_training import CITY, LEVELLED, model_digest, records, resumed, 
 OPTIONS = {**LEVELLED, "reproject": "off", "exposure": "off", "iterations": 60, "downscale": 6.0,
            "snapshots": True}
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scene():
@@ -63,7 +65,6 @@ def test_a_snapshot_is_the_model_as_its_level_ended(item_device, scene, tmp_path
     assert model_digest(stopped) == model_digest(run)
 
 
-@pytest.mark.slow
 def test_killed_after_the_snapshot_and_resumed(item_device, scene, tmp_path, run, monkeypatch):
     """The level is left again, with the same bytes."""
     level, = records(run, "level")
@@ -85,7 +86,6 @@ def test_killed_after_the_snapshot_and_resumed(item_device, scene, tmp_path, run
     assert model_digest(half) == model_digest(run)
 
 
-@pytest.mark.slow
 def test_snapshots_change_nothing_else(item_device, scene, tmp_path, run):
     without = trained(tmp_path / "run", scene, item_device, **{**OPTIONS, "snapshots": False})
     assert not (without.path / "lod").exists()
@@ -166,7 +166,6 @@ def test_a_run_without_levels_says_how_to_get_them(run, tmp_path, item_device):
             next(compare_views(model, None, tmp_path / "out", item_device))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_far_views_take_few_gaussians_and_lose_nothing(scene, tmp_path, antialiased, item_device):
     """The figure of issue 5: at most 30 % of the gaussians, at most 0.2 dB worse against photos."""

@@ -275,7 +275,7 @@ def test_real_scenes_are_framed_alone(photographed):
 def test_real_scenes_are_shared_out(photographed, method):
     name, scene = photographed
     grid = (2, 1) if name == "lund" else (2, 2)
-    partition = make_partition(scene, PartitionOptions(method=method, grid=grid))
+    partition = make_partition(scene, PartitionOptions(method=method, grid=grid, margin=0.05))
     content = np.bincount(partition.owner(world(scene)))
     assert len(content) == grid[0] * grid[1] and not partition.dropped
     assert content.max() < {"citygs": 1.6, "blockgs": 1.5, "vastgs": 6}[method] * content.min()

@@ -191,6 +191,7 @@ def test_a_resumed_run_counts_on(train, poison, monkeypatch):
     assert model_digest(run) == model_digest(whole)
 
 
+@pytest.mark.slow
 def test_too_many_end_the_run_and_keep_the_last_checkpoint(train, poison):
     poison(11, STEPS)
     with pytest.raises(InputError) as caught:
