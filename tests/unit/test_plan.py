@@ -203,7 +203,7 @@ def test_a_run_takes_what_was_foretold(tmp_path, own_device, monkeypatch, option
     peaks = measured_peak(emptied(own_device, monkeypatch), monkeypatch)
     run = trained(tmp_path, scene, own_device, **options)
     steps = records(run, "step")
-    assert steps[-1]["gaussians"] == pytest.approx(forecast.gaussians, rel=0.1)
+    assert steps[-1]["gaussians"] == pytest.approx(forecast.gaussians, rel=0.15)
     assert forecast.memory.steps == pytest.approx(
         max(step["memory_bytes"] for step in steps), rel=0.15)
     assert forecast.memory.total == pytest.approx(peaks[-1], rel=0.15)
