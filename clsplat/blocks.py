@@ -3,7 +3,7 @@
 A block trains the gaussians its region reaches: those it owns, and a margin, which gives its edge
 the neighbours that it has in the whole. Behind them its photos show the rest of the scene. These
 surroundings stay as the coarse run left them. Trained, they would come to make up for the block's
-own gaussians in ways that no other block knows of: merged, caliterra then lost 5 dB (docs/city.md).
+own gaussians in ways that no other block knows of: merged, caliterra then lost 4 dB (docs/city.md).
 Merging drops margin and surroundings.
 """
 
