@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from clsplat.city.stages import COARSE_FACTOR
 from clsplat.evaluate.seams import find_seams
 from clsplat.evaluate.views import evaluate_run
 from clsplat.gaussians import Gaussians
@@ -31,15 +32,24 @@ def merge_city(city, scene, options, device, fill=False):
     run.log({"event": "merge", **spent, "level": 1.0, "gaussians": merged.gaussians.count,
              **merged.record()})
     run.save_model(merged.gaussians, scene.offset, (f"merged of {len(merged.shares)} blocks",))
+    keep_coarse_levels(city, scene)
     merge_levels(city, scene)
     return merged
 
 
-def evaluate_city(city, scene, options, device, against=None, images=False):
+def keep_coarse_levels(city, scene):
+    """Make the coarse model, and what its levels left, levels of detail of the whole."""
+    coarse, whole = RunFolder(city.coarse), RunFolder(city.path)
+    for factor, path in [*coarse.snapshots(), (1.0, city.coarse / MODEL)]:
+        level = COARSE_FACTOR * factor
+        whole.save_snapshot(level, plain(read_ply(path, scene.offset)), scene.offset,
+                            (f"level {level:g}",))
+
+
+def evaluate_city(city, scene, options, device, against=None):
     """Score the merged model on the held-out views, look for seams, and write the report.
 
     against: path of the PLY, or of the run, that seams are measured by; None: the coarse model.
-
     Returns (scores as of `evaluate_views`, or None without held-out views; seams as of
     `find_seams`, by the training views where none are held out).
     """
@@ -47,7 +57,7 @@ def evaluate_city(city, scene, options, device, against=None, images=False):
     scores = None
     train, test = scene.reduced(options.downscale, options.max_resolution).split(options.test_every)
     if test:
-        scores = evaluate_run(run, device, images)
+        scores = evaluate_run(run, device, save_images=False)
         means = {key: value for key, value in scores.items() if key != "per_view"}
         run.log({"event": "eval", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
                  **means})

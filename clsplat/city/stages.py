@@ -23,6 +23,7 @@ from clsplat.report.map import partition_map
 from clsplat.train.block import block_options, options_of_blocks, train_block
 from clsplat.train.loop import resume, train
 
+COARSE_FACTOR = 2  # by which the coarse run's photos are smaller
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
 ASKED = "asked"  # key of partition.json: the PartitionOptions
 SPLITS = 4  # of a block, one after the other
@@ -66,7 +67,7 @@ def begin_from_coarse(city):
                          f"`clsplat train SCENE --coarse -o {city.coarse}`")
     scene = read_scene(record["scene"])
     options = dataclasses.replace(
-        coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / 2),
+        coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         iterations=int(coarse.iterations / COARSE_SHARE))
     begin(city, scene, options)
     return scene, options
@@ -87,7 +88,8 @@ def train_coarse(city, scene, options, device, progress=None):
 def coarse_options(options):
     """TrainOptions of the coarse run: photos half as large, and part of the steps."""
     return dataclasses.replace(
-        options, coarse=True, downscale=2 * options.downscale, snapshots=options.schedule == "sig",
+        options, coarse=True, downscale=COARSE_FACTOR * options.downscale,
+        snapshots=options.schedule == "sig",
         iterations=max(1, int(COARSE_SHARE * options.iterations)), eval_at=(), eval_every=0)
 
 
@@ -179,9 +181,9 @@ def train_all_blocks(city, scene, options, device, told=None, **how):
             break
         gaussians = RunFolder(city.coarse).load_model()
         _, whole = split_blocks(city, numbers, world_of(scene, gaussians.positions))
-        cut_into_blocks(city, scene, options, None, device)
         if len(whole) == len(numbers):
             break
+        cut_into_blocks(city, scene, options, None, device)
         outcomes = train_blocks(city, told=told, **how)
     return outcomes
 

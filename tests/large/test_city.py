@@ -63,6 +63,10 @@ def test_the_folder_is_a_run_like_any_other(made):
     assert "map of the blocks" in page and "Seams" in page
     assert json.loads(made.map.read_text())["type"] == "FeatureCollection"
     command("eval", made.path, "--no-images", "--device", "Portable")
+    levels = RunFolder(made.path).snapshots()
+    assert levels[-1][0] == 2  # the coarse model is the last but the whole
+    coarse = read_ply(made.coarse / "point_cloud.ply")
+    assert np.array_equal(read_ply(levels[-1][1]).positions, coarse.positions)
 
 
 def test_every_gaussian_is_owned_once(made):
