@@ -110,7 +110,10 @@ def test_demand_is_that_of_fine_detail():
 
 def test_detail_is_what_half_the_size_would_not_show(tmp_path):
     board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((1, 1)))[..., None].repeat(3, 2)
-    cases = (("board", 255 * board, 0.5), ("flat", 0 * board + 90, 0.0),
+    lines = np.zeros((8, 8, 3))
+    lines[:, ::2] = 255
+    cases = (("board", 255 * board, 0.5), ("columns", lines, 0.5),
+             ("rows", lines.transpose(1, 0, 2), 0.5), ("flat", 0 * board + 90, 0.0),
              ("blocks", np.kron(255 * board, np.ones((2, 2, 1))), 0.0))
     for name, image, expected in cases:
         write_image(tmp_path / f"{name}.png", image.astype(np.uint8))
