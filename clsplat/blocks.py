@@ -14,6 +14,7 @@ import numpy as np
 from clsplat.gaussians import Gaussians
 
 REACH = 3.0  # standard deviations of a gaussian beyond which it is not seen
+BODY = 2.0  # deviations within which a gaussian lies in a block's reach that the block may change
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,12 @@ def largest_sizes(positions, deviations, views, near):
             pixels < (camera.width, camera.height) + reach).all(axis=1)
         largest[shown] = np.maximum(largest[shown], 2 * deviation[shown])
     return largest
+
+
+def trainable(scene, positions, log_scales):
+    """bool[N]: which gaussians, positions [N, 3] and log_scales [N, 3] in the frame of a block's
+    scene, the block may change: those that lie within its reach with BODY deviations."""
+    return scene.reached(positions, BODY * np.exp(log_scales.max(axis=1).astype(np.float64)))
 
 
 def seen_pixels(scene, views):

@@ -186,5 +186,5 @@ def seam_table(seams):
                            "seam dB"), rows, (1, 2, 3, 4, 5, 6), (
         "overlap: one block against the other, uncropped, beside their border; density jump: ln of "
         "gaussians beyond it over those before it, less that of the reference; seam: PSNR "
-        "(colour-corrected) gained over the reference elsewhere, less that gained beside the "
-        "border.",))
+        "(colour-corrected, mean of views) gained over the reference elsewhere, less that gained "
+        "beside the border.",))

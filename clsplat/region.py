@@ -129,9 +129,16 @@ class Region:
         """bool[N]: which world points [N, 3] the cell holds. None that is not finite."""
         return self.holds(self.space.to(points))
 
-    def reaches(self, points):
-        """bool[N]: which world points [N, 3] the cell holds when grown by its margin."""
-        return self.grown(self.margin).owns(points)
+    def reaches(self, points, spread=0.0):
+        """bool[N]: which world points [N, 3] the cell holds when grown by its margin, and with them
+        what lies `spread` float[N] world units from them along u and v."""
+        grown, points = self.grown(self.margin), np.asarray(points, np.float64)
+        reached = grown.owns(points)
+        spread = np.broadcast_to(spread, len(points))
+        for step in (*self.space.rotation[:2], *-self.space.rotation[:2]):
+            wide = np.flatnonzero(reached & (spread > 0))
+            reached[wide] = grown.owns(points[wide] + spread[wide, None] * step)
+        return reached
 
     def holds(self, coordinates):
         """bool[N]: as `owns`, of coordinates in the space."""

@@ -91,9 +91,11 @@ class Scene:
         return (tuple(v for v in self.views if v.name not in held_out),
                 tuple(v for v in self.views if v.name in held_out))
 
-    def reached(self, positions):
-        """bool[N]: which local positions [N, 3] a block's region reaches, its margin included."""
-        return self.region.reaches(self.offset + self.unit * np.asarray(positions, np.float64))
+    def reached(self, positions, spread=0.0):
+        """bool[N]: which local positions [N, 3] a block's region reaches, its margin included, with
+        all that lies `spread` float[N] local units to the sides of them."""
+        return self.region.reaches(self.offset + self.unit * np.asarray(positions, np.float64),
+                                   self.unit * spread)
 
     def part(self, indices):
         """The scene of the views int[V] alone, with the points that they see."""

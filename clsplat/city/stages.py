@@ -26,6 +26,7 @@ from clsplat.train.loop import resume, train
 COARSE_FACTOR = 2  # by which the coarse run's photos are smaller
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
 ASKED = "asked"  # key of partition.json: the PartitionOptions
+CHOOSE = ("limit", "expected", "least_blocks")  # the grid, which is then kept
 SPLITS = 4  # of a block, one after the other
 LEVELS = (1.0,)  # of blocks under sig: the coarse run, at half size, has been through the others
 
@@ -192,7 +193,7 @@ def _check_asked(city, wanted):
     """InputError where the blocks that are there were cut as PartitionOptions say otherwise."""
     asked = city.read_partition().get(ASKED, {})
     for name, value in (_plain(wanted) if wanted else {}).items():
-        if name in asked and name not in ("limit", "expected") and asked[name] != value:
+        if name in asked and name not in CHOOSE and asked[name] != value:
             raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {asked[name]}, "
                              f"not {value}; remove partition.json and blocks/ there, or choose "
                              "another --output")

@@ -27,7 +27,7 @@ def partition_flags(command):
     for option in (
             click.option("--least-views", default=8, show_default=True, **BLOCKS,
                          help="A block with fewer views is starved."),
-            click.option("--threshold", type=float, default=0.04, show_default=True, **BLOCKS,
+            click.option("--threshold", type=float, default=0.02, show_default=True, **BLOCKS,
                          help="citygs: a view is given to a block where it changes by more than "
                          "this without the block, as 1 - SSIM."),
             click.option("--starved", type=click.Choice(("refuse", "join")), default="refuse",
@@ -57,7 +57,7 @@ def partition_flags(command):
 @click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
               help="Folder of the city; SCENE.city where left out.")
 @click.option("--workers", default=1, show_default=True, **BLOCKS,
-              help="Blocks trained at a time on this machine.")
+              help="Blocks trained at a time on this machine; a chosen grid has at least as many.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
               "tcp://10.0.0.1:8786, whose workers train the blocks.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, take the coarse model's "
@@ -180,7 +180,7 @@ def partition_options(params, scene, options, device):
         method=params["method"], grid=params["grid"], up=params["up"] or None,
         bounds=params["bounds"] or None, margin=params["margin"],
         threshold=params["threshold"], least_views=params["least_views"], starved=params["starved"],
-        expected=expected_gaussians(scene, options),
+        expected=expected_gaussians(scene, options), least_blocks=params.get("workers", 1),
         limit=params["block_gaussians"] or gaussians_that_fit(device, options))
 
 

@@ -10,9 +10,11 @@ density_jump    ln of the gaussians in the second's half of the strip over those
                 halves are of one size. What the reference has there is subtracted: a street beside
                 a house has a jump in any model.
 seam_db         PSNR that the merged model lacks in the strip: its gain over the reference elsewhere
-                less that in the strip, both in the views that show the strip. PSNR itself differs
-                from place to place by far more than a seam, as places differ in difficulty; that
-                cancels against a model that was trained in one piece and has no seams.
+                less that in the strip, mean of the views that show the strip, by how many pixels
+                they show of it. PSNR itself differs from place to place by far more than a seam, as
+                places differ in difficulty; that cancels against a model that was trained in one
+                piece and has no seams. Errors summed over views instead would be those of the few
+                corners that hardly a photo shows.
 """
 
 from dataclasses import dataclass
@@ -26,7 +28,7 @@ from clsplat.render.slabs import open_model
 STRIP = 0.1  # of the cells' sides, where blocks have no margin
 OPAQUE = 0.5  # a pixel has a place if no more light than this passes
 OVERLAP_VIEWS = 4  # a border, those that show most of it
-LEAST_PIXELS = 500  # of a strip and of the rest, in all views; fewer say nothing
+LEAST_PIXELS = 500  # of a strip, and of the rest of a view; fewer say nothing
 CHUNK = 1 << 20  # gaussians at once
 
 
@@ -111,9 +113,9 @@ def find_seams(device, partition, scene, views, options, merged, counts, referen
 
 def _look(borders, space, offset, views, merged, reference):
     """(looks, errors). looks: a border's [(pixels, view, flat indices int[K])], most pixels first,
-    OVERLAP_VIEWS at most. errors: float64[B + 1, 2, 3], for each border and at last for all, in the
-    strip and elsewhere in the same views: pixels, squared errors of merged, and of reference."""
-    looks, errors = [[] for _ in borders], np.zeros((len(borders) + 1, 2, 3))
+    OVERLAP_VIEWS at most. errors: for each border and at last for all, [float64[2, 3] a view]: in
+    the strip and elsewhere, pixels, squared errors of merged, and of reference."""
+    looks, errors = [[] for _ in borders], [[] for _ in range(len(borders) + 1)]
     for view in views:
         image, place = _picture(merged, view.camera)
         known = np.isfinite(place).all(axis=-1)
@@ -132,7 +134,7 @@ def _look(borders, space, offset, views, merged, reference):
         if strips:
             strips.append((len(borders), np.flatnonzero(~away)))
         for number, near in strips:
-            errors[number] += values[near].sum(axis=0), values[away].sum(axis=0)
+            errors[number].append([values[near].sum(axis=0), values[away].sum(axis=0)])
     return looks, errors
 
 
@@ -172,7 +174,8 @@ def _overlaps(borders, looks, opened, block_model):
     for number, border in enumerate(borders):
         one, other = (shown.get((number, block)) for block in (border.first, border.second))
         enough = one is not None and other is not None and len(one) >= LEAST_PIXELS
-        result.append(_psnr(np.mean((one.astype(np.float64) - other) ** 2)) if enough else None)
+        result.append(float(_psnr(np.mean((one.astype(np.float64) - other) ** 2))) if enough
+                      else None)
     return result
 
 
@@ -195,16 +198,20 @@ def _jump(halves):
 
 
 def _scores(errors):
-    """What float64[2, 3] of `_look` says of a border."""
+    """What the errors of `_look` say of a border."""
     names = "psnr", "reference_psnr", "elsewhere_psnr", "elsewhere_reference_psnr"
-    pixels = int(errors[0, 0])
-    if errors[:, 0].min() < LEAST_PIXELS:
+    errors = np.reshape(errors, (-1, 2, 3))
+    pixels = int(errors[:, 0, 0].sum())
+    errors = errors[errors[..., 0].min(axis=1) >= LEAST_PIXELS]
+    if not len(errors):
         return {"pixels": pixels, **dict.fromkeys(names), "seam_db": None}
+    weights = errors[:, 0, 0]
     near, near_reference, far, far_reference = (
-        _psnr(errors[where, model] / errors[where, 0]) for where in (0, 1) for model in (1, 2))
+        float(np.average(_psnr(errors[:, where, model] / errors[:, where, 0]), weights=weights))
+        for where in (0, 1) for model in (1, 2))
     return {"pixels": pixels, **dict(zip(names, (near, near_reference, far, far_reference))),
             "seam_db": (far - far_reference) - (near - near_reference)}
 
 
 def _psnr(square):
-    return float(-10 * np.log10(max(square, 1e-12)))
+    return -10 * np.log10(np.maximum(square, 1e-12))

@@ -5,12 +5,11 @@ import math
 import numpy as np
 
 
-def choose_grid(count, limit, aspect):
-    """(N, M): as few cells along u and v as hold `count` gaussians at `limit` each, near squares.
+def choose_grid(needed, aspect):
+    """(N, M): as few cells along u and v as make `needed`, near squares.
 
-    count: expected at the end of training, margins included; aspect: side along u / side along v.
+    aspect: side along u / side along v.
     """
-    needed = max(1, math.ceil(count / limit))
     shapes = [(n, math.ceil(needed / n)) for n in range(1, needed + 1)]
 
     def cost(shape):  # cells beyond those needed, and cells that are long

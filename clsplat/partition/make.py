@@ -1,5 +1,6 @@
 """The way from a scene to its Partition, the same for every method."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,22 +20,23 @@ METHODS = {"citygs": citygs, "blockgs": blockgs, "vastgs": vastgs}
 @dataclass(frozen=True)
 class PartitionOptions:
     """method: a key of METHODS; grid: (N, M) cells along u and v, or None to choose it; limit:
-    gaussians that a block may hold with its margin, and expected: those of the whole scene at the
-    end of training, which choose it (0: one block); up, bounds: see `Site.of`; margin: share of a
-    cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; with less than 0.3, seams showed on
-    caliterra: docs/city.md); threshold: of citygs, 1 - SSIM; least_views, least_gaussians:
-    a block with fewer is starved; starved: "refuse" a grid that starves a block, or "join" it to a
-    neighbour, as is done with a chosen grid always.
+    gaussians that a block may hold with its margin (0: any number), expected: those of the whole
+    scene at the end of training, and least_blocks, which choose it; up, bounds: see `Site.of`;
+    margin: share of a cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; docs/city.md);
+    threshold: of citygs, 1 - SSIM; least_views, least_gaussians: a block with fewer is starved;
+    starved: "refuse" a grid that starves a block, or "join" it to a neighbour, as is done with a
+    chosen grid always.
     """
 
     method: str = "citygs"
     grid: tuple[int, int] | None = None
     limit: int = 0
     expected: int = 0
+    least_blocks: int = 1
     up: tuple[float, float, float] | None = None
     bounds: tuple[float, float, float, float] | None = None
     margin: float = 0.3
-    threshold: float = 0.04
+    threshold: float = 0.02
     least_views: int = 8
     least_gaussians: int = 100
     starved: str = "refuse"
@@ -69,12 +71,11 @@ def make_partition(scene, options, gaussians=None, views=None, drop=None):
 
 
 def _chosen_grid(site, options):
-    if not options.limit:
-        return 1, 1
     low, high = site.bulk()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
     shared = (1 + 2 * options.margin) ** 2  # of gaussians: margins hold twice
-    return choose_grid(options.expected * shared, options.limit, side[0] / side[1])
+    needed = math.ceil(options.expected * shared / options.limit) if options.limit else 1
+    return choose_grid(max(needed, options.least_blocks), side[0] / side[1])
 
 
 def _dropped(site, regions, sees):

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 
-from clsplat.blocks import seen_pixels
+from clsplat.blocks import seen_pixels, trainable
 from clsplat.errors import InputError
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.options import seconds_of
@@ -67,7 +67,7 @@ class Planned:
     def _course(self, options, gaussians):
         """Stretches of a run that begins with these Gaussians; of a block's, some never grow."""
         grows = (gaussians.count if self.scene.region is None
-                 else int(self.scene.reached(gaussians.positions).sum()))
+                 else int(trainable(self.scene, gaussians.positions, gaussians.log_scales).sum()))
         subject = dataclasses.replace(
             subject_of(self.scene, self.views,
                        inverse_distance=mean_inverse_distance(self.scene.points)),

@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from clsplat.blocks import seen_pixels
+from clsplat.blocks import seen_pixels, trainable
 from clsplat.errors import InputError, Interrupted
 from clsplat.evaluate.views import evaluate_views
 from clsplat.frequency import scene_frequency
@@ -123,7 +123,8 @@ class Training(Clock):
         self.needs = find_needs(scene, self.train_views, scaled_steps(options), device)
         self.options = options = self.needs.options
         initial = gaussians or initial_gaussians(scene, options)
-        growing = (int(scene.reached(initial.positions).sum()) if scene.region
+        trains = functools.partial(trainable, scene) if scene.region else None
+        growing = (int(trains(initial.positions, initial.log_scales).sum()) if trains
                    else initial.count)
         views = self.train_views
         self.schedule = SCHEDULES[options.schedule](options, Subject(
@@ -138,7 +139,7 @@ class Training(Clock):
             given = initial_exposures(scene, views)  # blocks that learned their own would not agree
             exposures = Exposures(device, len(views), initial=given, learns=given is None)
         self.step = Step(self.renderer, model, scene.extent, options, exposures,
-                         scene.reached if scene.region else None)
+                         trains)
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
         self.budget = self.measured_budget() if options.time_budget else None

@@ -20,18 +20,18 @@ class Step:
     """Everything a step needs: renderer, model, statistics and the options that never change.
 
     extent: scene extent, world units; options: TrainOptions with scaled steps; exposures:
-    loss.exposure.Exposures or None; reaches: of positions float32[N, 3], which are trained and may
-    grow, bool[N]; None: all. It is asked at each growth; the others are `held`, uint[N] on the
+    loss.exposure.Exposures or None; trains: of positions and log_scales float32[N, 3], which may
+    change, bool[N]; None: all. It is asked at each growth; the others are `held`, uint[N] on the
     device.
     """
 
-    def __init__(self, renderer, model, extent, options, exposures=None, reaches=None):
+    def __init__(self, renderer, model, extent, options, exposures=None, trains=None):
         self.renderer, self.model, self.extent, self.options = renderer, model, extent, options
-        self.device, self.exposures, self.reaches = renderer.device, exposures, reaches
+        self.device, self.exposures, self.trains = renderer.device, exposures, trains
         self.statistics = Statistics(self.device, model.count)
         self.skipped = Skipped(renderer.skipped, *([exposures.skipped] if exposures else []))
         self.held = None
-        self._hold(model.rows["positions"])
+        self._hold()
         self.pixel_pairs = 0  # pairs of gaussian and pixel so far: all pixels of a tile it meets
 
     def take(self, iteration, plan, view, camera, photo, pair=None):
@@ -83,10 +83,10 @@ class Step:
                                      None if self.held is None else self.held.download() == 0)
         return event
 
-    def _hold(self, positions):
-        if self.reaches:
-            inside = self.reaches(positions.download())
-            self.held = self.device.upload((~inside).astype(np.uint32))
+    def _hold(self):
+        if self.trains:
+            rows = (self.model.rows[name].download() for name in ("positions", "log_scales"))
+            self.held = self.device.upload((~self.trains(*rows)).astype(np.uint32))
 
     def _grow(self, iteration, plan, schedule, look):
         model, options = self.model, self.options
@@ -96,20 +96,20 @@ class Step:
         rng = np.random.default_rng([options.seed, iteration])
         gradient = self.statistics.mean_gradient()
         candidates = Candidates(rows, self.extent, options, plan.prunes_large)
-        prunes = candidates.prunes
+        self._hold()
+        held = np.zeros(model.count, bool) if self.held is None else self.held.download() > 0
+        prunes = candidates.prunes & ~held
         scores = None
         if schedule.selection == "score":
             scores = taming_scores(self.renderer, model.rows, look(), plan.degree,
                                    options.ssim_weight, gradient)
             if schedule.spares_half(iteration):
                 prunes = half_of(prunes, scores, rng)
-        self._hold(model.rows["positions"])
-        if self.held is not None:  # the surroundings of a block stay as many
-            gradient = np.where(self.held.download(), -np.inf, gradient)
+        gradient = np.where(held, -np.inf, gradient)  # what is around a block stays as it is
         grows = self._chosen(iteration, schedule, gradient, candidates, prunes, scores, rng)
         growth = plan_growth(candidates, grows, prunes, rng)
         model.regrow(growth)
-        self._hold(model.rows["positions"])
+        self._hold()
         self.statistics.clear(model.count)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 

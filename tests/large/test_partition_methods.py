@@ -191,12 +191,11 @@ def test_vastgs_takes_views_by_what_they_show():
     assert over  # tilted ones look over the border
 
 
-@pytest.mark.parametrize("count, limit, aspect, grid", [
-    (0, 100, 1, (1, 1)), (100, 100, 1, (1, 1)), (101, 100, 4, (2, 1)), (101, 100, 0.2, (1, 2)),
-    (400, 100, 1, (2, 2)), (900, 100, 1, (3, 3)), (800, 100, 2, (4, 2)), (360000, 100, 1, (60, 60)),
-    (600, 100, 1.5, (3, 2)), (700, 100, 1, (3, 3))])
-def test_the_grid_follows_need_and_aspect(count, limit, aspect, grid):
-    assert choose_grid(count, limit, aspect) in (grid, grid[::-1] if aspect == 1 else grid)
+@pytest.mark.parametrize("needed, aspect, grid", [
+    (1, 1, (1, 1)), (2, 4, (2, 1)), (2, 0.2, (1, 2)), (4, 1, (2, 2)), (9, 1, (3, 3)),
+    (8, 2, (4, 2)), (3600, 1, (60, 60)), (6, 1.5, (3, 2)), (7, 1, (3, 3))])
+def test_the_grid_follows_need_and_aspect(needed, aspect, grid):
+    assert choose_grid(needed, aspect) in (grid, grid[::-1] if aspect == 1 else grid)
 
 
 @pytest.mark.parametrize("values, share, expected", [

@@ -95,6 +95,18 @@ def test_a_cell_reaches_all_that_is_near_it():
         assert (cell.reaches(points) == (away < 0.3 * 0.2)).all()
 
 
+def test_a_cell_reaches_what_lies_in_it_with_all_that_is_beside_it():
+    turned = Rotation.from_euler("z", 90, degrees=True).as_matrix()  # u is the world's y, v its -x
+    cell = Region(Space(turned, UTM, np.array([10.0, 10, 10])), (-0.5, -np.inf, -np.inf),
+                  (0.5, np.inf, np.inf), 0.2)  # |u| < 0.7 with the margin; v has no end
+    points = UTM + np.array([[0, 3.0, 0]] * 3 + [[50, 0, 99], [0, 7.5, 0]])
+    assert cell.reaches(points).tolist() == [True] * 4 + [False]
+    assert cell.reaches(points, np.array([3.9, 4.1, 9.9, 6.9, 0])).tolist() == [
+        True, False, False, True, False]
+    assert cell.reaches(points, np.array([0, 0, 10.1, 7.1, 0])).tolist() == [
+        True, True, False, False, False]
+
+
 def test_the_map_has_x_and_y_where_z_is_up():
     points = UTM + RNG.normal(0, 20, (50, 3))
     turned = Space(Rotation.from_euler("z", 1).as_matrix(), UTM, np.ones(3))
