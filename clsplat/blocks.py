@@ -13,6 +13,10 @@ import numpy as np
 
 from clsplat.gaussians import Gaussians
 
+WINDOW = (0.005, 0.995)  # quantiles of what a view shows of a block, along both axes
+ROOM = 0.05  # of the window's sides, on every side
+ALIGN = 16  # pixels: windows begin and end at whole pixels of smaller photos too
+LEAST_SIDE = 64  # pixels of a window
 REACH = 3.0  # standard deviations of a gaussian beyond which it is not seen
 BODY = 2.0  # deviations within which a gaussian lies in a block's reach that the block may change
 
@@ -55,6 +59,32 @@ def cut(gaussians, scene, region, views):
     unseen = int((size == 0).sum())
     return Cut(Gaussians(rows, gaussians.sh_degree), int(own.sum()), int((reached & ~own).sum()),
                int((keeps & rest).sum()), unseen, int((~keeps).sum()) - unseen)
+
+
+def find_windows(gaussians, scene, region, views):
+    """{name of a view: (left, top, right, bottom), pixels}: the part of each photo that shows what
+    `region` reaches of the `gaussians`, for those views of which that is a part only.
+
+    views: of full size. Beyond its window a photo teaches a block nothing: what it shows there is
+    held. A view that shows none of them, for it was given for where it stands, stays whole.
+    """
+    positions = gaussians.positions.astype(np.float64)
+    positions = positions[replace(scene, region=region).reached(positions)]
+    windows = {}
+    for view in views:
+        camera = view.camera
+        size = np.array([camera.width, camera.height])
+        pixels, depths = camera.project(positions)
+        shown = (depths > scene.near_plane) & (pixels > 0).all(axis=1) & (pixels < size).all(axis=1)
+        if not shown.any():
+            continue
+        low, high = np.quantile(pixels[shown], WINDOW, axis=0)
+        room = np.maximum(ROOM * (high - low), (LEAST_SIDE - (high - low)) / 2)
+        low = np.maximum(np.floor((low - room) / ALIGN).astype(int) * ALIGN, 0)
+        high = np.minimum(np.ceil((high + room) / ALIGN).astype(int) * ALIGN, size)
+        if (low > 0).any() or (high < size).any():
+            windows[view.name] = (*low.tolist(), *high.tolist())
+    return windows
 
 
 def largest_sizes(positions, deviations, views, near):

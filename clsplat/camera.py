@@ -14,7 +14,9 @@ class Camera:
     """A pinhole camera with a pose.
 
     width, height: image size, pixels. focal: (fx, fy), pixels. centre: principal point (cx, cy),
-    pixels. rotation: float64[3, 3], world to camera. translation: float64[3], camera frame.
+    pixels. rotation: float64[3, 3], world to camera. translation: float64[3], camera frame. whole:
+    (left, top, right, bottom), pixels of this image: the borders of the photo that it is a part of,
+    such as (-100, 0, 540, 480); None: the image is all of the photo.
     """
 
     width: int
@@ -23,6 +25,12 @@ class Camera:
     centre: tuple[float, float]
     rotation: np.ndarray
     translation: np.ndarray
+    whole: tuple[float, float, float, float] | None = None
+
+    @property
+    def borders(self):
+        """(left, top, right, bottom), pixels of this image: where the whole photo ends."""
+        return self.whole or (0.0, 0.0, float(self.width), float(self.height))
 
     @property
     def position(self):
@@ -32,15 +40,25 @@ class Camera:
     def resized(self, width, height):
         """The same camera for an image of width x height pixels (each axis scaled by itself)."""
         sx, sy = width / self.width, height / self.height
+        whole = self.whole and tuple(np.multiply(self.whole, (sx, sy, sx, sy)).tolist())
         return replace(
             self, width=width, height=height,
             focal=(self.focal[0] * sx, self.focal[1] * sy),
-            centre=(self.centre[0] * sx, self.centre[1] * sy))
+            centre=(self.centre[0] * sx, self.centre[1] * sy), whole=whole)
+
+    def cropped(self, left, top, right, bottom):
+        """The same camera for the part of its image between these columns and rows."""
+        away = np.array([left, top])
+        return replace(
+            self, width=right - left, height=bottom - top,
+            centre=tuple((self.centre - away).tolist()),
+            whole=tuple((np.array(self.borders) - [*away, *away]).tolist()))
 
     def reduced(self, downscale, max_resolution=0):
-        """The same camera for an image `downscale` times smaller, sides rounded down, whose longer
-        side is at most `max_resolution` pixels (0: any)."""
-        factor = max(downscale, max(self.width, self.height) / (max_resolution or np.inf))
+        """The same camera for an image `downscale` times smaller, sides rounded down; the longer
+        side of the whole photo then is at most `max_resolution` pixels (0: any)."""
+        left, top, right, bottom = self.borders
+        factor = max(downscale, max(right - left, bottom - top) / (max_resolution or np.inf))
         return self.resized(max(1, int(self.width / factor)), max(1, int(self.height / factor)))
 
     def shifted(self, offset):

@@ -114,6 +114,23 @@ class Scene:
         return replace(self, views=views, points=self.points[seen], colours=self.colours[seen],
                        observations=known)
 
+    def cropped(self, windows):
+        """The scene with views that show a part of their photos only, and with the observations in
+        it. windows: {name of a view: (left, top, right, bottom), pixels}; others stay whole."""
+        views = tuple(replace(v, camera=v.camera.cropped(*windows[v.name]))
+                      if v.name in windows else v for v in self.views)
+        known = self.observations
+        if known is not None:
+            inside = np.ones(len(known), bool)
+            order = np.argsort(known[:, 1], kind="stable")
+            ends = np.searchsorted(known[order, 1], np.arange(len(views) + 1))
+            for view, first, end in zip(views, ends, ends[1:]):
+                if view.name in windows:
+                    rows = order[first:end]
+                    inside[rows] = view.sees(self.points[known[rows, 0]])
+            known = known[inside]
+        return replace(self, views=views, observations=known)
+
     def reduced(self, downscale, max_resolution=0):
         """The scene with smaller images; see `Camera.reduced`."""
         return replace(self, views=tuple(

@@ -9,7 +9,8 @@ enum {
     CAMERA_NEAR = 19,
     CAMERA_LOW_PASS = 20, // pixels squared, added to the footprint's variances
     CAMERA_SIZE = 21, // width, height
-    CAMERA_REALS = 23
+    CAMERA_RATIOS = 23, // lowest x/z and y/z for the Jacobian, and highest
+    CAMERA_REALS = 27
 };
 
 inline real3 to_camera(__global const real *camera, real3 world)
@@ -26,12 +27,9 @@ inline real3 to_world(__global const real *camera, real3 v)
     return v.x * vload3(0, r) + v.y * vload3(1, r) + v.z * vload3(2, r);
 }
 
-// x/z and y/z for the Jacobian, held within 15 % of the image beyond its borders: the linearised
+// x/z and y/z for the Jacobian, held within 15 % of the photo beyond its borders: the linearised
 // perspective is meaningless far outside (Zwicker et al. 2002; Kerbl et al. 2023).
 inline real2 clamped_ratio(__global const real *camera, real3 p)
 {
-    const real2 focal = vload2(0, camera + CAMERA_FOCAL), centre = vload2(0, camera + CAMERA_CENTRE);
-    const real2 size = vload2(0, camera + CAMERA_SIZE);
-    const real2 margin = (real)0.15 * size;
-    return clamp(p.xy / p.z, -(centre + margin) / focal, (size - centre + margin) / focal);
+    return clamp(p.xy / p.z, vload2(0, camera + CAMERA_RATIOS), vload2(1, camera + CAMERA_RATIOS));
 }

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 
 import numpy as np
 
-from clsplat.blocks import cut
+from clsplat.blocks import cut, find_windows
 from clsplat.city.split import split_blocks, too_large
 from clsplat.city.visibility import DropTest
 from clsplat.distribute import Task, run
@@ -103,7 +103,6 @@ def cut_into_blocks(city, scene, options, wanted, device):
     """
     coarse = RunFolder(city.coarse)
     record, gaussians = coarse.read_options(), coarse.load_model()
-    reduced = scene.reduced(options.downscale, options.max_resolution)
     training = {view.name for view in scene.split(options.test_every)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
     if city.has_partition:
@@ -122,9 +121,13 @@ def cut_into_blocks(city, scene, options, wanted, device):
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         share = len(chosen) / len(views)
         given = block_steps(options, share)
-        part = cut(gaussians, reduced, region, [reduced.views[index] for index in chosen])
+        shown = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
+                                    observations=None)
+        windows = find_windows(gaussians, scene, region, shown.views)
+        shown = shown.cropped(windows).reduced(options.downscale, options.max_resolution)
+        part = cut(gaussians, scene, region, shown.views)
         city.write_block(
-            number, scene, chosen, region, part.gaussians, exposures,
+            number, scene, chosen, region, windows, part.gaussians, exposures,
             options_of_blocks(given, record),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings})

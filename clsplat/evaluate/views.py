@@ -8,7 +8,7 @@ from clsplat.errors import InputError
 from clsplat.evaluate.colour import fit_colour
 from clsplat.evaluate.floaters import floater_share, ground_truth
 from clsplat.evaluate.metrics import psnr, ssim
-from clsplat.io.images import read_image, write_image
+from clsplat.io.images import read_photo, write_image
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
@@ -46,7 +46,7 @@ def evaluate_views(renderer, rows, degree, views, keep=None):
 
 def photo_of(view):
     """float32[H, W, 3] in 0..1: the view's photo at its camera's size."""
-    return read_image(view.source, (view.camera.width, view.camera.height)) / np.float32(255)
+    return read_photo(view) / np.float32(255)
 
 
 def run_options(run):

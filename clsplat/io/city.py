@@ -25,6 +25,7 @@ from clsplat.io.records import object_of
 from clsplat.region import Region
 
 CITY, PARTITION, BLOCK, REGION = "city.json", "partition.json", "block.json", "region.json"
+WINDOWS = "windows"  # key of region.json
 INITIAL, PACKED = "initial.ply", "scene.npz"
 
 
@@ -96,11 +97,13 @@ class CityFolder:
                  if file.parent.name.isdigit()]
         return [BlockFolder(path) for path in sorted(found, key=lambda path: int(path.name))]
 
-    def write_block(self, number, scene, views, region, initial, exposures, options, identity):
+    def write_block(self, number, scene, views, region, windows, initial, exposures, options,
+                    identity):
         """Write a block as an ordinary scene folder, and return its BlockFolder.
 
         scene: the whole, as `read_scene` gave it; views: indices int[V] into its views; region:
-        Region; initial: Gaussians in the scene's frame; exposures: name -> float[3, 4], or None;
+        Region; windows: parts of photos, see `Scene.cropped`; initial: Gaussians in the scene's
+        frame; exposures: name -> float[3, 4], or None;
         options: dict of TrainOptions; identity: dict for block.json, that of `identity()` with
         whatever is worth knowing. Photos are linked, or, where the scene is packed, copied. A block
         that is there already is left alone; one of another partition is an InputError.
@@ -121,7 +124,7 @@ class CityFolder:
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir(parents=True)
             _write_scene(partial, part)
-            _write(partial / REGION, region.record())
+            _write(partial / REGION, {**region.record(), WINDOWS: windows})
             if exposures is not None:
                 write_exposures(partial / EXPOSURES, {
                     view.name: exposures[view.name] for view in part.views
@@ -168,18 +171,33 @@ class BlockFolder:
 
 
 def attached(scene, folder):
-    """The scene with the region and the exposures that its folder holds, if it is a block's."""
+    """The scene with the region, the windows and the exposures that its folder holds, if it is a
+    block's."""
     folder = Path(folder)
     if not (folder / REGION).is_file():
         return scene
     path = folder / REGION
     try:
-        region = Region.from_record(_read(path, {}, "partition the city again"))
+        record = _read(path, {WINDOWS: dict}, "partition the city again")
+        region, windows = Region.from_record(record), record[WINDOWS]
+        for view in scene.views:
+            _check_window(view, windows.get(view.name))
     except ValueError as error:
         raise InputError(f"{path}: damaged ({reason(error)}); partition the city again") from None
     has_exposures = (folder / EXPOSURES).is_file()
-    return replace(scene, region=region,
+    return replace(scene.cropped(windows), region=region,
                    exposures=read_exposures(folder / EXPOSURES) if has_exposures else None)
+
+
+def _check_window(view, window):
+    """ValueError for what is no part of a view's photo."""
+    if window is None:
+        return
+    if type(window) is not list or [type(end) for end in window] != 4 * [int]:
+        raise ValueError(f"the window of {view.name} is not four numbers")
+    left, top, right, bottom = window
+    if not (0 <= left < right <= view.camera.width and 0 <= top < bottom <= view.camera.height):
+        raise ValueError(f"the window of {view.name} is not within its photo")
 
 
 def _write_scene(folder, scene):

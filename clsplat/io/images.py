@@ -69,6 +69,21 @@ def read_image(source, size=None):
     return np.ascontiguousarray(pixels)
 
 
+def read_photo(view):
+    """uint8[H, W, 3]: a view's photo, or the part of it that its camera shows, at its camera's
+    size; errors as `read_image`."""
+    camera = view.camera
+    size = camera.width, camera.height
+    if camera.whole is None:
+        return read_image(view.source, size)
+    pixels = read_image(view.source)
+    low, high = np.reshape(camera.whole, (2, 2))
+    scale = (pixels.shape[1], pixels.shape[0]) / (high - low)
+    (left, top), (right, bottom) = (np.rint((end - low) * scale).astype(int)
+                                    for end in (np.zeros(2), np.array(size)))
+    return resample(pixels[top:bottom, left:right], size)
+
+
 def image_size(source):
     """(width, height) in pixels of a photo, from its header only; errors as `read_image`."""
     with _opened(source) as (image, _):

@@ -5,7 +5,8 @@ import numpy as np
 from clsplat.device import Kernel
 from clsplat.gaussians import LEARNED
 
-CAMERA_REALS = 23
+CAMERA_REALS = 27
+BORDER = 0.15  # of the photo, beyond its borders: how far a Jacobian follows
 SPLAT_REALS = 12
 LOW_PASS = 0.3  # pixels squared (Kerbl et al. 2023)
 
@@ -29,10 +30,19 @@ ADJOINT = Kernel("project.cl", "project_adjoint", count="uint", degree="uint", s
 
 
 def pack_camera(device, camera, near, low_pass=LOW_PASS):
-    """The camera as the kernels read it (cl/include/camera.h): real[23] on the device."""
+    """The camera as the kernels read it (cl/include/camera.h): real[27] on the device."""
     return device.upload(np.concatenate([
         camera.rotation.reshape(-1), camera.translation, camera.focal, camera.centre,
-        camera.position, [near, low_pass, camera.width, camera.height]]))
+        camera.position, [near, low_pass, camera.width, camera.height],
+        *clamped_ratios(camera)]))
+
+
+def clamped_ratios(camera):
+    """(lowest, highest): float64[2] each, x/z and y/z to which Jacobians are clamped. A part of a
+    photo has those of the whole, so that it shows the same."""
+    low, high = np.reshape(camera.borders, (2, 2))
+    beyond = BORDER * (high - low)
+    return tuple((end - camera.centre) / camera.focal for end in (low - beyond, high + beyond))
 
 
 def cull(device, rows, camera, defines):

@@ -21,14 +21,13 @@ from clsplat.gaussians import LEARNED
 from clsplat.render.bands import LARGEST_SHARE
 from clsplat.render.blend import Blended
 from clsplat.render.pipeline import Renderer
-from clsplat.render.project import LOW_PASS, SPLAT_REALS, cull
+from clsplat.render.project import LOW_PASS, SPLAT_REALS, clamped_ratios, cull
 
 MODEL_SHARE = 0.3  # of the device's memory for a model and its splats; two may be compared
 INDICES = 6  # uint a gaussian that culling and sorting take
 PART = 1 << 16  # rows that share a box
 TRANSMITTANCE_MIN = 1e-4  # as cl/include/splat.h has it
 CUTOFF = 2.01 * np.log(255)  # squared distance: at least largest_extent's of cl/project.cl
-BORDER = 0.15  # clamped_ratio of cl/include/camera.h
 ROUNDING = 1e-5  # of coordinates, that float32 may lose on the way to a pixel
 CULLED = ("positions", "log_scales", "quaternions", "opacity_logits")
 
@@ -92,10 +91,9 @@ class Parts:
         depth = points[..., 2] + slack
         outside = (depth <= near).all(axis=1)
         pad = np.sqrt(CUTOFF * LOW_PASS)
+        ratios = np.abs(clamped_ratios(camera)).max(axis=0)
         for axis, size in enumerate((camera.width, camera.height)):
-            focal, centre = camera.focal[axis], camera.centre[axis]
-            border = BORDER * size
-            ratio = max(abs(centre + border), abs(size - centre + border)) / focal
+            focal, centre, ratio = camera.focal[axis], camera.centre[axis], ratios[axis]
             reach = focal * np.sqrt(CUTOFF * (1 + ratio**2)) * self.scales[:, None]
             reach = reach + slack * (focal + 2 * size + abs(centre))
             across = focal * points[..., axis]

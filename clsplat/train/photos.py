@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clsplat.io.images import read_image
+from clsplat.io.images import read_photo
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
 THREADS = 2  # each may hold a whole photo as floats
@@ -14,8 +14,7 @@ THREADS = 2  # each may hold a whole photo as floats
 
 def decode(view):
     """uint8[3, H, W]: the view's photo at its camera's size."""
-    pixels = read_image(view.source, (view.camera.width, view.camera.height))
-    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+    return np.ascontiguousarray(read_photo(view).transpose(2, 0, 1))
 
 
 def decoded(views):

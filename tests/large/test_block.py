@@ -321,7 +321,8 @@ def written(there, city, **options):
     exposures = {view.name: np.eye(3, 4) * 1.02 for view in city.views}
     values = {**EVENTFUL, "iterations": 40, "densify_until": 40, "densify_every": 10,
               "exposure": "on", "sh_degree": 1, "test_every": 0, **options}
-    return there.write_block(0, city, VIEWS, region, starts, exposures, values, there.identity())
+    return there.write_block(0, city, VIEWS, region, {}, starts, exposures, values,
+                             there.identity())
 
 
 def called(block, *words):

@@ -49,8 +49,8 @@ def exposures_of(scene):
 
 
 def written(folder, scene, gaussians, number=0, views=VIEWS, **identity):
-    return folder.write_block(number, scene, views, WEST, gaussians, exposures_of(scene), OPTIONS,
-                              {**folder.identity(), **identity})
+    return folder.write_block(number, scene, views, WEST, {}, gaussians, exposures_of(scene),
+                              OPTIONS, {**folder.identity(), **identity})
 
 
 def files(block):

@@ -195,7 +195,7 @@ def test_levels_of_a_city_are_those_of_its_blocks_cropped(scene, tmp_path):
     for model in models:
         model.rows["positions"][:, 0] -= LENGTH / 2
     for number, model in enumerate(models):
-        block = city.write_block(number, scene, np.arange(4), regions[number], model, None, {},
+        block = city.write_block(number, scene, np.arange(4), regions[number], {}, model, None, {},
                                  city.identity())
         for factor in (4.0, 2.0)[number:]:  # the second has no level 4
             RunFolder.create(block.run).save_snapshot(factor, model, scene.offset)

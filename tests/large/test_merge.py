@@ -56,7 +56,8 @@ def trained_city(scene, tmp_path_factory):
     initial = strewn(10)
     for number in range(BLOCKS):
         block = folder.write_block(number, scene, partition.views[number][:4],
-                                   partition.regions[number], initial, None, {}, folder.identity())
+                                   partition.regions[number], {}, initial, None, {},
+                                   folder.identity())
         finish(block, strewn(2000), scene.offset)
     folder.coarse.mkdir()
     write_ply(folder.coarse / "point_cloud.ply", strewn(600, seed=5), scene.offset)

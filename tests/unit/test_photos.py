@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.images import read_image, write_image
+from clsplat.io.images import read_image, read_photo, write_image
 from clsplat.scene import View
 from clsplat.train import photos as module
 from clsplat.train.photos import Photos, decoded
@@ -34,11 +34,11 @@ def reads(monkeypatch):
     """(name, width) of the photos read so far."""
     found = []
 
-    def noted(source, size):
-        found.append((source.name, size[0]))
-        return read_image(source, size)
+    def noted(view):
+        found.append((view.source.name, view.camera.width))
+        return read_photo(view)
 
-    monkeypatch.setattr(module, "read_image", noted)
+    monkeypatch.setattr(module, "read_photo", noted)
     return found
 
 
@@ -156,13 +156,13 @@ def test_a_level_trains_while_the_next_is_read(float_device, views, monkeypatch)
     """Its photos are there though no photo of the next level can be read yet."""
     may_read, readers = threading.Event(), set()
 
-    def held(source, size):
-        if size[0] == WIDTH:
+    def held(view):
+        if view.camera.width == WIDTH:
             readers.add(threading.get_ident())
             assert may_read.wait(30)
-        return read_image(source, size)
+        return read_photo(view)
 
-    monkeypatch.setattr(module, "read_image", held)
+    monkeypatch.setattr(module, "read_photo", held)
     photos = Photos(float_device, views, (2.0, 1.0))
     assert is_at(photos, views, 2)
     may_read.set()
@@ -205,13 +205,13 @@ def test_levels_may_be_left_out(float_device, views):
 def test_a_photo_that_is_gone_when_its_level_comes_is_named(float_device, views, monkeypatch):
     gone = []
 
-    def sometimes(source, size):
-        if size[0] == WIDTH and source.name == "2.png":
-            gone.append(source)
-            raise InputError(f"{source}: no such file")
-        return read_image(source, size)
+    def sometimes(view):
+        if view.camera.width == WIDTH and view.source.name == "2.png":
+            gone.append(view.source)
+            raise InputError(f"{view.source}: no such file")
+        return read_photo(view)
 
-    monkeypatch.setattr(module, "read_image", sometimes)
+    monkeypatch.setattr(module, "read_photo", sometimes)
     photos = Photos(float_device, views, (2.0, 1.0))
     idle(photos)
     assert gone and is_at(photos, views, 2)  # it is no error before it is needed
