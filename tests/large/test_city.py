@@ -9,13 +9,16 @@ import pytest
 
 from clsplat.city import stages
 from clsplat.city.forecast import gaussians_that_fit, scale_table
+from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
 from clsplat.merge import partition_of
 from clsplat.options import resolve
+from clsplat.partition import make_partition
 from tests.tiny_training import CITY
 
 FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
@@ -92,6 +95,27 @@ def test_blocks_take_as_many_steps_a_view_as_one_run_would(made):
 
 
 @pytest.mark.slow
+def test_blocks_see_the_parts_of_photos_that_show_them(made):
+    whole = {view.name: view.camera for view in read_scene(CITY).views}
+    for block in made.blocks():
+        shares = [view.camera.width * view.camera.height / (320 * 240)
+                  for view in read_scene(block.path).views]
+        assert min(shares) < 0.6 and np.mean(shares) < 0.95
+        for view in read_scene(block.path).views:
+            assert (view.camera.whole is None) == (view.camera.width * view.camera.height == (
+                whole[view.name].width * whole[view.name].height))
+
+
+def test_a_chosen_grid_has_a_block_a_worker():
+    params = {"method": "citygs", "grid": None, "up": (), "bounds": (), "margin": 0.1,
+              "threshold": 0.1, "least_views": 3, "starved": "refuse", "block_gaussians": 10**9}
+    scene, options = read_scene(CITY), resolve({}, {})
+    for workers, grid in ((1, 1), (2, 2), (6, 6)):
+        wanted = partition_options({**params, "workers": workers}, scene, options, None)
+        assert len(make_partition(scene, wanted).regions) == grid
+    assert partition_options(params, scene, options, None).least_blocks == 1
+
+
 def test_again_changes_nothing(copy, monkeypatch):
     before = model(copy)
     times = {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
