@@ -87,5 +87,5 @@ def block_table(city, device, counts):
     head = ("block", "gaussians", "margin", "around", "views", "steps", "at the end", "MiB",
             "minutes")
     return Table("Blocks", head, rows, range(1, 9), (
-        f"Gaussians of the coarse run; what they grow to, MiB and minutes are foretold on "
-        f"{device.name}, from steps of block {largest.path.name}.",))
+        f"Gaussians of the coarse run; what they grow to, MiB and minutes are foretold for a block "
+        f"that has {device.name} to itself, from steps of block {largest.path.name}.",))

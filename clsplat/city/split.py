@@ -1,7 +1,5 @@
 """A block that its device cannot hold, cut in two."""
 
-import shutil
-
 import numpy as np
 
 from clsplat.errors import TOO_LARGE
@@ -42,8 +40,5 @@ def split_blocks(city, numbers, positions_world):
                      f"{len(regions) - 1:03d}")
     made = Partition(partition.method, tuple(regions), tuple(views), partition.dropped,
                      tuple(notes))
-    city.write_partition({**city.read_partition(), **made.record()})
-    for number in set(numbers) - set(whole):
-        shutil.rmtree(city.block(number).path)
-    city.adopt()
+    city.replace_partition({**city.read_partition(), **made.record()}, set(numbers) - set(whole))
     return made, whole

@@ -106,6 +106,7 @@ def cut_into_blocks(city, scene, options, wanted, device):
     training = {view.name for view in scene.split(options.test_every)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
     if city.has_partition:
+        city.adopt()
         partition = partition_of(city)
         _check_asked(city, wanted)
     else:

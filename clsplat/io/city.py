@@ -26,6 +26,7 @@ from clsplat.region import Region
 
 CITY, PARTITION, BLOCK, REGION = "city.json", "partition.json", "block.json", "region.json"
 WINDOWS = "windows"  # key of region.json
+REPLACES = "replaces"  # key of partition.json: the one before it, and which blocks it cut
 INITIAL, PACKED = "initial.ply", "scene.npz"
 
 
@@ -81,11 +82,27 @@ class CityFolder:
         digest = hashlib.sha256((self.path / PARTITION).read_bytes()).hexdigest()
         return {"city": self.read()["fingerprint"], "partition": digest}
 
+    def replace_partition(self, record, numbers):
+        """`write_partition` where only the blocks `numbers` are others than before: their folders
+        go, the rest become blocks of the new partition, now or when `adopt` is called again."""
+        self.write_partition({**record, REPLACES: {
+            "partition": self.identity()["partition"], "blocks": [int(n) for n in numbers]}})
+        self.adopt()
+
     def adopt(self):
-        """Make the blocks that are there those of the present partition."""
-        identity = self.identity()
-        for block in self.blocks():
-            _write(block.path / BLOCK, {**block.read(), **identity})
+        """Finish `replace_partition`, if one was cut short."""
+        replaces, identity = self.read_partition().get(REPLACES), self.identity()
+        for block in self.blocks() if replaces else ():
+            record = block.read()
+            if record["partition"] != replaces["partition"]:
+                continue
+            if record["number"] in replaces["blocks"]:
+                gone = block.path.with_name(block.path.name + PARTIAL)
+                shutil.rmtree(gone, ignore_errors=True)
+                os.rename(block.path, gone)
+                shutil.rmtree(gone, ignore_errors=True)
+            else:
+                _write(block.path / BLOCK, {**record, **identity})
 
     def block(self, number):
         """The BlockFolder of a block, there or not."""
