@@ -87,6 +87,24 @@ def test_a_render_of_a_part_is_part_of_the_render(device, name):
         assert abs(drawn(replace(part, whole=None)) - expected).max() > 2e-5
 
 
+@pytest.mark.parametrize("window", [(0, 0, 3, 3), (40, 2, 61, 9), (2, 28, 9, 37)])
+def test_no_part_of_a_model_is_passed_over(float_device, window):
+    """Off the centre of a wide photo, where the steepest rays are on one side."""
+    case = cases.gaussians("giants", count=3000)
+    case["camera"] |= {"fx": 8.0, "fy": 8.0}
+    rng = np.random.default_rng(0)
+    case["rows"]["positions"] = cases.single(rng.normal(0, 12, (3000, 3)))
+    case["rows"]["log_scales"] = cases.single(rng.uniform(-3, 2, (3000, 3)))
+    case["rows"]["opacity_logits"] = cases.single(np.full(3000, 4.0))
+    camera = camera_of(case).cropped(*window)
+    renderer = renderer_of(float_device, case)
+    frame = renderer.render(upload_rows(float_device, case["rows"]), renderer.pack(camera),
+                            camera.width, camera.height, 0)
+    drawn = set(frame.visible.download().tolist())
+    seen = {piece.start for piece in Parts.of(case["rows"], 1).seen(camera, case["near"])}
+    assert drawn <= seen and len(seen) < 3000 and len(drawn) > 100
+
+
 def test_a_photo_is_read_in_part(tmp_path):
     pixels = np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)
     write_image(tmp_path / "a.png", pixels)
