@@ -107,7 +107,7 @@ def step_figure(records):
     """Gaussians, loss and, where it changes, level over iterations; None without any."""
     gaussians, loss, level = (curve(records, "iteration", key)
                               for key in ("gaussians", "loss", "level"))
-    if not len(gaussians[0]):
+    if not len(loss[0]):  # a city takes no steps itself
         return None
     changes = len(set(level[1])) > 1
     with matplotlib.rc_context(LOOK):

@@ -64,6 +64,7 @@ def test_the_folder_is_a_run_like_any_other(made):
     assert last["psnr"] > 12 and last["views"] == 4 and last["gaussians"] == run.load_model().count
     page = (made.path / "report.html").read_text()
     assert "map of the blocks" in page and "Seams" in page
+    assert "Growth and loss" not in page and "Held-out views" in page  # no empty charts
     assert json.loads(made.map.read_text())["type"] == "FeatureCollection"
     command("eval", made.path, "--no-images", "--device", "Portable")
     levels = RunFolder(made.path).snapshots()
