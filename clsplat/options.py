@@ -84,6 +84,8 @@ class TrainOptions:
     ssim_weight: float = option(0.2, "Method", "share of D-SSIM in the loss", minimum=0.0,
                                 maximum=1.0)
     antialiased: bool = option(False, "Method", "scale opacity by the area the low-pass adds")
+    batch: int = option(1, "Method", "photos a step learns from: their mean gradient moves the "
+                        "gaussians once; a step costs as many times as much", minimum=1)
     optimizer: str = option("dense", "Method", "Adam on all rows, or on those seen in the view",
                             choices=("dense", "sparse"))
     engine: str = option("auto", "Method", "where Adam runs: its moments on the device, or in "

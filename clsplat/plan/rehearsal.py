@@ -12,7 +12,7 @@ from clsplat.schedule import Plan
 from clsplat.train.adjacent import Adjacent
 from clsplat.train.model import Model
 from clsplat.train.photos import at_level
-from clsplat.train.step import Step
+from clsplat.train.step import Shot, Step
 
 A_SPLAT, A_TILE = 1.62, 114  # pairs
 SIZES, HALVINGS = 2.0, 6  # logarithm of the size looked for, and how often its range is halved
@@ -54,7 +54,8 @@ class Rehearsal:
         self.step.statistics.clear(count)
 
     def prepare(self, index, regularises=False):
-        """A function that takes one step on a view, with its photo and camera in place."""
+        """A function that takes one step on a view, with its photo and camera in place; a batch is
+        all of this view."""
         camera = self.step.renderer.pack(self.shown[index].camera)
         photo, pair = self.photo(self.device, self.shown[index]), None
         if regularises and len(self.adjacent.neighbours[index]):
@@ -63,10 +64,11 @@ class Rehearsal:
             pair = (self.photo(self.device, other), self.adjacent.geometries,
                     self.adjacent.colours, row)
         plan = dataclasses.replace(self.plan, regularises=float(regularises))
+        shots = self.step.options.batch * [Shot(index, camera, photo, pair)]
 
         def take():
             self.iteration += 1
-            return self.step.take(self.iteration, plan, index, camera, photo, pair)
+            return self.step.take(self.iteration, plan, shots)
         return take
 
 

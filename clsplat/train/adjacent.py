@@ -30,12 +30,12 @@ class Adjacent:
         self.colours = (self.exposures.between(self.pairs) if self.exposures
                         else self.device.upload(unchanged))
 
-    def drawn(self, iteration, view):
-        """(row of the pair, index of the neighbour) for a step on `view`; (None, None) where it has
-        none."""
+    def drawn(self, number, view):
+        """(row of the pair, index of the neighbour) for the number-th view trained on, which is
+        `view`; (None, None) where it has none."""
         count = len(self.neighbours[view])
         if not count:
             return None, None
         row = int(self.first[view] + np.random.default_rng(
-            [self.seed, 2, iteration]).integers(count))
+            [self.seed, 2, number]).integers(count))
         return row, self.pairs[row][1]

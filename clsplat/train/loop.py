@@ -31,7 +31,7 @@ from clsplat.train.needs import find_needs, smallest_size
 from clsplat.train.photos import Photos, decoded
 from clsplat.train.skipped import TOO_MANY
 from clsplat.train.snapshots import save_snapshot
-from clsplat.train.step import Step
+from clsplat.train.step import Shot, Step
 from clsplat.train.warn import find_warnings
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
@@ -108,7 +108,7 @@ class Training(Clock):
         super().__init__(device)
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.iteration = 0
-        self.evaluated_at = self.level = self.sums = None
+        self.evaluated_at = self.level = self.losses = None
         self.fingerprint = fingerprint(scene)
         scene = scene.reduced(options.downscale, options.max_resolution)
         self.scene = scene = scene.normalised()  # same steps whatever the unit of the scene
@@ -149,9 +149,10 @@ class Training(Clock):
         self.use_level(self.schedule.levels[0])
         self.unpause()
 
-    def view_of(self, iteration):
-        """Index of the view of a step (from 1): shuffled epochs, each view once an epoch."""
-        epoch, place = divmod(iteration - 1, len(self.train_views))
+    def view_of(self, number):
+        """Index of the number-th view (from 1) that is trained on: shuffled epochs, each view once
+        an epoch. A step takes the next options.batch of them."""
+        epoch, place = divmod(number - 1, len(self.train_views))
         return epoch_order(self.options.seed, epoch, len(self.train_views))[place]
 
     def use_level(self, level):
@@ -211,21 +212,14 @@ class Training(Clock):
         if self.options.snapshots and plan.level != self.level:
             save_snapshot(self)
         self.use_level(plan.level)
-        index = self.view_of(iteration)
-        photo = self.photos[index]
-        if not self.photos.resident:
-            following = self.view_of(iteration + 1)
-            self.photos.expect(following)
-            if plan.regularises:
-                self.photos.expect(self.adjacent.drawn(iteration + 1, following)[1])
-        exposures = self.step.exposures
-        if exposures and self.iteration % len(self.train_views) == 0:
+        batch, exposures = self.options.batch, self.step.exposures
+        taken = self.iteration * batch
+        if exposures and taken % len(self.train_views) < batch:  # an epoch has ended
             exposures.recentre()
             if self.adjacent:
                 self.adjacent.compare_colours()
-        pair = self.pair(iteration, index) if plan.regularises else None
-        self.sums = self.step.take(iteration, plan, index, self.cameras[index], photo, pair)
-        self.values = 3 * photo.shape[1] * photo.shape[2]
+        self.losses = self.step.take(iteration, plan, (
+            self.shot(taken + place, plan.regularises) for place in range(1, batch + 1)))
         event = self.step.follow(iteration, plan, self.schedule, self.look)
         self.iteration = iteration
         if event:
@@ -236,9 +230,21 @@ class Training(Clock):
         if self.due(self.options.eval_every) or iteration in self.options.eval_at:
             self.evaluate()
 
-    def pair(self, iteration, index):
-        """What `Step.take` compares view `index` with, or None."""
-        row, other = self.adjacent.drawn(iteration, index)
+    def shot(self, number, regularises):
+        """The Shot of the number-th view; begins to read the photos of the one after it."""
+        index = self.view_of(number)
+        photo = self.photos[index]
+        if not self.photos.resident:
+            following = self.view_of(number + 1)
+            self.photos.expect(following)
+            if regularises:
+                self.photos.expect(self.adjacent.drawn(number + 1, following)[1])
+        pair = self.pair(number, index) if regularises else None
+        return Shot(index, self.cameras[index], photo, pair)
+
+    def pair(self, number, index):
+        """What a Shot of view `index` is compared with, or None."""
+        row, other = self.adjacent.drawn(number, index)
         return None if row is None else (
             self.photos[other], self.adjacent.geometries, self.adjacent.colours, row)
 
@@ -298,7 +304,8 @@ class Training(Clock):
     def check(self):
         """(loss, l1, ssim) of the last step; waits. InputError where the loss is not finite;
         gradients that were not are counted, and the first told of."""
-        values = loss_value(self.sums, self.values, self.options.ssim_weight)
+        values = np.mean([loss_value(sums, count, self.options.ssim_weight)
+                          for sums, count in self.losses], axis=0).tolist()
         if not np.isfinite(values[0]):
             raise self.broken(f"the loss at step {self.iteration} is {values[0]}")
         skipped = self.step.skipped
@@ -338,7 +345,7 @@ class Training(Clock):
     def save(self):
         """Write the checkpoint, outside of training time; InputError rather than a spoilt one."""
         self.pause()
-        if self.sums is not None:
+        if self.losses:
             self.check()
         begin = time.perf_counter()
         checkpoint.save(self)

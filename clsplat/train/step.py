@@ -1,19 +1,37 @@
 """One training step, as the algorithm reads, and what may follow it."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from clsplat.densify.grow import Candidates, plan_growth
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
 from clsplat.densify.statistics import Statistics
+from clsplat.device import Array
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import image_loss
 from clsplat.optimise.adam import hold_rows
+from clsplat.optimise.batch import batch_mean
 from clsplat.optimise.rates import learning_rates
 from clsplat.regularise.reproject import reproject
 from clsplat.train.skipped import Skipped
 
 RESET_OPACITY = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What a step learns from.
+
+    view: index of the view; camera: packed; photo: uchar[3, H, W]; pair: (photo, geometries,
+    colours, row of both) of an adjacent view for `reproject`, or None.
+    """
+
+    view: int
+    camera: Array
+    photo: Array
+    pair: tuple | None = None
 
 
 class Step:
@@ -34,37 +52,43 @@ class Step:
         self._hold()
         self.pixel_pairs = 0  # pairs of gaussian and pixel so far: all pixels of a tile it meets
 
-    def take(self, iteration, plan, view, camera, photo, pair=None):
-        """Step `iteration` (from 1) on one view; returns the loss sums, still on the device.
+    def take(self, iteration, plan, shots):
+        """Step `iteration` (from 1) on the mean loss of options.batch Shots, an iterable; returns
+        [(loss sums, still on the device; values of the photo), ...]."""
+        losses, used, views = [], self._used(plan.degree), self.options.batch
+        found = (self._look(plan, shot, losses) for shot in shots)
+        gradients = (next(found) if views == 1 else
+                     batch_mean(self.device, self.model.count, views, found, used))
+        rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
+        learned = {field.name: self.model.rows[field.name] for field in LEARNED}
+        self.model.adam.step(learned, gradients, iteration, rates, used)
+        return losses
 
-        view: index of the view; camera: packed; photo: uchar[3, H, W]; pair: (photo,
-        geometries, colours, row of both) of an adjacent view for `reproject`, or None.
-        """
-        model, exposures = self.model, self.exposures
+    def _look(self, plan, shot, losses):
+        """The Gradients of one Shot; adds to `losses` and statistics."""
+        rows, exposures, photo = self.model.rows, self.exposures, shot.photo
         _, height, width = photo.shape
-        rows = model.rows
-        frame = self.renderer.render(rows, camera, width, height, plan.degree,
-                                     with_depth=pair is not None)
+        frame = self.renderer.render(rows, shot.camera, width, height, plan.degree,
+                                     with_depth=shot.pair is not None)
         self.pixel_pairs += frame.pair_count * self.device.tile**2
-        image = exposures.apply(view, frame.image) if exposures else frame.image
+        image = exposures.apply(shot.view, frame.image) if exposures else frame.image
         sums, grad_image = image_loss(self.device, image, photo, self.options.ssim_weight)
+        losses.append((sums, 3 * height * width))
         if exposures:
-            grad_image = exposures.adjoint(view, frame.image, grad_image)
+            grad_image = exposures.adjoint(shot.view, frame.image, grad_image)
         grad_depth = grad_transmittance = None
-        if pair is not None:
+        if shot.pair is not None:
             blended = frame.blended
             _, grad_depth, grad_transmittance = reproject(
-                self.device, blended.depth, blended.transmittance, photo, *pair, plan.regularises)
+                self.device, blended.depth, blended.transmittance, photo, *shot.pair,
+                plan.regularises)
         gradients = self.renderer.adjoint(rows, frame, grad_image, grad_depth, grad_transmittance)
         self.skipped.asked += len(gradients.rows) + bool(exposures)
         if self.held is not None:
             hold_rows(self.device, gradients, self.held)
-        rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
-        learned = {field.name: rows[field.name] for field in LEARNED}
-        model.adam.step(learned, gradients, iteration, rates, self._used(plan.degree))
         if plan.gathers:
             self.statistics.accumulate(gradients, width, height)
-        return sums
+        return gradients
 
     def _used(self, degree):
         """Field -> floats of a row that may change: inactive harmonics stay out."""

@@ -12,10 +12,12 @@ from clsplat.errors import Interrupted
 from clsplat.frequency import AXES, VARIANTS
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
+from clsplat.loss.exposure import Exposures
 from clsplat.options import resolve
 from clsplat.scene import Scene, View
 from clsplat.train import loop
 from clsplat.train.begin import initial_gaussians
+from clsplat.train.step import Step
 from tests.tiny_training import CITY, EVENTFUL, LEVELLED, STILL, options_of, records, trained
 
 COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians",
@@ -167,6 +169,26 @@ def test_all_views_are_trained_on_where_none_is_held_out(item_device, city):
     epoch = [made.view_of(i) for i in range(1, 33)]
     assert sorted(epoch) == list(range(32))
     assert epoch != [made.view_of(i) for i in range(33, 65)] != list(range(32))
+
+
+def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path, monkeypatch):
+    """Each view as often as any other, and recentred once an epoch: 20 steps of 7 on 28 views."""
+    seen, recentred, take = [], [], Step.take
+
+    def watched(step, iteration, plan, shots):
+        shots = list(shots)
+        seen.append([shot.view for shot in shots])
+        return take(step, iteration, plan, shots)
+
+    monkeypatch.setattr(Step, "take", watched)
+    monkeypatch.setattr(Exposures, "recentre", lambda _: recentred.append(len(seen)))
+    options = {**STILL, "batch": 7, "exposure": "on"}
+    trained(tmp_path / "run", city, item_device, **options, iterations=20)
+    assert {len(views) for views in seen} == {7} and recentred == [0, 4, 8, 12, 16]
+    made = loop.Training(city, options_of(**options), item_device, None, None,
+                         initial_gaussians(city, options_of()))
+    assert sum(seen, []) == [made.view_of(number) for number in range(1, 141)]
+    assert (np.bincount(sum(seen, [])) == 5).all()
 
 
 def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):

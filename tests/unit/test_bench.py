@@ -65,7 +65,7 @@ def test_a_bad_count_is_told(text, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", ["adam", "bin", "blend", "contribution", "exposure", "frequency",
+@pytest.mark.parametrize("family", ["adam", "batch", "bin", "blend", "contribution", "exposure", "frequency",
                                     "gather", "image_loss", "project", "reduce", "render",
                                     "reproject", "scan", "sort", "statistics", "step"])
 def test_each_family_prints_its_lines(family, monkeypatch, capsys):

@@ -7,13 +7,14 @@ from clsplat.densify.grow import Growth
 from clsplat.device import Device
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.loss.exposure import Exposures
+from clsplat.loss.image_loss import loss_value
 from clsplat.options import TrainOptions
 from clsplat.render.pipeline import Renderer
 from clsplat.schedule import Plan, Subject
 from clsplat.schedule.constant import Constant
 from clsplat.train import step as train_step
 from clsplat.train.model import Model
-from clsplat.train.step import Step
+from clsplat.train.step import Shot, Step
 from tests import cases
 from tests.kernels.chain import camera_of, size_of
 
@@ -145,7 +146,8 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
         for iteration in range(1, 6):
             plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False,
                         prunes_large=False, decay=iteration / 100)
-            step.take(iteration, plan, 0, renderer.pack(camera_of(case)), device.upload(photo))
+            step.take(iteration, plan, [Shot(0, renderer.pack(camera_of(case)),
+                                             device.upload(photo))])
         results.append((model.download().rows, *model.adam.download(model.count)))
     before = given.rows
     for field in SPHERE:  # carried along, never learned
@@ -190,7 +192,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
     monkeypatch.setattr(renderer, "adjoint", kept)
     monkeypatch.setattr(train_step, "image_loss", spoilt)
     before = model.download().rows, *model.adam.download(count)
-    step.take(1, plan, 0, renderer.pack(camera_of(case)), photo)
+    step.take(1, plan, [Shot(0, renderer.pack(camera_of(case)), photo)])
     after = model.download().rows, *model.adam.download(count)
     seen = found[0].visible.download()
     usable = found[0].rows.download() == seen
@@ -202,6 +204,44 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
             assert (new[name][unseen] != old[name][unseen]).all(), name
     step.skipped.look()
     assert step.skipped.close() == (len(skipped) + 1, len(seen) + 1)  # and the view's exposure
+
+
+@ENGINES
+def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, engine, monkeypatch):
+    """Of three that are the same and one other, as the adjoint gave them one by one."""
+    device, case = double_device, cases.gaussians("degree_1")
+    width, height = size_of(case)
+    rng = np.random.default_rng(0)
+    photos = [device.upload(rng.integers(0, 256, (3, height, width), np.uint8)) for _ in range(2)]
+    renderer = Renderer(device, DEGREE, case["near"])
+    count = len(case["rows"]["positions"])
+    model = Model(device, Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()},
+                                    DEGREE), engine, dense=True)
+    step = Step(renderer, model, 1.0, TrainOptions(iterations=100, batch=4))
+    taken, found, adjoint = [], [], renderer.adjoint
+
+    def kept(*arguments):
+        found.append(adjoint(*arguments))
+        return found[-1]
+
+    monkeypatch.setattr(renderer, "adjoint", kept)
+    monkeypatch.setattr(model.adam, "step", lambda *arguments: taken.append(arguments[1]))
+    plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
+                decay=0.5)
+    camera = renderer.pack(camera_of(case))
+    losses = step.take(1, plan, (Shot(0, camera, photos[i > 2]) for i in range(4)))
+    values = [loss_value(sums, pixels, 0.2)[0] for sums, pixels in losses]
+    assert len(values) == 4 and values[0] == values[2] != values[3]
+    [mean], seen = taken, found[0].visible.download()
+    assert np.array_equal(mean.rows.download(), seen)
+    for name, array in mean.fields.items():
+        each = [gradients.fields[name].download() for gradients in found]
+        assert np.abs(each[0] - each[3]).max() > 0, name
+        assert np.allclose(array.download(), np.mean(each, axis=0), rtol=1e-12, atol=0), name
+    expected = np.zeros(count)
+    expected[seen] = 4
+    assert np.array_equal(step.statistics.seen_count.download(), expected)  # by every view
+    assert step.skipped.asked == 4 * len(seen)
 
 
 # --- a round of growth, from statistics to rows

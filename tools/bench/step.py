@@ -16,7 +16,7 @@ from clsplat.schedule import scaled_steps
 from clsplat.schedule.plan import Plan
 from clsplat.train.model import Model
 from clsplat.train.photos import Photos
-from clsplat.train.step import Step
+from clsplat.train.step import Shot, Step
 
 from .measure import Bench
 from .timing import milliseconds
@@ -43,7 +43,7 @@ def main(argv):
         def one(step=step, cameras=cameras, numbers=numbers):
             number = next(numbers)
             index = (number - 1) % len(views)
-            step.take(number, PLAN, index, cameras[index], photos[index])
+            step.take(number, PLAN, [Shot(index, cameras[index], photos[index])])
 
         times = milliseconds(device, one, len(views), warm_up=len(views))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -1,0 +1,46 @@
+"""One step's gradients from several views (cl/batch.cl), as BlockGaussian's paper trains (Wu et al.
+2025: four views a step)."""
+
+import math
+
+import numpy as np
+
+from clsplat.device import Kernel
+from clsplat.primitives.gather import compact, gather
+from clsplat.render.pipeline import Gradients
+
+MARK = Kernel("batch.cl", "batch_mark", count="uint", visible=("uint", "V"), rows=("uint", "V"),
+              flags=("uint", "N"), keys=("uint", "N"))
+ADD = Kernel("batch.cl", "batch_add", count="uint", width="uint", share="real", rows=("uint", "V"),
+             gradient=("real", "V", "W"), sums=("real", "N", "W"))
+
+
+def batch_mean(device, count, views, found, used):
+    """The Gradients of the mean of the losses of so many `views`, without screen means.
+
+    count: rows of gaussians; found: iterable of each view's Gradients, let go one after the other;
+    used: field -> floats of a row that will be used: a field of 0 is left out. A view that does not
+    see a row counts as a gradient of zero. A row that one of them marks as not to be followed has
+    no row in the result either.
+    """
+    flags, keys = device.empty(count, np.uint32), device.empty(count, np.uint32)
+    flags.fill(0)
+    sums = {}
+    for gradients in found:
+        seen = len(gradients.rows)
+        device.launch_each(MARK, seen, count=seen, visible=gradients.visible, rows=gradients.rows,
+                           flags=flags, keys=keys)
+        for name, gradient in gradients.fields.items():
+            if not used[name]:
+                continue
+            if name not in sums:
+                sums[name] = device.empty((count, *gradient.shape[1:]))
+                sums[name].fill(0)
+            width = math.prod(gradient.shape[1:])
+            device.launch_each(
+                ADD, seen * (1 if device.form == "item" else width), count=seen, width=width,
+                share=1 / views, rows=gradients.rows, gradient=gradient.reshaped(seen, width),
+                sums=sums[name].reshaped(count, width))
+    rows, visible = compact(device, flags, keys)
+    fields = {name: gather(device, values, visible) for name, values in sums.items()}
+    return Gradients(fields, None, rows, visible)

@@ -1,0 +1,73 @@
+"""Gradients of several views as those of one."""
+
+import numpy as np
+import pytest
+
+from clsplat.optimise.adam import NO_ROW
+from clsplat.optimise.batch import batch_mean
+from clsplat.render.pipeline import Gradients
+from tests.checks import close
+from tests.kernels.chain import precision_of
+from tests.reference import batch as reference
+
+SHAPES = {"positions": (3,), "opacity_logits": (), "sh_rest": (5, 3)}
+USED = {"positions": 3, "opacity_logits": 1, "sh_rest": 15}
+
+
+def a_view(device, count, seen, seed):
+    """Gradients by `seen` of `count` rows, every fourth of them not to be followed; and the same
+    spread over all rows, with which were seen and which stay."""
+    rng = np.random.default_rng(seed)
+    rows = np.sort(rng.permutation(count)[:seen]).astype(np.uint32)
+    visible = device.upload(rows)
+    was_seen, stays = np.zeros((2, count), bool)
+    was_seen[rows] = True
+    fields = {name: rng.normal(size=(seen, *shape)) for name, shape in SHAPES.items()}
+    spread = {name: np.zeros((count, *shape)) for name, shape in SHAPES.items()}
+    for name, values in fields.items():
+        spread[name][rows] = values
+    broken = rng.permutation(seen)[:seen // 4]
+    stays[rows[broken]] = True
+    rows[broken] = NO_ROW
+    for values in fields.values():
+        values[broken] = np.nan
+    return Gradients({name: device.upload(values) for name, values in fields.items()}, None,
+                     device.upload(rows), visible), spread, was_seen, stays
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("views, share", [(1, 1.0), (2, 0.5), (4, 0.2), (4, 0.0)])
+def test_mean_of_views(device, views, share):
+    group = device.group_size
+    for count in (1, group - 1, group, group + 1, 3 * group + 7):
+        made = [a_view(device, count, int(share * count), seed) for seed in range(views)]
+        gradients, spread, seen, stays = zip(*made)
+        found = batch_mean(device, count, views, iter(gradients), USED)
+        for name in SHAPES:
+            visible, moves, mean = reference.batch_mean(
+                np.stack([by_name[name] for by_name in spread]), np.stack(seen), np.stack(stays))
+            values = found.fields[name].download()
+            assert values.shape == mean.shape
+            close(values[moves], mean[moves], precision_of(device), f"{name} of {count} rows")
+        assert np.array_equal(found.visible.download(), visible)
+        assert np.array_equal(found.rows.download(), np.where(moves, visible, NO_ROW))
+
+
+def test_a_row_stays_whatever_the_other_views_say(device):
+    """Before and after the view that broke it."""
+    def one(rows, value):
+        return Gradients({"opacity_logits": device.upload(np.full(3, value))}, None,
+                         device.upload(np.array(rows, np.uint32)),
+                         device.upload(np.arange(3, dtype=np.uint32)))
+
+    views = one((0, 1, 2), 1.0), one((0, NO_ROW, 2), np.nan), one((0, 1, 2), 4.0)
+    views[1].fields["opacity_logits"].write(np.array([1.0, np.nan, -5.0]))
+    found = batch_mean(device, 3, 3, views, USED)
+    assert found.rows.download().tolist() == [0, NO_ROW, 2]
+    assert np.allclose(found.fields["opacity_logits"].download()[[0, 2]], [2, 0])
+
+
+def test_fields_that_nothing_uses_are_left_out(device):
+    gradients = a_view(device, 9, 5, 0)[0]
+    found = batch_mean(device, 9, 2, [gradients, gradients], {**USED, "sh_rest": 0})
+    assert set(found.fields) == {"positions", "opacity_logits"}
