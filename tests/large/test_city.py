@@ -23,11 +23,12 @@ from tests.tiny_training import CITY
 
 FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
          "--grid", "2x1", "--least-views", "3", "--device", "Portable", "--form", "item")
+ONE_ROUND = ("--refine", "0")  # tests/large/test_refine.py has the second
 
 
 def city(folder, *flags, code=0):
     with pytest.raises(SystemExit) as ended:
-        main(["city", str(CITY), "-o", str(folder), "-q", *FLAGS, *flags])
+        main(["city", str(CITY), "-o", str(folder), "-q", *FLAGS, *ONE_ROUND, *flags])
     assert ended.value.code == code
     return CityFolder(folder)
 
