@@ -28,7 +28,7 @@ def partition_flags(command):
     for option in (
             click.option("--least-views", default=8, show_default=True, **BLOCKS,
                          help="A block with fewer views is starved."),
-            click.option("--threshold", type=float, default=0.02, show_default=True, **BLOCKS,
+            click.option("--threshold", type=float, default=0.003, show_default=True, **BLOCKS,
                          help="citygs: a view is given to a block where it changes by more than "
                          "this without the block, as 1 - SSIM."),
             click.option("--starved", type=click.Choice(("refuse", "join")), default="refuse",

@@ -35,8 +35,8 @@ class CityFolder:
     the blocks and the levels of detail in it. Errors are InputError.
 
     coarse, lod: folders; map, picture: the partition as GeoJSON and as an image; refined: the
-    CityFolder of a second round, whose coarse run is the first one's merged model; last: the round
-    to merge, a CityFolder.
+    CityFolder of a second round, whose coarse run is the first one's merged model; first: of that,
+    the CityFolder it lies in, else itself; last: the round to merge, a CityFolder.
     """
 
     def __init__(self, path):
@@ -47,6 +47,11 @@ class CityFolder:
     @property
     def refined(self):
         return CityFolder(self.path / REFINED)
+
+    @property
+    def first(self):
+        parent = CityFolder(self.path.parent)
+        return parent if self.path.name == REFINED and parent.has_partition else self
 
     @property
     def last(self):

@@ -36,7 +36,7 @@ class PartitionOptions:
     up: tuple[float, float, float] | None = None
     bounds: tuple[float, float, float, float] | None = None
     margin: float = 0.3
-    threshold: float = 0.02
+    threshold: float = 0.003
     least_views: int = 8
     least_gaussians: int = 100
     starved: str = "refuse"

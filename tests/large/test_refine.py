@@ -1,16 +1,19 @@
 """The second round of a city: blocks under their neighbours' finished models."""
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from clsplat.city import stages
 from clsplat.city.refine import refining_options
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.options import TrainOptions, resolve
+from clsplat.region import Region, Space
 from clsplat.schedule import SCHEDULES, scaled_steps
 from tests.large.test_city import city as first_round
 from tests.large.test_city import command, model
@@ -134,3 +137,20 @@ def test_nothing_grows_or_is_reset_whatever_the_schedule(schedule):
 def test_a_budget_of_time_is_shared():
     options = refining_options(resolve({}, {"time_budget": "2m"}), 0.25)
     assert options.time_budget == "30" and options.iterations == TrainOptions.iterations
+
+
+def test_what_is_far_from_a_block_is_the_coarse_models():
+    """Else a block of a large city would begin with all that its photos show, finished."""
+    rng, space = np.random.default_rng(0), Space(np.eye(3), np.zeros(3), np.full(3, 10.0))
+    region = Region(space, (-1, -1, -np.inf), (-0.5, -0.5, np.inf), margin=0.1)
+    scene = SimpleNamespace(offset=np.array([3.0, 0, 0]), unit=2.0)
+    near, far = (Gaussians({field.name: rng.uniform(-6, 6, (500, *field.row_shape(1))).astype(
+        np.float32) for field in LEARNED}, 1) for _ in range(2))
+    mixed = stages.near_and_far(near, far, scene, region)
+    # a side is 5 world units: the reach ends 0.5 beyond the cell's -5, the ring 1.0 after that
+    x, y = (3 + 2 * mixed.positions[:, 0], 2 * mixed.positions[:, 1])
+    inside = (x < -3.5) & (y < -3.5) & (x >= -11.5) & (y >= -11.5)
+    assert 20 < inside.sum() < 480
+    for name, rows in mixed.rows.items():
+        given = {tuple(np.ravel(row)) for row in near.rows[name]}
+        assert [tuple(np.ravel(row)) in given for row in rows] == inside.tolist(), name
