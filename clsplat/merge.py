@@ -19,15 +19,15 @@ from clsplat.partition.site import world_of
 from clsplat.report.page import Table
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well
-WHOLE = ("merged", "filled")  # states of a block whose cell is not empty
+WHOLE = ("merged", "coarse")  # states of a block whose cell is filled
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a block gave. state: merged; filled, with what it began with; or why not: missing,
-    unfinished, starved, refused. gaussians: that the merged model has of it; trained: that its own
-    model has, margin and surroundings included; views: it trained with; points: sparse ones in its
-    cell; note: more, for people."""
+    """What a block gave. state: merged; coarse, the coarse model's gaussians in its place; or why
+    not: missing, unfinished, starved, refused. gaussians: that the merged model has of it; trained:
+    that its own model has, margin and surroundings included; views: it trained with; points: sparse
+    ones in its cell; note: more, for people."""
 
     block: int
     state: str
@@ -54,8 +54,8 @@ class Merged:
         if not lacking:
             return
         named = ", ".join(f"{share.block:03d} {share.state}" for share in lacking)
-        cure = (f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, or fill them with "
-                "what they began with, by --fill")
+        cure = (f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, or fill them from "
+                "the coarse model with --fill")
         refused = [share for share in lacking if share.state == "refused"]
         if refused:
             cure = refused[0].note
@@ -79,10 +79,10 @@ class Merged:
 def merge(city, scene, fill=False):
     """Merge the finished blocks of a CityFolder; returns a `Merged`, whole or not: `check` it.
 
-    scene: the whole Scene, as `read_scene` gave it. fill: take the gaussians of the model that all
-    blocks began with, the coarse one, for cells that are missing, unfinished or starved. One block
-    at a time is read; what its cell holds is kept. Raises InputError for another scene, a damaged
-    partition, and block folders that are none of it.
+    scene: the whole Scene, as `read_scene` gave it. fill: take the coarse model's gaussians for
+    cells that are missing, unfinished or starved. One block at a time is read; what its cell holds
+    is kept. Raises InputError for another scene, a damaged partition, and block folders that are
+    none of it.
     """
     if fingerprint(scene) != city.read()["fingerprint"]:
         raise InputError(f"{city.path}: is a city of another scene than {scene.path}; give the one "
@@ -106,7 +106,7 @@ def merge(city, scene, fill=False):
         coarse = read_ply(city.coarse / MODEL, scene.offset)
         for share in lacking:
             piece = pieces[share.block] = cropped(coarse, partition, share.block, scene.offset)
-            shares[share.block] = Share(share.block, "filled", piece.count, share.trained,
+            shares[share.block] = Share(share.block, "coarse", piece.count, share.trained,
                                         share.views, share.points, f"{share.state}: {share.note}")
     dropped = {scene.views[view].name: why for view, why in partition.dropped.items()}
     return Merged(joined([piece for piece in pieces if piece]), tuple(shares), dropped, city.path)

@@ -14,17 +14,15 @@ from clsplat.report.page import Table, embedded
 from clsplat.report.run import write_report
 
 
-def merge_city(city, scene, options, device, fill=False, blocks=None):
+def merge_city(city, scene, options, device, fill=False):
     """Merge the blocks of a CityFolder into its model and levels of detail; returns a `Merged`.
 
-    options: TrainOptions of the whole; fill: see `merge.merge`; blocks: the CityFolder of the round
-    whose blocks are merged, by default the last. InputError, with nothing written, where a block is
-    lacking.
+    options: TrainOptions of the whole; fill: see `merge.merge`. InputError, with nothing written,
+    where a block is lacking.
     """
-    blocks = blocks or city.last
-    merged = merge(blocks, scene, fill)
+    merged = merge(city, scene, fill)
     merged.check()
-    run, spent = RunFolder(city.path), cost(city, blocks)
+    run, spent = RunFolder(city.path), cost(city)
     run.write_options({
         "scene": scene.path, **dataclasses.asdict(options),
         "fingerprint": city.read()["fingerprint"], "opencl_device": device.name,
@@ -48,36 +46,34 @@ def keep_coarse_levels(city, scene):
                             (f"level {level:g}",))
 
 
-def evaluate_city(city, scene, options, device, against=None, blocks=None):
+def evaluate_city(city, scene, options, device, against=None):
     """Score the merged model on the held-out views, look for seams, and write the report.
 
-    against: path of the PLY, or of the run, that seams are measured by; None: the coarse model;
-    blocks: as of `merge_city`.
+    against: path of the PLY, or of the run, that seams are measured by; None: the coarse model.
     Returns (scores as of `evaluate_views`, or None without held-out views; seams as of
     `find_seams`, by the training views where none are held out).
     """
-    blocks = blocks or city.last
-    run, merged, spent = RunFolder(city.path), merge_record(city), cost(city, blocks)
+    run, merged = RunFolder(city.path), merge_record(city)
     scores = None
     train, test = scene.reduced(options.downscale, options.max_resolution).split(options.test_every)
     if test:
         scores = evaluate_run(run, device, save_images=False)
         means = {key: value for key, value in scores.items() if key != "per_view"}
-        run.log({"event": "eval", **spent, "level": 1.0, "gaussians": merged["gaussians"],
+        run.log({"event": "eval", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
                  **means})
     seams = None
     if len(merged["blocks"]) > 1:
         def model_of(number):
-            path = blocks.block(number).run / MODEL
+            path = city.block(number).run / MODEL
             return read_ply(path, scene.offset) if path.is_file() else None
 
         model, reference = run.load_model(), against or city.coarse
         reference = reference / MODEL if reference.is_dir() else reference
         seams = find_seams(
-            device, partition_of(blocks), scene, test or train, options, model,
+            device, partition_of(city), scene, test or train, options, model,
             [share["gaussians"] for share in merged["blocks"]],
             plain(read_ply(reference, scene.offset)), model_of)
-        run.log({"event": "seams", **spent, "level": 1.0, "gaussians": merged["gaussians"],
+        run.log({"event": "seams", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
                  "seam_db": seams["seam_db"], "worst_seam_db": seams["worst_seam_db"]})
     write_report(run, embedded(city.picture, "map of the blocks"), block_shares(merged),
                  seams and seam_table(seams))
@@ -96,12 +92,11 @@ def merge_record(city):
     return [record for record in RunFolder(city.path).records() if record["event"] == "merge"][-1]
 
 
-def cost(city, last):
-    """{iteration, train_seconds, wall_seconds}: sums over the coarse run and the blocks of all
-    rounds to the `last`, a CityFolder."""
-    rounds = [city] if last.path == city.path else [city, last]
-    runs = [city.coarse, *(block.run for folder in rounds for block in folder.blocks())]
-    last = [RunFolder(path).records()[-1] for path in runs if RunFolder(path).has_metrics]
+def cost(city):
+    """{iteration, train_seconds, wall_seconds}: sums over the coarse run and the blocks."""
+    last = [RunFolder(path).records()[-1]
+            for path in (city.coarse, *(block.run for block in city.blocks()))
+            if RunFolder(path).has_metrics]
     return {key: round(sum(record.get(key) or 0 for record in last), 3)
             for key in ("iteration", "train_seconds", "wall_seconds")}
 

@@ -9,7 +9,6 @@ from clsplat.train.model import GROWTH_ROOM
 
 GIB = 2**30
 COARSE_COST = 0.25  # of the time of one run of the whole, that the coarse run takes
-REFINE_COST = 0.4  # of the blocks' time, that their second round takes by default (docs/city.md)
 PLY_BYTES = 248  # a gaussian with all harmonics
 # of a cluster's scheduler, client and workers together, a block: tools/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
@@ -49,8 +48,7 @@ def scale_table(planned, forecast, device, margin, photos):
         whole = gaussians <= limit
         times = 1 if whole else shared  # that a photo is trained with, on average
         blocks = -(-int(gaussians * times) // limit)
-        cost = 1 if whole else COARSE_COST + times * (1 + REFINE_COST)  # of one run of the whole
-        seconds = forecast.seconds * share * cost
+        seconds = forecast.seconds * share * (times + (0 if whole else COARSE_COST))
         steps = options.iterations * share * times / blocks
         rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
                      f"{steps:,.0f}", f"{gaussians:,}", f"{gaussians * PLY_BYTES / GIB:,.1f}",

@@ -12,7 +12,6 @@ from clsplat.city.visibility import DropTest
 from clsplat.distribute import Task, run
 from clsplat.errors import InputError
 from clsplat.evaluate.views import run_options
-from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
@@ -29,7 +28,6 @@ COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter
 ASKED = "asked"  # key of partition.json: the PartitionOptions
 CHOOSE = ("limit", "expected", "least_blocks")  # the grid, which is then kept
 SPLITS = 4  # of a block, one after the other
-NEAR = 0.2  # of a block's sides: as far beyond its reach a second round has finished models
 LEVELS = (1.0,)  # of blocks under sig: the coarse run, at half size, has been through the others
 
 
@@ -121,7 +119,6 @@ def cut_into_blocks(city, scene, options, wanted, device):
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
     exposures = coarse.load_exposures()
-    far = None if city.first is city else RunFolder(city.first.coarse).load_model()
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         share = len(chosen) / len(views)
         given = block_steps(options, share)
@@ -129,25 +126,13 @@ def cut_into_blocks(city, scene, options, wanted, device):
                                     observations=None)
         windows = find_windows(gaussians, scene, region, shown.views)
         shown = shown.cropped(windows).reduced(options.downscale, options.max_resolution)
-        around = gaussians if far is None else near_and_far(gaussians, far, scene, region)
-        part = cut(around, scene, region, shown.views)
+        part = cut(gaussians, scene, region, shown.views)
         city.write_block(
             number, scene, chosen, region, windows, part.gaussians, exposures,
             options_of_blocks(given, record),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings})
     return partition, counts
-
-
-def near_and_far(near, far, scene, region):
-    """Gaussians: of `near` what lies within NEAR of a region's reach, of `far` all else. So that
-    what a block is shown stays as small in a second round, however large the city is."""
-    ring = region.grown(region.margin + NEAR)
-    kept = [(near, ring.owns(world_of(scene, near.positions))),
-            (far, ~ring.owns(world_of(scene, far.positions)))]
-    return Gaussians({field.name: np.concatenate([model.rows[field.name][which]
-                                                  for model, which in kept])
-                      for field in LEARNED}, near.sh_degree)
 
 
 def block_steps(options, share):

@@ -1,4 +1,4 @@
-"""`clsplat city` and its stages `partition`, `refine` and `merge`: large scenes, block by block."""
+"""`clsplat city` and its stages `partition` and `merge`: large scenes, block by block."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -10,7 +10,6 @@ from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.errors import InputError, Interrupted
 
 BLOCKS = {"cls": SectionedOption, "section": "Blocks"}
-REFINE = 0.25
 
 
 def _grid(context, option, text):
@@ -61,24 +60,19 @@ def partition_flags(command):
               help="Blocks trained at a time on this machine; a chosen grid has at least as many.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
               "tcp://10.0.0.1:8786, whose workers train the blocks.")
-@click.option("--refine", type=click.FloatRange(min=0), default=REFINE, show_default=True, **BLOCKS,
-              help="Share of its steps that each block then takes under its neighbours' finished "
-              "models (0: none).")
-@click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, take the gaussians that "
-              "it began with; the report says so.")
+@click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, take the coarse model's "
+              "gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
               "scene, or its PLY, that seams are measured by, in place of the coarse model.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress line.")
 @click.pass_context
-def city(ctx, scene, output, workers, scheduler, refine, fill, against, quiet, **_):
-    """Train SCENE in blocks: coarse run, partition, blocks, a second round of them, merge,
-    evaluation.
+def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
+    """Train SCENE in blocks: coarse run, partition, blocks, merge, evaluation.
 
     Run again after any failure, it goes on where it was. The folder is a run like any other, for
     `clsplat eval`, `render` and `compare`. Several devices: --device 0,1 with --workers 2.
     """
     from clsplat.city.forecast import block_table
-    from clsplat.city.refine import cut_again
     from clsplat.city.stages import begin, cut_into_blocks, train_all_blocks, train_coarse
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
@@ -98,31 +92,24 @@ def city(ctx, scene, output, workers, scheduler, refine, fill, against, quiet, *
     def shown():
         return nullcontext() if quiet else _progress(options)
 
-    def trained(blocks, counts):
-        if not quiet:
-            click.echo(block_table(blocks, device, counts).text())
-        outcomes = train_all_blocks(
-            blocks, data, options, device, _told(quiet), workers=workers, scheduler=scheduler,
-            devices=devices, progress=shown)
-        failed = [outcome for outcome in outcomes if not outcome.ok]
-        for outcome in failed:
-            click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
-                       err=True)
-        return fill or not failed
-
-    blocks = folder
     try:
         with shown() as progress:
             train_coarse(folder, data, options, device, progress)
-        partition, counts = cut_into_blocks(
+        _, counts = cut_into_blocks(
             folder, data, options, partition_options(ctx.params, data, options, device), device)
-        if trained(folder, counts) and refine and len(partition.regions) > 1:
-            blocks = folder.refined
-            trained(blocks, cut_again(folder, data, options, refine, device, fill)[1])
+        if not quiet:
+            click.echo(block_table(folder, device, counts).text())
+        outcomes = train_all_blocks(
+            folder, data, options, device, _told(quiet), workers=workers, scheduler=scheduler,
+            devices=devices, progress=shown)
     except Interrupted:
         raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command goes on"
                           ) from None
-    _finish(folder, data, options, device, fill, against, quiet, blocks)
+    failed = [outcome for outcome in outcomes if not outcome.ok]
+    for outcome in failed:
+        click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
+                   err=True)
+    _finish(folder, data, options, device, fill, against, quiet)
 
 
 @click.command("partition", cls=SectionedCommand)
@@ -149,30 +136,7 @@ def partition_command(ctx, folder, **_):
 
 @click.command()
 @click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
-@click.option("--share", type=click.FloatRange(min=0, min_open=True), default=REFINE,
-              show_default=True, help="Of the first round's steps.")
-@click.option("--fill", is_flag=True, help="As for `clsplat merge`.")
-def refine(folder, share, fill):
-    """Cut the trained blocks of CITY once more, each into its neighbours' finished models.
-
-    Writes the city of a second round, CITY/refined, for `clsplat block CITY/refined/blocks/NNN`;
-    `clsplat merge CITY` then merges these.
-    """
-    from clsplat.city.forecast import block_table
-    from clsplat.city.refine import cut_again
-    from clsplat.city.stages import begin_from_coarse
-    from clsplat.device import choose_device
-    from clsplat.io.city import CityFolder
-    there = CityFolder(folder)
-    data, options = begin_from_coarse(there)
-    device = choose_device(options.device, form=options.form)
-    _, counts = cut_again(there, data, options, share, device, fill)
-    click.echo(block_table(there.refined, device, counts).text())
-
-
-@click.command()
-@click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
-@click.option("--fill", is_flag=True, help="Take the gaussians that a block began with where it is "
+@click.option("--fill", is_flag=True, help="Take the coarse model's gaussians where a block is "
               "missing, unfinished or starved; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
               "PLY, that seams are measured by, in place of the coarse model.")
@@ -181,8 +145,7 @@ def refine(folder, share, fill):
 def merge(folder, fill, against, device):
     """Merge the finished blocks of CITY to one model, and score it.
 
-    Those of the second round, where it was begun. Every gaussian is owned once. Says what is
-    missing, and then ends with exit code 2.
+    Every gaussian is owned once. Says what is missing, and then ends with exit code 2.
     """
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
@@ -192,12 +155,12 @@ def merge(folder, fill, against, device):
     _finish(there, data, options, choose_device(device), fill, against, False)
 
 
-def _finish(folder, data, options, device, fill, against, quiet, blocks=None):
+def _finish(folder, data, options, device, fill, against, quiet):
     from clsplat.city.finish import evaluate_city, merge_city
     from clsplat.cli.evaluate import summary
     from clsplat.merge import seam_table
-    merged = merge_city(folder, data, options, device, fill, blocks)
-    scores, seams = evaluate_city(folder, data, options, device, against, blocks)
+    merged = merge_city(folder, data, options, device, fill)
+    scores, seams = evaluate_city(folder, data, options, device, against)
     if quiet:
         return
     click.echo(merged.table().text())

@@ -8,7 +8,7 @@ import click
 from clsplat import __version__
 from clsplat.cli.bench import bench
 from clsplat.cli.block import block
-from clsplat.cli.city import city, merge, partition_command, refine
+from clsplat.cli.city import city, merge, partition_command
 from clsplat.cli.compare import compare
 from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
@@ -74,7 +74,7 @@ def main(ctx):
 
 
 main.add_section("Train", plan, train, evaluate, compare, render, export)
-main.add_section("Large scenes", city, partition_command, block, refine, merge)
+main.add_section("Large scenes", city, partition_command, block, merge)
 main.add_section("Data", synth)
 main.add_section("Machine", devices, bench, completion)
 

@@ -27,35 +27,20 @@ from clsplat.region import Region
 CITY, PARTITION, BLOCK, REGION = "city.json", "partition.json", "block.json", "region.json"
 WINDOWS = "windows"  # key of region.json
 REPLACES = "replaces"  # key of partition.json: the one before it, and which blocks it cut
-INITIAL, PACKED, REFINED = "initial.ply", "scene.npz", "refined"
+INITIAL, PACKED = "initial.ply", "scene.npz"
 
 
 class CityFolder:
     """What `clsplat city` keeps: a run folder like any other, with the coarse run, the partition,
     the blocks and the levels of detail in it. Errors are InputError.
 
-    coarse, lod: folders; map, picture: the partition as GeoJSON and as an image; refined: the
-    CityFolder of a second round, whose coarse run is the first one's merged model; first: of that,
-    the CityFolder it lies in, else itself; last: the round to merge, a CityFolder.
+    coarse, lod: folders; map, picture: the partition as GeoJSON and as an image.
     """
 
     def __init__(self, path):
         self.path = Path(path)
         self.coarse, self.lod = self.path / "coarse", self.path / "lod"
         self.map, self.picture = self.path / "partition.geojson", self.path / "partition.png"
-
-    @property
-    def refined(self):
-        return CityFolder(self.path / REFINED)
-
-    @property
-    def first(self):
-        parent = CityFolder(self.path.parent)
-        return parent if self.path.name == REFINED and parent.has_partition else self
-
-    @property
-    def last(self):
-        return self.refined if self.refined.has_partition else self
 
     @property
     def has_record(self):

@@ -23,12 +23,11 @@ from tests.tiny_training import CITY
 
 FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
          "--grid", "2x1", "--least-views", "3", "--device", "Portable", "--form", "item")
-ONE_ROUND = ("--refine", "0")  # tests/large/test_refine.py has the second
 
 
 def city(folder, *flags, code=0):
     with pytest.raises(SystemExit) as ended:
-        main(["city", str(CITY), "-o", str(folder), "-q", *FLAGS, *ONE_ROUND, *flags])
+        main(["city", str(CITY), "-o", str(folder), "-q", *FLAGS, *flags])
     assert ended.value.code == code
     return CityFolder(folder)
 
@@ -237,8 +236,8 @@ def test_what_ten_times_the_photos_take():
                               "hours"), row)) for row in table)
     assert head[0] == "200" and small["blocks"] == "1" and small["hours"] == "2.0"
     assert small["steps"] == "2,000" and small["views"] == "200"
-    # twenty times the scene, each part of it in four blocks, in two rounds
-    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * (4 * 1.4 + 0.25):.1f}"
+    # twenty times the scene, each part of it in four blocks
+    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * 4.25:.1f}"
     assert large["steps"] in ("2,000", "2,051")
 
 

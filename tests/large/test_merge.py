@@ -168,7 +168,7 @@ def test_a_block_that_lacks_is_named_and_can_be_filled(city, scene, fault):
 
     filled = merge(city, scene, fill=True)
     filled.check()
-    assert states(filled) == ["merged", "merged", "filled", "merged"]
+    assert states(filled) == ["merged", "merged", "coarse", "merged"]
     assert filled.shares[2].note.startswith(fault)
     coarse = strewn(600, seed=5).positions
     inside = quarters(scene).regions[2].owns(coarse + scene.offset)
