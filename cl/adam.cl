@@ -94,7 +94,15 @@ __kernel void adam_all(uint count, uint stride, uint used, real rate, real corre
     }
 }
 
-// places[visible[i]] = i, or NOT_FINITE where rows[i] is NO_ROW; places holds NO_ROW elsewhere.
+// places[i] of rows that no view has seen: NO_ROW, or NOT_FINITE where held[i] is not 0.
+__kernel void hold_places(uint count, __global const uint *restrict held,
+                          __global uint *restrict places)
+{
+    FOR_EACH(i, count)
+        places[i] = held[i] ? NOT_FINITE : NO_ROW;
+}
+
+// places[visible[i]] = i, or NOT_FINITE where rows[i] is NO_ROW; places stays as it is elsewhere.
 __kernel void invert_rows(uint count, __global const uint *restrict visible,
                           __global const uint *restrict rows, __global uint *restrict places)
 {

@@ -25,6 +25,8 @@ ROWS = Kernel("adam.cl", "adam_rows", **_ARGUMENTS, rows=("uint", "V"), **_MOMEN
 ALL = Kernel("adam.cl", "adam_all", **_ARGUMENTS, places=("uint", "N"), **_MOMENTS)
 INVERT = Kernel("adam.cl", "invert_rows", count="uint", visible=("uint", "V"), rows=("uint", "V"),
                 places=("uint", "N"))
+HOLD_PLACES = Kernel("adam.cl", "hold_places", count="uint", held=("uint", "N"),
+                     places=("uint", "N"))
 HOLD = Kernel("adam.cl", "hold_rows", count="uint", visible=("uint", "V"), held=("uint", "N"),
               rows=("uint", "V"))
 
@@ -54,17 +56,22 @@ class DeviceAdam:
         self.m = {name: device.zeros(array.shape) for name, array in rows.items()}
         self.v = {name: device.zeros(array.shape) for name, array in rows.items()}
 
-    def step(self, rows, gradients, step, rates, used):
+    def step(self, rows, gradients, step, rates, used, held=None):
         """Update parameters `rows` (field -> real[N, ...]) in place.
 
-        gradients: `render.pipeline.Gradients`; step: from 1; rates: field -> learning rate; used:
-        field -> leading floats of a row that may change (0 leaves a field alone).
+        gradients: `render.pipeline.Gradients`, without rows of what is held (`hold_rows`); step:
+        from 1; rates: field -> learning rate; used: field -> leading floats of a row that may
+        change (0 leaves a field alone); held: uint[N] on the device, not 0 where a row and its
+        moments are to stay, unseen as well; None: none is.
         """
         device, seen, count = self.device, gradients.rows, len(rows["positions"])
         first, second = corrections(step)
         if self.dense:
             places = device.empty(count, np.uint32)
-            places.fill(NO_ROW)
+            if held is None:
+                places.fill(NO_ROW)
+            else:
+                device.launch_each(HOLD_PLACES, count, count=count, held=held, places=places)
             device.launch_each(INVERT, len(seen), count=len(seen), visible=gradients.visible,
                                rows=seen, places=places)
         for name, parameter in rows.items():
@@ -115,16 +122,16 @@ class NumpyAdam:
         self.m = {name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
         self.v = {name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
 
-    def step(self, rows, gradients, step, rates, used):
+    def step(self, rows, gradients, step, rates, used, held=None):
         """As `DeviceAdam.step`."""
         count = len(rows["positions"])
         seen = gradients.rows.download()
         usable = seen != NO_ROW
         touched = seen[usable]
         if self.dense:
-            touched = np.arange(count, dtype=np.uint32)
-            if not usable.all():
-                touched = np.delete(touched, gradients.visible.download()[~usable])
+            stays = np.zeros(count, bool) if held is None else held.download() > 0
+            stays[gradients.visible.download()[~usable]] = True
+            touched = np.flatnonzero(~stays).astype(np.uint32)
             places = np.searchsorted(touched, seen[usable])
         touched_device = self.device.upload(touched)
         for field in LEARNED:

@@ -61,7 +61,7 @@ class Step:
                      batch_mean(self.device, self.model.count, views, found, used))
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
         learned = {field.name: self.model.rows[field.name] for field in LEARNED}
-        self.model.adam.step(learned, gradients, iteration, rates, used)
+        self.model.adam.step(learned, gradients, iteration, rates, used, self.held)
         return losses
 
     def _look(self, plan, shot, losses):

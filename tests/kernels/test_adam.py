@@ -34,9 +34,10 @@ class Run:
         self.engine = engine(device, self.rows, dense)
         self.count, self.steps = count, 0
 
-    def step(self, seen, used=WIDTHS, scale=1.0):
+    def step(self, seen, used=WIDTHS, scale=1.0, held=None):
         """One step on gradients of `seen` random rows; every fifth row's is marked as not finite:
-        its parameters and moments stay, in a dense engine as well."""
+        its parameters and moments stay, in a dense engine as well. So do those of `held` bool[N].
+        """
         self.steps += 1
         rows = self.rng.permutation(self.count)[:seen].astype(np.uint32)
         fields = {name: v * scale for name, v in random_rows(seen, self.rng).items()}
@@ -44,6 +45,7 @@ class Run:
             spread = np.zeros_like(self.expected[name])
             spread[rows] = values.astype(self.device.real)
             changed = np.setdiff1d(np.arange(self.count) if self.dense else rows, rows[::5])
+            changed = changed if held is None else changed[~held[changed]]
             columns = slice(0, used[name])
             flat = [a.reshape(self.count, -1)[:, columns] for a in (
                 self.expected[name], spread, self.first[name], self.second[name])]
@@ -56,7 +58,10 @@ class Run:
             fields[name][::5] = np.nan
         gradients = Gradients({name: self.device.upload(v) for name, v in fields.items()},
                               self.device.zeros((seen, 2)), self.device.upload(rows), visible)
-        self.engine.step(self.rows, gradients, self.steps, RATES, used)
+        if held is not None:
+            held = self.device.upload(held.astype(np.uint32))
+            hold_rows(self.device, gradients, held)
+        self.engine.step(self.rows, gradients, self.steps, RATES, used, held)
 
     def check(self, what=""):
         precision = precision_of(self.device)
@@ -74,6 +79,21 @@ def test_steps_on_varying_rows(device, engine, dense):
     for seen in (40, 25, 1, 0, 33):
         run.step(seen)
     run.check()
+
+
+@ENGINES
+@DENSE
+def test_held_rows_stay_though_they_have_moments(device, engine, dense):
+    """Seen or not; what has been trained may come to be held."""
+    run = Run(device, engine, 40, dense)
+    run.step(40)
+    before = run.rows["positions"].download()
+    held = np.arange(40) % 3 == 0
+    for seen in (25, 1, 0, 33):
+        run.step(seen, held=held)
+    run.check()
+    moved = (run.rows["positions"].download() != before).any(axis=1)
+    assert not moved[held].any() and moved[~held].sum() > 20
 
 
 @pytest.mark.oclgrind

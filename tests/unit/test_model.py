@@ -225,7 +225,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
         return found[-1]
 
     monkeypatch.setattr(renderer, "adjoint", kept)
-    monkeypatch.setattr(model.adam, "step", lambda *arguments: taken.append(arguments[1]))
+    monkeypatch.setattr(model.adam, "step", lambda rows, mean, *_: taken.append(mean))
     plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
                 decay=0.5)
     camera = renderer.pack(camera_of(case))
