@@ -13,6 +13,7 @@ from clsplat.frequency import AXES, VARIANTS
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.loss.exposure import Exposures
+from clsplat.loss.image_loss import loss_value
 from clsplat.options import resolve
 from clsplat.scene import Scene, View
 from clsplat.train import loop
@@ -172,23 +173,27 @@ def test_all_views_are_trained_on_where_none_is_held_out(item_device, city):
 
 
 def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path, monkeypatch):
-    """Each view as often as any other, and recentred once an epoch: 20 steps of 7 on 28 views."""
-    seen, recentred, take = [], [], Step.take
+    """Each view as often as any other, and recentred once an epoch: 28 steps of 3 on 28 views. The
+    loss is that of all three."""
+    seen, recentred, losses, take = [], [], [], Step.take
 
     def watched(step, iteration, plan, shots):
         shots = list(shots)
         seen.append([shot.view for shot in shots])
-        return take(step, iteration, plan, shots)
+        found = take(step, iteration, plan, shots)
+        losses.append([loss_value(sums, values, 0.2)[0] for sums, values in found])
+        return found
 
     monkeypatch.setattr(Step, "take", watched)
     monkeypatch.setattr(Exposures, "recentre", lambda _: recentred.append(len(seen)))
-    options = {**STILL, "batch": 7, "exposure": "on"}
-    trained(tmp_path / "run", city, item_device, **options, iterations=20)
-    assert {len(views) for views in seen} == {7} and recentred == [0, 4, 8, 12, 16]
+    options = {**STILL, "batch": 3, "exposure": "on"}
+    run = trained(tmp_path / "run", city, item_device, **options, iterations=28)
+    assert {len(views) for views in seen} == {3} and recentred == [0, 10, 19]
     made = loop.Training(city, options_of(**options), item_device, None, None,
                          initial_gaussians(city, options_of()))
-    assert sum(seen, []) == [made.view_of(number) for number in range(1, 141)]
-    assert (np.bincount(sum(seen, [])) == 5).all()
+    assert sum(seen, []) == [made.view_of(number) for number in range(1, 85)]
+    assert (np.bincount(sum(seen, [])) == 3).all()
+    assert records(run, "step")[0]["loss"] == pytest.approx(np.mean(losses[0])) != losses[0][0]
 
 
 def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):

@@ -207,6 +207,33 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
 
 
 @ENGINES
+def test_what_is_held_stays_though_it_has_moments(float_device, engine):
+    """Seen or not, while all others move on."""
+    device, case = float_device, cases.gaussians("degree_1")
+    width, height = size_of(case)
+    photo = device.upload(np.random.default_rng(0).integers(0, 256, (3, height, width), np.uint8))
+    renderer = Renderer(device, DEGREE, case["near"])
+    count = len(case["rows"]["positions"])
+    rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
+    rows["opacity_logits"][:2] = -30  # too faint to be seen
+    model = Model(device, Gaussians(rows, DEGREE), engine, dense=True)
+    moments = gaussians_of(count).rows
+    model.adam.upload(moments, {name: values**2 for name, values in moments.items()})
+    held = np.arange(count) % 2 == 0
+    step = Step(renderer, model, 1.0, TrainOptions(iterations=100),
+                trains=lambda positions, log_scales: ~held)
+    plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
+                decay=0.5)
+    before = model.download().rows
+    step.take(1, plan, [Shot(0, renderer.pack(camera_of(case)), photo)])
+    seen = step.statistics.seen_count.download() > 0
+    assert not seen[:2].any() and seen[3] and not seen[held].any()  # none learns from what is held
+    for name, rows in model.download().rows.items():
+        moved = (rows != before[name]).reshape(count, -1).any(axis=1)
+        assert np.array_equal(moved, ~held), name
+
+
+@ENGINES
 def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, engine, monkeypatch):
     """Of three that are the same and one other, as the adjoint gave them one by one."""
     device, case = double_device, cases.gaussians("degree_1")

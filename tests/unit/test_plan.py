@@ -142,7 +142,7 @@ def test_blocks_are_those_of_the_pool(own_device):
             0, block_bytes(size)) and block_bytes(size) >= size
 
 
-PARTS = [{}, {"exposure": "on", "reproject": "on"},
+PARTS = [{}, {"exposure": "on", "reproject": "on"}, {"batch": 3},
          {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]
 
 
@@ -164,9 +164,10 @@ def test_counting_is_exact(own_device, city, options):
     bin_splats_of = real.step.renderer.render
 
     def noted(*arguments, **more):
-        frames.append(bin_splats_of(*arguments, **more))
-        dry.visible, dry.pairs = len(frames[-1].visible), frames[-1].pairs.count
-        return frames.pop()
+        frame = bin_splats_of(*arguments, **more)
+        dry.visible, dry.pairs = len(frame.visible), frame.pairs.count
+        frames.append(dry.pairs)
+        return frame
     real.step.renderer.render = noted
     for level, count in ((2.0, 3000), (1.0, 3000), (1.0, 5000)):
         for rehearsal in (real, counted):
@@ -179,6 +180,7 @@ def test_counting_is_exact(own_device, city, options):
             counted.prepare(index, regularises)()
             assert dry.memory_bytes == own_device.memory_bytes > 0
     assert dry.peak_bytes > dry.memory_bytes - dry._pool.managed_bytes
+    assert len(frames) == 6 * options.batch
 
 
 def measured_peak(device, monkeypatch):
