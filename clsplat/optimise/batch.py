@@ -18,10 +18,10 @@ ADD = Kernel("batch.cl", "batch_add", count="uint", width="uint", share="real", 
 def batch_mean(device, count, views, found, used):
     """The Gradients of the mean of the losses of so many `views`, without screen means.
 
-    count: rows of gaussians; found: iterable of each view's Gradients, let go one after the other;
-    used: field -> floats of a row that will be used: a field of 0 is left out. A view that does not
-    see a row counts as a gradient of zero. A row that one of them marks as not to be followed has
-    no row in the result either.
+    count: rows of gaussians; found: iterable of each view's Gradients; used: field -> floats of a
+    row that will be used: a field of 0 is left out. A view that does not see a row counts as a
+    gradient of zero. A row that one of them marks as not to be followed has no row in the result
+    either.
     """
     flags, keys = device.empty(count, np.uint32), device.empty(count, np.uint32)
     flags.fill(0)
