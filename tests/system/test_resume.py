@@ -83,6 +83,7 @@ def test_stopped_and_resumed(item_device, city, tmp_path, whole, stops):
     assert history(run) == history(whole)
 
 
+@pytest.mark.slow
 def test_batches_stopped_and_resumed(item_device, city, tmp_path):
     """28 training views are no multiple of 3: epochs end within a step, exposures are recentred
     there, and what is drawn goes by the view, not by the step."""
