@@ -211,6 +211,7 @@ BASELINES = {  # name -> (what it needs to be eventful, stops)
                 "taming_budget": 1.5}, (13, 36))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", BASELINES)
 def test_baselines_stopped_and_resumed(item_device, city, tmp_path, schedule):
     options, stops = BASELINES[schedule]
