@@ -10,7 +10,7 @@
 #include "real.h"
 #include "each.h"
 #define NO_ROW UINT_MAX
-#define NOT_FINITE (UINT_MAX - 1)
+#define STAYS (UINT_MAX - 1)
 #define ONE_MINUS_BETA1 0.1 // written out: in single precision the difference loses digits
 #define ONE_MINUS_BETA2 0.001
 #define EPSILON 1e-15 // Kerbl et al. (2023)
@@ -78,7 +78,7 @@ __kernel void adam_rows(uint count, uint stride, uint used, real rate, real corr
 }
 
 // Every row: places: uint[N], the gradient's row of each parameter row, NO_ROW where it is zero;
-// where it was NOT_FINITE the row and its moments stay as they are.
+// STAYS where row and moments are to stay, for the gradient was not finite or the row is held.
 __kernel void adam_all(uint count, uint stride, uint used, real rate, real correction,
                        __global const uint *restrict places, __global const real *restrict gradient,
                        __global real *restrict parameter, __global real *restrict m,
@@ -88,26 +88,26 @@ __kernel void adam_all(uint count, uint stride, uint used, real rate, real corre
         const ulong own = OWN_ROW(i, used);
         const uint place = places[own];
         const bool has = place != NO_ROW;
-        if (place != NOT_FINITE)
+        if (place != STAYS)
             update_columns(OWN_COLUMNS(i, used), has, gradient + (has ? (ulong)place * stride : 0),
                            own * stride, rate, correction, parameter, m, v);
     }
 }
 
-// places[i] of rows that no view has seen: NO_ROW, or NOT_FINITE where held[i] is not 0.
+// places[i] of rows that no view has seen: NO_ROW, or STAYS where held[i] is not 0.
 __kernel void hold_places(uint count, __global const uint *restrict held,
                           __global uint *restrict places)
 {
     FOR_EACH(i, count)
-        places[i] = held[i] ? NOT_FINITE : NO_ROW;
+        places[i] = held[i] ? STAYS : NO_ROW;
 }
 
-// places[visible[i]] = i, or NOT_FINITE where rows[i] is NO_ROW; places stays as it is elsewhere.
+// places[visible[i]] = i, or STAYS where rows[i] is NO_ROW; places stays as it is elsewhere.
 __kernel void invert_rows(uint count, __global const uint *restrict visible,
                           __global const uint *restrict rows, __global uint *restrict places)
 {
     FOR_EACH(i, count)
-        places[visible[i]] = rows[i] == NO_ROW ? NOT_FINITE : i;
+        places[visible[i]] = rows[i] == NO_ROW ? STAYS : i;
 }
 
 // rows[i] becomes NO_ROW, of a gradient that nothing follows, where held[visible[i]] is not 0.

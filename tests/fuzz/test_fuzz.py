@@ -28,10 +28,10 @@ def fuzzed(*words, seconds):
 
 
 def test_some_mutations():
-    fuzzed("--count", 100, seconds=120)
+    fuzzed("--count", 200, seconds=120)
 
 
 @pytest.mark.slow
 def test_more_mutations():
     """`python -m tests.fuzz --count 20000` is the long way."""
-    fuzzed("--count", 1200, "--seed", 1, seconds=600)
+    fuzzed("--count", 2000, "--seed", 1, seconds=600)

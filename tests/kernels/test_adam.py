@@ -81,6 +81,7 @@ def test_steps_on_varying_rows(device, engine, dense):
     run.check()
 
 
+@pytest.mark.oclgrind
 @ENGINES
 @DENSE
 def test_held_rows_stay_though_they_have_moments(device, engine, dense):

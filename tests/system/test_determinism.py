@@ -10,7 +10,8 @@ from clsplat.device import Device, device
 from clsplat.render.bands import choose_bands
 from tests.tiny_training import LEVELLED, model_digest, records, trained
 
-LONG = {"densify_every": 40, "max_gaussians": 7000, "test_every": 0}
+LONG = {"iterations": 500, "densify_until": 400, "densify_every": 40, "max_gaussians": 7000,
+        "test_every": 0}
 TAMING = {"schedule": "taming", "iterations": 120, "downscale": 4.0, "exposure": "on"}
 
 
@@ -47,20 +48,18 @@ def digest(folder, scene, used, **changes):
 
 @pytest.mark.slow
 def test_500_steps(float_device, city, tmp_path, monkeypatch):
-    """The same again, with other sizes, and in bands. 200 in the group form, slow on a CPU."""
-    steps = 500 if float_device.form == "item" else 200
-    options = {**LONG, "iterations": steps, "densify_until": int(0.8 * steps)}
-    first = digest(tmp_path / "first", city, float_device, **options)
-    assert digest(tmp_path / "again", city, float_device, **options) == first
+    """The same again, with other sizes, and in bands."""
+    first = digest(tmp_path / "first", city, float_device, **LONG)
+    assert digest(tmp_path / "again", city, float_device, **LONG) == first
     small = cut_otherwise(float_device, group_size=32, scan_group=64, compute_units=1)
-    assert digest(tmp_path / "small", city, small, **options) == first
+    assert digest(tmp_path / "small", city, small, **LONG) == first
     with monkeypatch.context() as patch:
         numbers = cut_in_bands(patch, 0.3)
-        assert digest(tmp_path / "bands", city, float_device, **options) == first
-    assert len(numbers) >= steps and 2 < min(numbers), set(numbers)
+        assert digest(tmp_path / "bands", city, float_device, **LONG) == first
+    assert len(numbers) >= 500 and 2 < min(numbers), set(numbers)
     large = cut_otherwise(float_device, group_size=256, compute_units=13)
     monkeypatch.setattr(device, "RUNS_A_CORE", 7)
-    assert digest(tmp_path / "large", city, large, **options) == first
+    assert digest(tmp_path / "large", city, large, **LONG) == first
 
 
 @pytest.mark.slow
