@@ -10,7 +10,8 @@ import click
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--images/--no-images", default=True, show_default=True,
-              help="Write each render beside its photo as PNG.")
+              help="Write each view's photo, renders and error side by side as PNG, and renew the "
+              "pictures of report.html.")
 def evaluate(run, device, images):
     """Compare the held-out views of RUN with their photos.
 
@@ -19,13 +20,17 @@ def evaluate(run, device, images):
     opacity that lies more than so many pixels from the true surface.
     """
     from clsplat.device import choose_device
-    from clsplat.evaluate.views import evaluate_run
+    from clsplat.evaluate.error_map import MEANING
+    from clsplat.evaluate.views import PANELS, evaluate_run
     from clsplat.io.run import RENDERS, RunFolder
     folder = RunFolder.open(run)
     result = evaluate_run(folder, choose_device(device), save_images=images)
     click.echo(summary(result))
     if images:
-        click.echo(f"pictures: {folder.path / RENDERS}")
+        from clsplat.report.run import renew_pictures
+        click.echo(f"pictures: {folder.path / RENDERS}\n"
+                   f"  from left to right: {', '.join(PANELS)} ({MEANING})\n"
+                   f"report: {renew_pictures(folder, result['pictures'])}")
 
 
 def summary(result):

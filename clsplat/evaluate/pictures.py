@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsplat.evaluate.error_map import error_map
-from clsplat.evaluate.views import evaluate_views, opened_run
 from clsplat.io.images import resample
 
 LONGEST = 640  # pixels, of the longer side of a picture in a page
-SAMPLED = 24  # training views that are scored where no view is held out
 
 
 @dataclass(frozen=True)
@@ -49,29 +47,10 @@ def chosen_views(per_view):
     return chosen if len(order) > 2 else [chosen[0], chosen[-1]]
 
 
-def pictures_of(renderer, rows, degree, test, train, per_view=None):
-    """The Pictures of a model: of `test`, the held-out views, or of SAMPLED views of `train`, spread
-    evenly, where there are none.
-
-    per_view: the scores of `test` as `evaluate_views` lists them; None: they are made here. The
-    chosen views are rendered again, so that no more than one is in memory at full size.
-    """
-    views = test or train[::-(-len(train) // SAMPLED)]
-    if not per_view or len(per_view) != len(views):
-        per_view = evaluate_views(renderer, rows, degree, views)["per_view"]
-    shown = []
-    for place, index in chosen_views(per_view):
-        def keep(view, image, fitted, photo, place=place, scores=per_view[index]):
-            pixels = (_pixels(photo), _pixels(fitted), error_map(fitted, photo))
-            shown.append(ShownView(place, scores, *map(_reduced, pixels)))
-        evaluate_views(renderer, rows, degree, [views[index]], keep)
-    return Pictures(shown, bool(test), len(views))
-
-
-def run_pictures(run, device, per_view=None):
-    """`pictures_of` the finished model of a RunFolder; per_view: as `evaluate_run` returned it."""
-    (renderer, rows, degree), train, test, *_ = opened_run(run, device)
-    return pictures_of(renderer, rows, degree, test, train, per_view)
+def shown_view(place, scores, fitted, photo):
+    """The ShownView of a render after the colour fit and its photo, float[H, W, 3] each."""
+    pixels = (_pixels(photo), _pixels(fitted), error_map(fitted, photo))
+    return ShownView(place, scores, *map(_reduced, pixels))
 
 
 def _pixels(image):

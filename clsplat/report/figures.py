@@ -112,8 +112,8 @@ def step_figure(records, narrow=False):
         panels[2].set_title("level: how many times smaller the images are")
         panels[2].set_ylim(0, max(level[1]) * 1.15)
         panels[2].yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    for number, axes in enumerate(panels):
-        _mark_changes(axes, records, named=not (narrow and number))
+    for axes in panels:
+        _mark_changes(axes, records, named=axes is panels[0])
     panels[-1].set_xlim(left=0)
     panels[-1].set_xlabel("iteration")
     return figure
@@ -134,7 +134,7 @@ def frequency_figure(records, narrow=False):
             axes.plot(*line, color=colour, label=axis, linewidth=1.3)
         axes.set_title(f"{variant} frequency, 1 / world unit")
         _logarithmic(axes)
-        _mark_changes(axes, records, named=not narrow)
+        _mark_changes(axes, records, named=axes is panels[0])
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3,
                   title="over the three axes of a gaussian", alignment="left")
     panels[-1].set_xlim(left=0)
@@ -176,7 +176,7 @@ def _logarithmic(axes):
     axes.yaxis.set_minor_formatter("")
 
 
-def _mark_changes(axes, records, named=True):
+def _mark_changes(axes, records, named):
     """A vertical line at each level change, with the new level above it where it is named."""
     for iteration, level in zip(*curve(records, "iteration", "level", "level")):
         axes.axvline(iteration, color="#8b9095", linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)

@@ -12,7 +12,7 @@ import numpy as np
 
 from clsplat.blocks import seen_pixels, trainable
 from clsplat.errors import InputError, Interrupted
-from clsplat.evaluate.views import evaluate_views
+from clsplat.evaluate.views import evaluate_views, pictures_of
 from clsplat.frequency import scene_frequency
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.io.scenes import fingerprint
@@ -108,7 +108,7 @@ class Training(Clock):
         super().__init__(device)
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.iteration = 0
-        self.evaluated_at = self.level = self.losses = None
+        self.evaluated_at = self.per_view = self.level = self.losses = None
         self.fingerprint = fingerprint(scene)
         scene = scene.reduced(options.downscale, options.max_resolution)
         self.scene = scene = scene.normalised()  # same steps whatever the unit of the scene
@@ -186,7 +186,7 @@ class Training(Clock):
         if not complete:
             raise Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
                               f"{self.scene.path} -o {self.run.path} --resume")
-        write_report(self.run)
+        write_report(self.run, pictures=self.pictures())
         if self.step.exposures:
             self.run.save_exposures(self.learned_exposures())
         gaussians = self.step.model.download().scaled(self.scene.unit)
@@ -333,7 +333,7 @@ class Training(Clock):
         self.unpause()
         if self.budget:
             self.budget.evaluation_seconds = time.perf_counter() - begin
-        self.evaluated_at = self.iteration
+        self.evaluated_at, self.per_view = self.iteration, result["per_view"]
         means = {key: value for key, value in result.items() if key != "per_view"}
         self.log("eval", **means)
         if self.progress:
@@ -341,6 +341,11 @@ class Training(Clock):
                 f"step {self.iteration}: PSNR {means['psnr']:.2f} dB ({means['psnr_cc']:.2f} after "
                 f"the colour fit), SSIM {means['ssim']:.4f}, {means['views']} held-out views, "
                 f"{self.step.model.count:,} gaussians, {self.train_seconds:.1f} s of training")
+
+    def pictures(self):
+        """Those of the model as it is, for the report."""
+        return pictures_of(self.renderer, self.step.model.rows, self.options.sh_degree,
+                           self.test_views, self.train_views, self.per_view)
 
     def save(self):
         """Write the checkpoint, outside of training time; InputError rather than a spoilt one."""
