@@ -260,14 +260,18 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
 
     def evaluate_run(run, device, save_images):
         asked.append((run.path, device, save_images))
-        return {"views": 1, "psnr": 20.0, "ssim": 0.5, "psnr_cc": 25.0, "ssim_cc": 0.75}
+        return {"views": 1, "psnr": 20.0, "ssim": 0.5, "psnr_cc": 25.0, "ssim_cc": 0.75,
+                "pictures": "pictures"}
 
     module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
-    module(monkeypatch, "clsplat.evaluate.views", evaluate_run=evaluate_run)
+    module(monkeypatch, "clsplat.evaluate.views", evaluate_run=evaluate_run, PANELS=("photo",))
+    module(monkeypatch, "clsplat.report.run",
+           renew_pictures=lambda run, pictures: f"page with {pictures}")
     result = clsplat_("eval", tmp_path, flag, "--device", "cpu")
     assert result.exit_code == 0, result.output
     assert asked == [(tmp_path, "device cpu", images)]
     assert (str(tmp_path / "renders") in result.output) is images
+    assert ("page with pictures" in result.output) is images
 
 
 def test_render_passes_everything_on(monkeypatch):

@@ -2,17 +2,19 @@
 
 import base64
 import re
+import types
 
 import matplotlib
 import numpy as np
 import pytest
 
+from clsplat.evaluate import views
 from clsplat.evaluate.error_map import COLOURS, LARGEST_ERROR, error_map
 from clsplat.evaluate.pictures import LONGEST, Pictures, chosen_views, shown_view
 from clsplat.io.images import read_image
+from clsplat.io.run import RunFolder
 from clsplat.report.page import Table
 from clsplat.report.run import renew_pictures, write_report
-from tests.made_runs import made_run
 from tests.unit.test_report import Balanced, headings
 
 
@@ -29,6 +31,15 @@ def pictures(held_out=True, size=(8, 6), names=("a.jpg", "b.jpg", "c.jpg")):
         ("worst", "median", "best"), names, (18.0, 22.0, 25.0))], held_out, 7)
 
 
+@pytest.fixture
+def run(tmp_path):
+    """A run that was evaluated once, so that its page has no figures, which take time."""
+    run = RunFolder.create(tmp_path / "run")
+    run.write_options({"scene": "/data/city"})
+    run.log({"event": "eval", "iteration": 9, "psnr_cc": 21.0})
+    return run
+
+
 @pytest.mark.parametrize("scores, chosen", [
     ([20, 30, 10, 25, 15], [("worst", 2), ("median", 0), ("best", 1)]),
     ([20, float("nan"), 30], [("worst", 1), ("median", 0), ("best", 2)]),
@@ -36,6 +47,34 @@ def pictures(held_out=True, size=(8, 6), names=("a.jpg", "b.jpg", "c.jpg")):
     ([30, 20], [("worst", 1), ("best", 0)]), ([20], [("only", 0)]), ([], [])])
 def test_which_views_are_shown(scores, chosen):
     assert chosen_views([{"psnr_cc": score} for score in scores]) == chosen
+
+
+def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
+    asked = []
+
+    def evaluate_views(renderer, rows, degree, chosen, keep=None):
+        asked.append([view.name for view in chosen])
+        found = [scored(view.name, view.psnr) for view in chosen]
+        for _, fitted, photo in found if keep else ():
+            keep(None, None, fitted, photo)
+        return {"per_view": [scores for scores, *_ in found]}
+
+    def named(*scores):
+        return [types.SimpleNamespace(name=f"{psnr}.jpg", psnr=psnr) for psnr in scores]
+
+    monkeypatch.setattr(views, "evaluate_views", evaluate_views)
+    held_out = named(25, 18, 20, 30)
+    known = evaluate_views(None, None, None, held_out)["per_view"]
+    asked.clear()
+    found = views.pictures_of(None, None, 0, held_out, named(1, 2), known)
+    assert asked == [["18.jpg"], ["25.jpg"], ["30.jpg"]] and found.held_out and found.count == 4
+    assert [(view.place, view.scores["name"]) for view in found.shown] == [
+        ("worst", "18.jpg"), ("median", "25.jpg"), ("best", "30.jpg")]
+    asked.clear()
+    found = views.pictures_of(None, None, 0, [], named(*range(100)))
+    assert not found.held_out and found.count == len(asked[0]) <= views.SAMPLED
+    assert [view.scores["name"] for view in found.shown][0] == "0.jpg"  # spread over all of them
+    assert int(asked[0][-1].removesuffix(".jpg")) > 90
 
 
 def test_the_error_map_has_a_scale_that_is_even():
@@ -62,10 +101,9 @@ def test_a_shown_view_is_small_and_whole():
     assert small.photo.shape == (6, 8, 3)  # never enlarged: the page does that
 
 
-def test_a_report_begins_with_pictures(tmp_path):
-    run = made_run(tmp_path / "run", "constant")
+def test_a_report_begins_with_pictures(run):
     html = write_report(run, pictures=pictures(names=("a<b.jpg", "b.jpg", "c.jpg"))).read_text()
-    assert Balanced(html).pictures == 9 + 2
+    assert Balanced(html).pictures == 9
     assert headings(html)[:2] == ["Held-out views", "Scores over training time"]
     assert "Worst: a&lt;b.jpg" in html and "Best: c.jpg" in html
     assert "PSNR 18.00 dB, SSIM 0.800 after the colour fit (17.00 dB, 0.700 plain)" in html
@@ -76,8 +114,7 @@ def test_a_report_begins_with_pictures(tmp_path):
     assert abs(seen - shown_view("best", *scored("c", 20.0)).error.reshape(-1, 3).mean(0)).max() < 9
 
 
-def test_pictures_of_training_views_are_called_so(tmp_path):
-    run = made_run(tmp_path / "run", "constant")
+def test_pictures_of_training_views_are_called_so(run):
     html = write_report(run, pictures=pictures(held_out=False)).read_text()
     assert headings(html)[0] == "Training views" and "No view is held out" in html
     assert "Chosen from 7" in html
@@ -86,8 +123,7 @@ def test_pictures_of_training_views_are_called_so(tmp_path):
     assert "Training views" not in write_report(run, pictures=Pictures([], False, 0)).read_text()
 
 
-def test_pictures_are_renewed_and_the_rest_stays(tmp_path):
-    run = made_run(tmp_path / "run", "constant")
+def test_pictures_are_renewed_and_the_rest_stays(run):
     write_report(run, Table("Blocks", ("block",), [("7",)]), pictures=pictures())
     before = (run.path / "report.html").read_text()
     html = renew_pictures(run, pictures(names=("new.jpg", "b.jpg", "c.jpg"))).read_text()
@@ -98,10 +134,10 @@ def test_pictures_are_renewed_and_the_rest_stays(tmp_path):
         assert "a.jpg" in renew_pictures(run, pictures()).read_text()
 
 
-def test_pictures_that_cannot_be_encoded_cost_no_page(tmp_path, monkeypatch):
+def test_pictures_that_cannot_be_encoded_cost_no_page(run, monkeypatch):
     def fails(*_):
         raise MemoryError("no room")
 
     monkeypatch.setattr("clsplat.report.pictures.encode_jpeg", fails)
-    html = write_report(made_run(tmp_path / "run"), pictures=pictures()).read_text()
-    assert "Pictures could not be made (no room)" in html and "Growth and loss" in html
+    html = write_report(run, pictures=pictures()).read_text()
+    assert "Pictures could not be made (no room)" in html and "PSNR cc" in html
