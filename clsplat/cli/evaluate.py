@@ -1,5 +1,6 @@
 """`clsplat eval`: a run's held-out views against their photos."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import click
@@ -12,7 +13,9 @@ import click
 @click.option("--images/--no-images", default=True, show_default=True,
               help="Write each view's photo, renders and error side by side as PNG, and renew the "
               "pictures of report.html.")
-def evaluate(run, device, images):
+@click.option("--scene", type=click.Path(path_type=Path),
+              help="Where RUN's scene is, if it was moved.")
+def evaluate(run, device, images, scene):
     """Compare the held-out views of RUN with their photos.
 
     PSNR (dB) and SSIM are means over views, plain and after a quadratic fit of each render's
@@ -24,13 +27,14 @@ def evaluate(run, device, images):
     from clsplat.evaluate.views import PANELS, evaluate_run
     from clsplat.io.run import RENDERS, RunFolder
     folder = RunFolder.open(run)
-    result = evaluate_run(folder, choose_device(device), save_images=images)
-    click.echo(summary(result))
-    if images:
-        from clsplat.report.run import renew_pictures
-        click.echo(f"pictures: {folder.path / RENDERS}\n"
-                   f"  from left to right: {', '.join(PANELS)} ({MEANING})\n"
-                   f"report: {renew_pictures(folder, result['pictures'])}")
+    with folder.locked() if images else nullcontext():
+        result = evaluate_run(folder, choose_device(device), images, scene)
+        click.echo(summary(result))
+        if images:
+            from clsplat.report.run import renew_pictures
+            click.echo(f"pictures: {folder.path / RENDERS}\n"
+                       f"  from left to right: {', '.join(PANELS)} ({MEANING})\n"
+                       f"report: {renew_pictures(folder, result['pictures'])}")
 
 
 def summary(result):
