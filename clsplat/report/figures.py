@@ -66,7 +66,8 @@ def cost_figure(groups, narrow=False):
         axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.set_xlim(left=0)
         axes.set_xlabel(label)
-    panels[0].set_title("PSNR after the colour fit, dB")
+    for axes in panels if narrow else panels[:1]:
+        axes.set_title("PSNR after the colour fit, dB")
     panels[1].legend(loc="lower right")
     return figure
 

@@ -4,10 +4,13 @@ A Table is also text, for the terminal.
 """
 
 import base64
+import textwrap
 from dataclasses import dataclass
 from html import escape
 
 from clsplat.report.style import STYLE
+
+NOTES_WIDTH = 100  # characters, of notes in the terminal
 
 
 @dataclass(frozen=True)
@@ -40,13 +43,16 @@ class Table:
         aligned = ["  ".join(cell.rjust(width) if column in self.numbers else cell.ljust(width)
                              for column, (cell, width) in enumerate(zip(line, widths))).rstrip()
                    for line in lines]
-        return "\n".join([self.title, *aligned, *self.notes])
+        notes = (textwrap.fill(note, NOTES_WIDTH) for note in self.notes)
+        return "\n".join([self.title, *aligned, *notes])
 
 
 def embedded(path, what):
-    """HTML of a PNG file, held in the page; `what` describes it to who cannot see."""
+    """HTML of a PNG file, held in the page; `what` describes it to who cannot see. On a telephone
+    it scrolls, so that its text can be read."""
     data = base64.b64encode(path.read_bytes()).decode()
-    return f'<img alt="{escape(what)}" src="data:image/png;base64,{data}">'
+    return (f'<div class=scroll><img alt="{escape(what)}" src="data:image/png;base64,{data}">'
+            "</div>\n")
 
 
 def warning(text):

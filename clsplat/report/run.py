@@ -6,7 +6,7 @@ from clsplat.options import TrainOptions
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import frequency_figure, score_figure, step_figure
 from clsplat.report.groups import scene_name
-from clsplat.report.page import Table, as_utf8, folded, headed, html_of, page
+from clsplat.report.page import Table, folded, headed, html_of, page
 from clsplat.report.pictures import pictures_html, with_pictures
 
 FACTS = ("scene", "scene_absolute", "fingerprint", "extent", "offset", "opencl_device",
@@ -27,10 +27,10 @@ def write_report(run, *more, pictures=None):
     """
     options, records = run.read_options(), run.records()
     frequency = drawn("Scene frequency over iterations", frequency_figure, records)
+    scores = drawn("PSNR and SSIM over training time", score_figure, records)
     parts = (
         pictures_html(pictures),
-        headed("Scores over training time", drawn(
-            "PSNR and SSIM over training time", score_figure, records), score_table(records)),
+        headed("Scores over training time" if scores else "Scores", scores, score_table(records)),
         *more,
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
                                          step_figure, records)),
@@ -47,7 +47,7 @@ def renew_pictures(run, pictures):
     them; returns its path."""
     html = run.read_report()
     html = html and with_pictures(html, pictures)
-    return run.write_report(as_utf8(html)) if html else write_report(run, pictures=pictures)
+    return run.write_report(html) if html else write_report(run, pictures=pictures)
 
 
 def lead(options, records):

@@ -25,10 +25,11 @@ summary { cursor: pointer; font-size: 1.05rem; font-weight: 680; }
   linear-gradient(to right, #0000002e, #0000) 0 0 / .8rem 100% no-repeat scroll,
   linear-gradient(to left, #0000002e, #0000) 100% 0 / .8rem 100% no-repeat scroll; }
 table { border-collapse: collapse; font-size: .94rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .35rem 1.2rem .35rem 0; text-align: left; vertical-align: top; }
+th, td { padding: .35rem .95rem .35rem 0; text-align: left; vertical-align: top; }
 th { font-weight: 600; font-size: .85rem; color: var(--soft); border-bottom: 1px solid #b9bdc1;
   vertical-align: bottom; }
-td { border-bottom: 1px solid var(--line); overflow-wrap: anywhere; min-width: 2.5rem; }
+td { border-bottom: 1px solid var(--line); min-width: 2.5rem; }
+.pairs td { overflow-wrap: anywhere; }
 .number { text-align: right; white-space: nowrap; overflow-wrap: normal; }
 td:first-child { white-space: nowrap; }
 th:last-child, td:last-child { padding-right: 0; }
@@ -50,11 +51,14 @@ figcaption { font-size: .875rem; color: var(--soft); margin-top: .25rem; }
   h2 { margin-top: 2.2rem; }
   .panels { grid-template-columns: 1fr; }
   .view { margin-bottom: 2.4rem; }
-  th, td { padding-right: .9rem; }
+  th:first-child, td:first-child { position: sticky; left: 0; background: var(--paper);
+    white-space: normal; max-width: 9rem; }
+  .scroll > img { width: 44rem; max-width: none; }
   .pairs, .pairs tbody, .pairs tr, .pairs td { display: block; }
   .pairs thead { display: none; }
   .pairs tr { border-bottom: 1px solid var(--line); padding: .45rem 0; }
   .pairs td { border: 0; padding: 0; }
-  .pairs td:first-child { font-size: .85rem; color: var(--soft); white-space: normal; }
+  .pairs td:first-child { font-size: .85rem; color: var(--soft); max-width: none;
+    position: static; }
 }
 """

@@ -279,13 +279,12 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
 
     def evaluate_run(run, device, save_images, scene_path):
         asked.append((run.path, device, save_images, str(scene_path)))
-        return {"views": 1, "psnr": 20.0, "ssim": 0.5, "psnr_cc": 25.0, "ssim_cc": 0.75,
-                "pictures": "pictures"}
+        scores = dict.fromkeys(("psnr", "ssim", "psnr_cc", "ssim_cc"), 1.0)
+        return {"views": 1, **scores, "pictures": "pictures"}
 
     module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
-    module(monkeypatch, "clsplat.evaluate.views", evaluate_run=evaluate_run, PANELS=("photo",))
-    module(monkeypatch, "clsplat.report.run",
-           renew_pictures=lambda run, pictures: f"page with {pictures}")
+    module(monkeypatch, "clsplat.evaluate.views", evaluate_run=evaluate_run, PANELS=())
+    module(monkeypatch, "clsplat.report.run", renew_pictures=lambda *words: f"page with {words[1]}")
     result = clsplat_("eval", tmp_path, flag, "--device", "cpu", "--scene", "moved")
     assert result.exit_code == 0, result.output
     assert asked == [(tmp_path, "device cpu", images, "moved")]

@@ -1,6 +1,7 @@
 """Comparisons: which runs belong together, the numbers, what is unfair; and campaigns."""
 
 import json
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -325,7 +326,7 @@ def test_a_campaign_trains_all_and_compares(tmp_path, wanted, capsys):
     assert (tmp_path / "cmp" / "compare.html").exists()
 
 
-def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted):
+def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted, scenes):
     made_run(tmp_path / "sig.0", "sig", 0)
     started = made_run(tmp_path / "dash.0", "dash", 0, finished=False, checkpoint_every=7)
     started.save_checkpoint({}, {})
@@ -333,6 +334,7 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted):
 
     def train(options, folder, resume):
         calls.append((folder.name, resume))
+        folder.mkdir(exist_ok=True)
         (folder / "point_cloud.ply").write_text("ply")
         if folder.name == "dash.1":
             made_run(tmp_path / "x", "dash", 1).path.joinpath("options.json").rename(
@@ -344,10 +346,18 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted):
     assert calls == [("dash.0", True), ("sig.1", False), ("dash.1", False)]
 
 
+@pytest.fixture
+def scenes(monkeypatch):
+    """The made-up scenes of the runs: city and barn."""
+    monkeypatch.setattr("clsplat.io.scenes.read_scene", Path)
+    monkeypatch.setattr("clsplat.io.scenes.fingerprint",
+                        lambda scene: ("ab" if scene.name == "city" else "cd") * 32)
+
+
 @pytest.mark.parametrize("scene, options, words", [
     ("/data/barn", {}, "another scene"), ("/data/city", {"max_gaussians": 5}, "max_gaussians 5"),
     ("/data/city", {"eval_at": (7,)}, "eval_at (7,)")])
-def test_a_campaign_leaves_other_runs_alone(tmp_path, wanted, scene, options, words):
+def test_a_campaign_leaves_other_runs_alone(tmp_path, wanted, scenes, scene, options, words):
     made_run(tmp_path / "dash.1", "dash", 1, **options)
     trainer = Trainer()
     refused(lambda: run_campaign(trainer, wanted, tmp_path, scene), "dash.1", words, "-o")

@@ -104,7 +104,7 @@ def test_a_shown_view_is_small_and_whole():
 def test_a_report_begins_with_pictures(run):
     html = write_report(run, pictures=pictures(names=("a<b.jpg", "b.jpg", "c.jpg"))).read_text()
     assert Balanced(html).pictures == 9
-    assert headings(html)[:2] == ["Held-out views", "Scores over training time"]
+    assert headings(html)[:2] == ["Held-out views", "Scores"]
     assert "Worst: a&lt;b.jpg" in html and "Best: c.jpg" in html
     assert "PSNR 18.00 dB, SSIM 0.800 after the colour fit (17.00 dB, 0.700 plain)" in html
     assert re.findall("<figcaption>(.*?)</figcaption>", html) == ["photo", "render", "error"] * 3
