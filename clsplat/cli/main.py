@@ -52,8 +52,8 @@ class Reporting(SectionedGroup):
                 if message:
                     say(message)
                 return code
-            except SystemExit as end:  # among others click's answer to a pipe that nobody reads
-                return 128 + SIGPIPE if isinstance(end.__context__, BrokenPipeError) else end.code
+            except SystemExit as end:  # 1 is click's answer to a pipe that nobody reads
+                return 128 + SIGPIPE if end.code == 1 else end.code
 
 
 def verdict(error, signalled=0):
