@@ -17,6 +17,7 @@ from clsplat.io.checks import LARGEST
 from clsplat.io.cloud import read_cloud
 from clsplat.io.posed import Shot, posed_scene
 from clsplat.io.reason import clean
+from clsplat.io.regular import read_regular
 from clsplat.io.torch_archive import read_torch
 
 TRAIN, VAL = "train", "val"
@@ -90,7 +91,7 @@ def _check_mappings(path, stems):
     if not path.exists():
         return
     try:
-        lines = [line for line in path.read_text().splitlines() if line.strip()]
+        lines = [line for line in read_regular(path).decode().splitlines() if line.strip()]
     except (OSError, ValueError):
         raise InputError(f"{path}: cannot be read as text; {AGAIN}") from None
     names = [line.rpartition(",")[2].strip() for line in lines]

@@ -12,9 +12,10 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.checks import check_photos, checked_scene
+from clsplat.io.checks import checked_scene
 from clsplat.io.images import encode_jpeg, read_image
 from clsplat.io.npz import read_npz
+from clsplat.io.sources import checked_photos
 
 PACKED_QUALITY = 96
 # key -> (kinds of dtype, shape after the first axis)
@@ -65,14 +66,13 @@ def read_packed(path):
     photos = [arrays["jpeg"][end - size:end].tobytes()
               for end, size in zip(ends, arrays["sizes"], strict=True)]
     poses, calibrations = arrays["V"], arrays["K"]
-    scene = checked_scene(path, path.stem, {
+    scene = checked_photos(checked_scene(path, path.stem, {
         "names": arrays["names"],
         "rotations": poses[:, :3, :3], "translations": poses[:, :3, 3],
         "focals": calibrations[:, (0, 1), (0, 1)], "centres": calibrations[:, :2, 2],
         "sizes": arrays["wh"], "points": arrays["xyz"], "colours": arrays["rgb"],
         "observations": arrays.get("observations"),
-    }, photos, arrays.get("offset"))
-    check_photos(scene.views)
+    }, photos, arrays.get("offset")))
     return scene if "offset" in arrays else scene.recentred()
 
 

@@ -44,7 +44,7 @@ def _kind(mode):
 def native(name):
     """A name of a scene, str, as the file system of this machine has it: under a locale without
     UTF-8 Python would refuse other names than those of ASCII."""
-    return os.fsdecode(name.encode())
+    return os.fsdecode(str(name).encode(errors="surrogatepass"))
 
 
 @contextmanager
