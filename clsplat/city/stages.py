@@ -56,7 +56,7 @@ def begin_from_coarse(city):
     the coarse run in CITY/coarse was trained by itself."""
     if city.has_record:
         record = city.read()
-        scene = read_scene(record.get("scene", ""))
+        scene = read_scene(record.get("scene", ""), record.get("options", {}).get("images", ""))
         if fingerprint(scene) != record["fingerprint"]:
             raise InputError(f"{city.path}: its scene {record['scene']} has changed since; put it "
                              "back, or begin a new city")
@@ -66,7 +66,7 @@ def begin_from_coarse(city):
     if not coarse.coarse:
         raise InputError(f"{city.coarse}: was not trained with --coarse; begin again with "
                          f"`clsplat train SCENE --coarse -o {city.coarse}`")
-    scene = read_scene(record["scene"])
+    scene = read_scene(record["scene"], coarse.images)
     options = dataclasses.replace(
         coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         iterations=int(coarse.iterations / COARSE_SHARE))
@@ -77,12 +77,13 @@ def begin_from_coarse(city):
 def train_coarse(city, scene, options, device, progress=None):
     """Train the scaffold into city.coarse, or go on with it; returns its RunFolder."""
     folder = RunFolder(city.coarse)
-    if folder.has_model:
+    if folder.is_finished:
         return folder
     wanted = coarse_options(options)
-    start = resume if folder.is_begun else train
-    folder = folder if folder.is_begun else RunFolder.create(city.coarse)
-    start(scene, wanted, device, folder, progress)
+    with folder.locked():
+        start = resume if folder.is_begun else train
+        folder = folder if folder.is_begun else RunFolder.create(city.coarse)
+        start(scene, wanted, device, folder, progress)
     return folder
 
 

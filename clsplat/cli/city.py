@@ -73,7 +73,12 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     `clsplat eval`, `render` and `compare`. Several devices: --device 0,1 with --workers 2.
     """
     from clsplat.city.forecast import block_table
-    from clsplat.city.stages import begin, cut_into_blocks, train_all_blocks, train_coarse
+    from clsplat.city.stages import (
+        begin,
+        cut_into_blocks,
+        train_all_blocks,
+        train_coarse,
+    )
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.scenes import read_scene
@@ -84,7 +89,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     if options.init != "sfm" or options.coarse:
         raise InputError("--init, --coarse: the coarse run begins a city, blocks begin with it; "
                          "leave them out")
-    data = read_scene(scene)
+    data = read_scene(scene, options.images)
     folder = CityFolder(output or scene.with_name(scene.name + ".city"))
     device = choose_device(options.device, form=options.form)
     begin(folder, data, options)

@@ -3,9 +3,11 @@
 Keys: names[V]; V float64[V, 4, 4] world to camera; K float64[V, 3, 3] and wh int[V, 2], pixels;
 xyz float64[N, 3] and rgb uint8[N, 3]; offset float64[3], what was subtracted from the original
 world coordinates; sizes int[V], the bytes of each encoded photo, and jpeg uint8[...], all photos
-one after the other. observations int[M, 2], rows (point, view), may be missing.
+one after the other. observations int[M, 2], rows (point, view), and held_out bool[V], which views
+are for testing, may be missing.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,7 @@ PACKED_QUALITY = 96
 # key -> (kinds of dtype, shape after the first axis)
 LAYOUT = {"names": ("U", ()), "V": ("f", (4, 4)), "K": ("f", (3, 3)), "wh": ("iu", (2,)),
           "xyz": ("f", (3,)), "rgb": ("u", (3,)), "sizes": ("iu", ()), "jpeg": ("u", ())}
-OPTIONAL = {"offset": ("f", ()), "observations": ("iu", (2,))}
+OPTIONAL = {"offset": ("f", ()), "observations": ("iu", (2,)), "held_out": ("b", ())}
 
 
 def write_packed(scene, path, downscale=1):
@@ -43,6 +45,8 @@ def write_packed(scene, path, downscale=1):
         cameras.append(camera)
         photos.append(photo)
     known = {} if scene.observations is None else {"observations": scene.observations}
+    if scene.held_out is not None:
+        known["held_out"] = np.array([view.name in scene.held_out for view in scene.views])
     with replacing(path) as file:
         np.savez(
             file, names=np.array([view.name for view in scene.views]),
@@ -73,6 +77,9 @@ def read_packed(path):
         "sizes": arrays["wh"], "points": arrays["xyz"], "colours": arrays["rgb"],
         "observations": arrays.get("observations"),
     }, photos, arrays.get("offset")))
+    if "held_out" in arrays:
+        held_out = frozenset(map(str, arrays["names"][arrays["held_out"]]))
+        scene = replace(scene, held_out=held_out or None)
     return scene if "offset" in arrays else scene.recentred()
 
 
@@ -107,7 +114,7 @@ def _check_lengths(path, arrays):
     whole = (len(set(views.values())) == 1 and len(arrays["xyz"]) == len(arrays["rgb"])
              and (sizes >= 0).all() and int(sizes.sum()) == len(arrays["jpeg"])
              and arrays["rgb"].dtype == arrays["jpeg"].dtype == np.uint8
-             and offset.shape == (3,) and offset.dtype.kind == "f" and np.isfinite(offset).all())
+             and len(arrays.get("held_out", sizes)) == len(sizes) and offset.shape == (3,) and offset.dtype.kind == "f" and np.isfinite(offset).all())
     if not whole:
         raise InputError(f"{path}: the arrays of the packed scene do not fit each other; "
                          "pack it again")

@@ -22,6 +22,10 @@ QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 def photo_folder(folder: Path, images: str = "") -> Path:
     """Where the photos of a scene are: `images`, from the scene's folder, or else images/, or else
     the largest that there are of images_2/, images_4/, ..."""
+    try:
+        images.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"--images {images!a}: its name is not UTF-8; rename it") from None
     numbered = sorted((path for path in folder.glob("images_*") if SMALLER.fullmatch(path.name)
                        and path.is_dir()), key=lambda path: int(path.name.rpartition("_")[2]))
     if images:
