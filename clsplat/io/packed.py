@@ -114,7 +114,8 @@ def _check_lengths(path, arrays):
     whole = (len(set(views.values())) == 1 and len(arrays["xyz"]) == len(arrays["rgb"])
              and (sizes >= 0).all() and int(sizes.sum()) == len(arrays["jpeg"])
              and arrays["rgb"].dtype == arrays["jpeg"].dtype == np.uint8
-             and len(arrays.get("held_out", sizes)) == len(sizes) and offset.shape == (3,) and offset.dtype.kind == "f" and np.isfinite(offset).all())
+             and len(arrays.get("held_out", sizes)) == len(sizes)
+             and offset.shape == (3,) and offset.dtype.kind == "f" and np.isfinite(offset).all())
     if not whole:
         raise InputError(f"{path}: the arrays of the packed scene do not fit each other; "
                          "pack it again")

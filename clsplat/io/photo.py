@@ -19,7 +19,7 @@ FORMATS = ("jpeg", "png", "tiff", "webp", "bmp", "gif", "jpeg2000", "jpegxl", "o
 CONVERT = "convert it to JPEG or PNG"
 # TIFF's PhotometricInterpretation: white is zero, black is zero, RGB, palette, CMYK, YCbCr
 COLOUR_MODELS = (0, 1, 2, 3, 5, 6)
-FLOATS = ("half", "float", "double")
+FLOATS = ("half", "float")
 LUMINANCE, LIGHT = ("Y", "I", "L"), ("openexr", "hdr")
 
 
@@ -47,12 +47,12 @@ class Photo:
     def bands(self, top=0, bottom=None):
         """Yields uint8[n, W, 3], rows `top` to `bottom` from the top down, as sRGB."""
         spec, bottom = self._spec, self.height if bottom is None else bottom
-        step, first = band_rows(self.width, spec.nchannels), top
-        if spec.tile_width:  # whole tiles only
-            step = max(1, step // spec.tile_height) * spec.tile_height
-            first = top // spec.tile_height * spec.tile_height
-        for row in range(first, bottom, step):
-            end = min(row + step, self.height if spec.tile_width else bottom)
+        # OpenImageIO refuses parts of tiles, and takes wrong rows for parts of some TIFFs' strips
+        unit = spec.tile_height or spec.get_int_attribute("tiff:RowsPerStrip", 1)
+        unit = min(max(unit, 1), self.height)
+        step = max(1, band_rows(self.width, spec.nchannels) // unit) * unit
+        for row in range(top // unit * unit, bottom, step):
+            end = min(row + step, -(-bottom // unit) * unit, self.height)
             pixels = self._colours(self._rows(row, end))
             yield pixels[max(0, top - row):bottom - row]
 
@@ -69,7 +69,7 @@ class Photo:
         reason = reason_of(self._image)
         if pixels is None or reason:
             raise InputError(f"{self.name}: the image is damaged or cut short ({reason}); "
-                             "copy it again")
+                             f"copy it again, or {CONVERT}")
         return pixels.reshape(end - begin, spec.width, channels)
 
     def _colours(self, samples):
@@ -91,6 +91,8 @@ def _colour_channels(spec, kind, name):
         model = spec.get_string_attribute("tiff:ColorSpace") or "another colour model"
         raise InputError(f"{name}: a TIFF in {model}, whose colours are not read; "
                          "convert it to RGB")
+    if str(spec.format) == "double":  # OpenImageIO 3.2 takes wrong rows of many of these
+        raise InputError(f"{name}: samples of 64 bits are not read; convert it to 32 or 16 bits")
     names = [channel.rpartition(".")[2].upper() for channel in spec.channelnames]
     if all(colour in names for colour in "RGB"):
         return tuple(names.index(colour) for colour in "RGB")
