@@ -64,15 +64,19 @@ def text_names(path):
     return names
 
 
+def encoded(arrays):
+    """{name: array} as bytes: a line of JSON with the names, then each as .npy."""
+    out = io.BytesIO(json.dumps(list(arrays)).encode() + b"\n")
+    out.seek(0, io.SEEK_END)
+    for array in arrays.values():
+        np.lib.format.write_array(out, array, allow_pickle=False)
+    return out.getbuffer()
+
+
 def main(model):
-    """Write the arrays of a model folder: a line of JSON with their names, then each as .npy."""
+    """Write the arrays of a model folder to standard output, `encoded`."""
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what else is printed goes where complaints go
     os.chdir(model)  # pycolmap takes no name that is not UTF-8
-    arrays = model_arrays(".")
-    out.write(json.dumps(list(arrays)).encode() + b"\n")
-    for array in arrays.values():
-        content = io.BytesIO()  # numpy asks a pipe for its position
-        np.lib.format.write_array(content, array, allow_pickle=False)
-        out.write(content.getbuffer())
+    out.write(encoded(model_arrays(".")))
     out.close()

@@ -60,7 +60,7 @@ def _shot(path, part, origin, scale):
     size = tuple(int(_array(path, table, key, ())) for key in "WH")
     rgbs = path.parents[1] / "rgbs"
     photo = next((rgbs / (path.stem + suffix) for suffix in SUFFIXES
-                  if (rgbs / (path.stem + suffix)).is_file()), rgbs / f"{path.stem}.jpg")
+                  if (rgbs / (path.stem + suffix)).exists()), rgbs / f"{path.stem}.jpg")
     return Shot(f"{part}/{photo.name}", photo, size, (fx, fy), (cx, cy), pose, part == VAL)
 
 
