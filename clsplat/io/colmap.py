@@ -76,7 +76,8 @@ def _read_in_child(model):
             raise InputError(f"{model}: reading it needs pycolmap; install it, or pack the scene "
                              "with `clsplat pack` on a machine that has it")
         if "MemoryError" in cause or "bad_alloc" in cause:
-            raise InputError(f"{model}: the model needs more memory than there is; free some")
+            raise InputError(f"{model}: the model needs more memory than there is ({cause}); "
+                             "free some")
         raise InputError(f"{model}: pycolmap cannot read the model ({cause}); "
                          "it is damaged: copy it again, or reconstruct the scene")
     stream = io.BytesIO(output)
