@@ -105,4 +105,4 @@ def _is_of(run, record, scene):
             return True
     except (InputError, OSError):
         pass
-    return fingerprint(read_scene(scene)) == record.get("fingerprint")
+    return fingerprint(read_scene(scene, record.get("images") or "")) == record.get("fingerprint")

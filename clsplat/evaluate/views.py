@@ -83,12 +83,18 @@ def read_scene_of(run, given=None):
     """The Scene that a run was trained on; given: where it is now, None: where the run has it.
     InputError where that is another scene."""
     path = run.scene_path(given)
-    scene = read_scene(path)
+    scene = read_scene(path, run_options(run).images)
     wanted = run.read_options().get("fingerprint")
     if wanted is not None and fingerprint(scene) != wanted:
         raise InputError(f"{path}: is not the scene that {run.path} was trained on; give that one "
                          "with --scene")
     return scene
+
+
+def read_cameras_for(run, given=None):
+    """The Scene whose cameras a run is rendered from: its own, or any other that is given."""
+    path, images = run.scene_path(given), run_options(run).images
+    return read_scene(path, images if given is None or (path / images).is_dir() else "")
 
 
 def evaluate_run(run, device, save_images, scene_path=None):
@@ -139,7 +145,7 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
     if model.is_dir():
         run = RunFolder.open(model)
         options = run_options(run)
-        scene = read_scene(run.scene_path(scene_path))  # another scene's cameras are welcome
+        scene = read_cameras_for(run, scene_path)
         gaussians = run.load_model()
     else:
         if scene_path is None:
