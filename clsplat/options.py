@@ -58,8 +58,8 @@ class TrainOptions:
 
     downscale: float = option(1.0, "Scene", "divide image width and height by this", short="-r",
                               minimum=1.0)
-    max_resolution: int = option(0, "Scene", "limit of the longer image side, pixels (0: none)",
-                                 minimum=0)
+    max_resolution: int = option(1600, "Scene", "photos whose longer side has more pixels than "
+                                 "this are reduced to it (0: photos keep their size)", minimum=0)
     test_every: int = option(8, "Scene", "hold out every N-th view by name (0: none)", minimum=0)
     init: str = option("sfm", "Scene", "initial gaussians: sfm, random, or a PLY file")
     background: tuple[float, float, float] = option(

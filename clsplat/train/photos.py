@@ -29,6 +29,22 @@ def decoded(views):
             yield ahead.popleft().result()
 
 
+def size_note(views, options):
+    """A line for the user where --max-resolution makes the photos of `views` smaller, or None.
+
+    views: Views as read; options: TrainOptions, of which -r is no surprise and is not mentioned.
+    """
+    limited = [view.camera for view in views
+               if view.camera.reduced(options.downscale, options.max_resolution).width
+               < view.camera.reduced(options.downscale).width]
+    if not limited:
+        return None
+    largest = max(limited, key=lambda camera: camera.width * camera.height)
+    small = largest.reduced(options.downscale, options.max_resolution)
+    return (f"photos of {largest.width}x{largest.height} are reduced to {small.width}x"
+            f"{small.height}; --max-resolution 0 keeps their size")
+
+
 def at_level(views, level):
     """The views with cameras of images `level` times smaller."""
     return tuple(replace(view, camera=view.camera.reduced(level)) for view in views)
