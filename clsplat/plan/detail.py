@@ -2,16 +2,26 @@
 
 import numpy as np
 
-from clsplat.train.photos import at_level, decoded
+from clsplat.io.images import resample
+from clsplat.train.photos import decoded
 
 PHOTOS = 8  # that stand for all
 
 
-def photo_detail(views, level):
-    """Mean difference in 0..1 of photos, `level` times smaller, to their blocks of 2 x 2 pixels:
-    what another level of half the size would not show. Of some of the `views`, evenly picked."""
-    chosen = at_level(views[::-(-len(views) // PHOTOS)], level)
-    return float(np.mean([_detail(photo / np.float32(255)) for photo in decoded(chosen)]))
+def photo_detail(views, levels):
+    """{level: mean difference in 0..1 of photos, `level` times smaller, to their blocks of 2 x 2
+    pixels}: what another level of half the size would not show. Of some of the `views`, evenly
+    picked; each photo is read once."""
+    chosen = views[::-(-len(views) // PHOTOS)]
+    found = {level: [] for level in levels}
+    for view, photo in zip(chosen, decoded(chosen)):
+        pixels = photo.transpose(1, 2, 0)
+        for level, details in found.items():
+            camera = view.camera.reduced(level)
+            size = camera.width, camera.height
+            small = pixels if size == pixels.shape[1::-1] else resample(pixels, size)
+            details.append(_detail(small.transpose(2, 0, 1) / np.float32(255)))
+    return {level: float(np.mean(details)) for level, details in found.items()}
 
 
 def _detail(photo):

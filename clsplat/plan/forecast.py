@@ -1,7 +1,6 @@
 """What a training would leave out, and what it would take."""
 
 import dataclasses
-import functools
 
 from clsplat.blocks import seen_pixels, trainable
 from clsplat.errors import InputError
@@ -50,7 +49,7 @@ class Planned:
             raise InputError(f"{scene.name}: {len(self.views)} photos to train on; wants two or "
                              "more: add photos, or use a larger --test-every")
         self.needs = find_needs(self.scene, self.views, scaled_steps(options), device)
-        self._detail = functools.cache(lambda level: photo_detail(self.views, level))
+        self._details = {}  # level -> of the photos
 
     def forecast(self):
         """The Forecast. Takes some real steps on the device; raises DeviceError where they, or
@@ -77,7 +76,11 @@ class Planned:
             subject_of(self.scene, self.views,
                        inverse_distance=mean_inverse_distance(self.scene.points)),
             count=grows, pixels=seen_pixels(self.scene, self.views))
-        stretches = course(SCHEDULES[options.schedule](options, subject), self._detail)
+        schedule = SCHEDULES[options.schedule](options, subject)
+        unknown = set(schedule.levels) - self._details.keys()
+        if unknown:
+            self._details |= photo_detail(self.views, sorted(unknown))
+        stretches = course(schedule, self._details.get)
         return [dataclasses.replace(stretch, gaussians=stretch.gaussians + gaussians.count - grows)
                 for stretch in stretches]
 

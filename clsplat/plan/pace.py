@@ -36,10 +36,11 @@ def predicted_seconds(device, scene, views, needs, gaussians, stretches, progres
     progress, photos = progress or Silent(), {}
 
     def read(device, view):
-        key = view.name, view.camera.width, view.camera.height
-        if key not in photos:
-            photos[key] = decode(view)
-        return device.upload(photos[key])
+        """A photo of the view's size: which one it is does not matter to the time."""
+        size = view.camera.width, view.camera.height
+        if size not in photos:
+            photos[size] = decode(view)
+        return device.upload(photos[size])
 
     regularises = any(stretch.regularises for stretch in stretches)
     measured = []

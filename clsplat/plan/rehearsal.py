@@ -94,17 +94,18 @@ def sized(gaussians, renderer, cameras):
     pairs together as `settled` says. Pairs are counted, nothing is rendered."""
     low, high = -SIZES, SIZES
     packed = [renderer.pack(camera) for camera in cameras]
+    rows = {name: renderer.device.upload(values) for name, values in gaussians.rows.items()}
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        scaled = {**gaussians.rows, "log_scales": gaussians.log_scales + np.float32(middle)}
-        rows = {name: renderer.device.upload(values) for name, values in scaled.items()}
+        log_scales = gaussians.log_scales + np.float32(middle)
+        rows["log_scales"].write(log_scales)
         pairs = wanted = 0
         for camera, on_device in zip(cameras, packed):
             splats, found = renderer.count(rows, on_device, camera.width, camera.height)
             pairs += found
             wanted += _settled_pairs(splats, camera, renderer.device)
         low, high = (low, middle) if pairs > wanted else (middle, high)
-    return Gaussians(scaled, gaussians.sh_degree)
+    return Gaussians({**gaussians.rows, "log_scales": log_scales}, gaussians.sh_degree)
 
 
 def settled(renderer, rows, camera):
