@@ -86,9 +86,9 @@ def _memory(forecast, device):
 
 def _time(forecast, load):
     (_, _, begin), (level, gaussians, end) = forecast.ends
-    text = (f"about {duration(forecast.seconds)} for {forecast.steps:,} steps: {1e3 * begin:.1f} ms "
-            f"a step at first, {1e3 * end:.1f} ms at the end, at level {level:g} with "
-            f"{gaussians:,} gaussians")
+    text = (f"about {duration(forecast.seconds)} for {forecast.steps:,} steps: a step takes "
+            f"{1e3 * begin:.1f} ms at first, and {1e3 * end:.1f} ms at the end at level {level:g} "
+            f"with {gaussians:,} gaussians")
     if load:
         text += (f"; this machine is busy (load {load[0]:.1f} on {load[1]} cores), so this is an "
                  "upper estimate")

@@ -58,7 +58,8 @@ class Progress:
         self._report(f"{what} {done} of {total}", done, total)
 
     def phase(self, text: str) -> None:
-        """Say what is being done now; speed is not measured over it. The same again changes nothing."""
+        """Say what is being done now; speed is not measured over it. A phase that goes on may be
+        named again."""
         if text == self._what:
             return
         self._marks.clear()

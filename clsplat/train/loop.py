@@ -172,6 +172,8 @@ class Training(Clock):
         self.level = level
         self.progress.phase(f"reading photos of level {level:g}")
         self.photos.use(level)
+        if self.budget:
+            self.budget.note_change(self.photos.read_seconds, self.iteration, self.stepped())
         cameras = [view.camera for view in self.photos.views]
         if self.adjacent:
             self.adjacent.use(cameras)
@@ -237,7 +239,7 @@ class Training(Clock):
     def take_step(self):
         """One step with what follows it, and its evaluation where one is due."""
         iteration = self.iteration + 1
-        plan = self.schedule.plan(iteration)
+        plan = self.allowed(self.schedule.plan(iteration))
         if self.options.snapshots and plan.level != self.level:
             save_snapshot(self)
         self.use_level(plan.level)
@@ -257,7 +259,9 @@ class Training(Clock):
         self.observe()
         if self.budget and self.budget.is_due(self.stepped()):
             self.estimate_end()
-        if self.due(self.options.eval_every) or iteration in self.options.eval_at:
+        if self.finished():
+            self.end_well()
+        elif self.evaluates():  # the last one comes once the model is saved
             self.evaluate()
 
     def shot(self, number, regularises):
@@ -362,8 +366,7 @@ class Training(Clock):
         result = evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree,
                                 self.test_views)
         self.unpause()
-        if self.budget:
-            self.budget.evaluation_seconds = time.perf_counter() - begin
+        self.note_evaluation(time.perf_counter() - begin)
         self.evaluated_at = self.iteration
         means = {key: value for key, value in result.items() if key != "per_view"}
         self.log("eval", **means)

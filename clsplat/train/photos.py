@@ -1,5 +1,6 @@
 """Training photos at one level after another, kept on the device while they fit."""
 
+import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -77,6 +78,7 @@ class Photos:
         """Go to a level, and begin to read the one that follows it."""
         if level == self.level:
             return
+        begin = time.perf_counter()
         self.level, self.views = level, at_level(self._full, level)
         self.resident = self._fits(self.views)
         self._ahead.clear()
@@ -86,6 +88,7 @@ class Photos:
             photos = ((future.result() for future in expected[1])
                       if expected and expected[0] == level else decoded(self.views))
             self._arrays = [self.device.upload(photo) for photo in photos]
+        self.read_seconds = time.perf_counter() - begin
         following = [new for new in self._levels if new < level]
         if following and self._fits(at_level(self._full, following[0])):
             self._next = following[0], [self._thread.submit(decode, view)

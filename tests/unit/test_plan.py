@@ -264,7 +264,7 @@ def test_the_command_says_it_all(monkeypatch, item_device):
         "levels sh antialiased exposure reproject engine photos memory time")
     assert "exposure      off: asked for\n" in result.output
     assert "sh degree     3: 99% of the points are seen from within 7" in result.output
-    assert "for 60 steps; a step at level 1 with" in result.output
+    assert "for 60 steps: a step takes " in result.output
 
 
 @pytest.mark.parametrize("words, complaint", [
