@@ -59,12 +59,13 @@ class CityFolder:
                              "--output") from None
 
     def write(self, record):
-        """Replace city.json: a dict for JSON, with at least `fingerprint`, of the whole scene."""
+        """Replace city.json: a dict for JSON, with at least `scene`, its path, `fingerprint`, of the
+        whole scene, and `options`, a dict of TrainOptions."""
         _write(self.path / CITY, record)
 
     def read(self):
         """What `write` wrote."""
-        return _read(self.path / CITY, {"fingerprint": str},
+        return _read(self.path / CITY, {"fingerprint": str, "scene": str, "options": dict},
                      "give a folder that `clsplat city` wrote")
 
     def write_partition(self, record):
@@ -73,7 +74,15 @@ class CityFolder:
 
     def read_partition(self):
         """What `write_partition` wrote."""
-        return _read(self.path / PARTITION, {}, f"make it with `clsplat partition {self.path}`")
+        path, cure = self.path / PARTITION, f"make it with `clsplat partition {self.path}`"
+        record = _read(path, {}, cure)
+        replaces = record.get(REPLACES)
+        if replaces is not None and not (
+                isinstance(replaces, dict) and type(replaces.get("partition")) is str
+                and type(replaces.get("blocks")) is list):
+            raise InputError(f"{path}: damaged ({REPLACES} is {str(replaces)[:20]!r}); remove it, "
+                             f"and {cure}")
+        return record
 
     def identity(self):
         """What a block must be of to belong here: `city`, the scene's fingerprint, and `partition`,
@@ -170,21 +179,26 @@ class BlockFolder:
     def is_there(self):
         return (self.path / BLOCK).is_file()
 
-    def read(self):
-        """block.json: at least `number`, `city`, `partition` and `options`, a dict."""
-        return _read(self.path / BLOCK,
-                     {"number": int, "city": str, "partition": str, "options": dict},
+    def read(self, *counts):
+        """block.json: at least `number`, `city`, `partition` and `options`, a dict; counts: names
+        of more keys that are whole numbers."""
+        kinds = {"number": int, "city": str, "partition": str, "options": dict}
+        return _read(self.path / BLOCK, kinds | dict.fromkeys(counts, int),
                      "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
 
     def check(self):
-        """InputError where the block lies in a city that it is no block of."""
-        record, city = self.read(), CityFolder(self.path.resolve().parents[1])
-        if not city.has_record:  # a block by itself, on another machine
-            return
-        for key, value in city.identity().items():
-            if record[key] != value:
-                raise InputError(f"{self.path}: a block of another {key} than that of {city.path}; "
-                                 f"remove it, and run `clsplat partition {city.path}` again")
+        """InputError where the block lies in a city that it is no block of, be it by a link."""
+        record = self.read()
+        above = {path.parents[1] for path in (self.path.absolute(), self.path.resolve())
+                 if len(path.parents) > 1}
+        for city in map(CityFolder, sorted(above)):
+            if not city.has_record:  # a block by itself, on another machine
+                continue
+            for key, value in city.identity().items():
+                if record[key] != value:
+                    raise InputError(
+                        f"{self.path}: a block of another {key} than that of {city.path}; "
+                        f"remove it, and run `clsplat partition {city.path}` again")
 
 
 def attached(scene, folder):

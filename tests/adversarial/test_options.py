@@ -31,7 +31,7 @@ TRIED = (*NUMBERS, *FLOATS, *TEXTS, True, False, None, [], {}, [1], [1.0] * 3, [
 def accepted(name):
     """The values of TRIED that an option takes; the others are refused in one line."""
     taken = []
-    for value in TRIED:
+    for value in (*TRIED, *(FIELDS[name].metadata["choices"] or ())):
         try:
             taken.append(checked("here", name, value))
         except InputError as error:
