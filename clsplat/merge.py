@@ -28,9 +28,9 @@ KEPT = (TRAINS, "refused")  # states of a block that is never filled; the last o
 @dataclass(frozen=True)
 class Share:
     """What a block gave. state: merged; coarse, the coarse model's gaussians in its place; or why
-    not: missing, unfinished, in training, starved, refused. gaussians: that the merged model has of it; trained:
-    that its own model has, margin and surroundings included; views: it trained with; points: sparse
-    ones in its cell; note: more, for people."""
+    not: missing, unfinished, in training, starved, refused. gaussians: that the merged model has of
+    it; trained: that its own model has, margin and surroundings included; views: it trained with;
+    points: sparse ones in its cell; note: more, for people."""
 
     block: int
     state: str

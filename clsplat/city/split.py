@@ -17,9 +17,10 @@ def too_large(outcomes):
 def split_blocks(city, scene, numbers, positions_world):
     """Cut these blocks of a CityFolder across their longer side, into halves of equal content.
 
-    scene: the whole; positions_world: float64[N, 3], of the coarse gaussians. The first half keeps the number, the
-    other gets a new one; both keep the views. The folders of these blocks are removed, the others
-    are theirs as before. Returns the Partition, and which of the blocks could not be cut.
+    scene: the whole; positions_world: float64[N, 3], of the coarse gaussians. The first half keeps
+    the number, the other gets a new one; both keep the views. The folders of these blocks are
+    removed, the others are theirs as before. Returns the Partition, and which of the blocks could
+    not be cut.
     """
     partition = partition_of(city, scene)
     regions, views, whole = list(partition.regions), list(partition.views), []

@@ -22,6 +22,7 @@ from clsplat.io.packed import write_packed
 from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
+from clsplat.io.run import FILES
 from clsplat.region import Region
 
 CITY, PARTITION, BLOCK, REGION = "city.json", "partition.json", "block.json", "region.json"
@@ -59,14 +60,20 @@ class CityFolder:
                              "--output") from None
 
     def write(self, record):
-        """Replace city.json: a dict for JSON, with at least `scene`, its path, `fingerprint`, of the
-        whole scene, and `options`, a dict of TrainOptions."""
+        """Replace city.json: a dict for JSON, with at least `fingerprint`, of the whole scene."""
         _write(self.path / CITY, record)
 
-    def read(self):
-        """What `write` wrote."""
-        return _read(self.path / CITY, {"fingerprint": str, "scene": str, "options": dict},
+    def read(self, **kinds):
+        """What `write` wrote; kinds: the types of keys that are needed besides `fingerprint`."""
+        return _read(self.path / CITY, {"fingerprint": str, **kinds},
                      "give a folder that `clsplat city` wrote")
+
+    def check_free(self):
+        """InputError where a city cannot begin here, as the folder holds a run or a block."""
+        found = [name for name in (*FILES, BLOCK, REGION) if os.path.lexists(self.path / name)]
+        if found:
+            raise InputError(f"{self.path}: holds {found[-1]}, but no city ({CITY} is missing); "
+                             "choose another --output")
 
     def write_partition(self, record):
         """Replace partition.json by a Partition's record, a dict for JSON."""

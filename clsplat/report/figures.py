@@ -16,6 +16,7 @@ LOOK = {
     "axes.edgecolor": "#8b9095", "axes.grid": True, "axes.axisbelow": True,
     "grid.color": "#e8e9ea", "xtick.color": SMALL, "ytick.color": SMALL, "axes.labelcolor": SMALL,
     "axes.linewidth": 0.8, "lines.linewidth": 1.6, "legend.frameon": False,
+    "text.parse_math": False,  # names of folders may hold a $
 }
 
 
