@@ -86,12 +86,13 @@ def train_coarse(city, scene, options, device, progress=None):
     folder = RunFolder(city.coarse)
     if folder.is_begun and folder.read_options().get("fingerprint") != fingerprint(scene):
         raise InputError(f"{folder.path}: is a run of another scene; choose another --output")
-    if folder.has_model:
+    if folder.is_finished:
         return folder
     wanted = coarse_options(options)
-    start = resume if folder.is_begun else train
-    folder = folder if folder.is_begun else RunFolder.create(city.coarse)
-    start(scene, wanted, device, folder, progress)
+    with folder.locked():
+        start = resume if folder.is_begun else train
+        folder = folder if folder.is_begun else RunFolder.create(city.coarse)
+        start(scene, wanted, device, folder, progress)
     return folder
 
 

@@ -101,6 +101,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     wanted = partition_options(ctx.params, data, options, device)
     if scheduler and not RunFolder(folder.coarse).has_model:
         check_scheduler(scheduler)
+    ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
 
     def shown():
@@ -140,7 +141,10 @@ def partition_command(ctx, folder, scene, **_):
     from clsplat.city.stages import begin_from_coarse, cut_into_blocks
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
+    from clsplat.io.run import RunFolder
     there = CityFolder(folder)
+    there.check_there()
+    ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(there, scene)
     device = choose_device(options.device, form=options.form)
     wanted = partition_options(ctx.params, data, options, device)
@@ -159,7 +163,8 @@ def partition_command(ctx, folder, scene, **_):
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--scene", type=click.Path(path_type=Path), help="Where the scene is now, if it was "
               "moved.")
-def merge(folder, fill, against, device, scene):
+@click.pass_context
+def merge(ctx, folder, fill, against, device, scene):
     """Merge the finished blocks of CITY to one model, and score it.
 
     Every gaussian is owned once. Says what is missing, and then ends with exit code 2.
@@ -168,8 +173,11 @@ def merge(folder, fill, against, device, scene):
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
+    from clsplat.io.run import RunFolder
     there = CityFolder(folder)
+    there.check_there()
     check_reference(against)
+    ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(there, scene)
     _finish(there, data, options, choose_device(device), fill, against, False)
 

@@ -22,7 +22,7 @@ from clsplat.io.packed import write_packed
 from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
-from clsplat.io.run import FILES
+from clsplat.io.run import FILES, RunFolder
 from clsplat.region import Region
 
 CITY, PARTITION, BLOCK, REGION = "city.json", "partition.json", "block.json", "region.json"
@@ -67,6 +67,13 @@ class CityFolder:
         """What `write` wrote; kinds: the types of keys that are needed besides `fingerprint`."""
         return _read(self.path / CITY, {"fingerprint": str, **kinds},
                      "give a folder that `clsplat city` wrote")
+
+    def check_there(self):
+        """InputError where the folder holds neither a city nor a coarse run, with which one begins.
+        """
+        if not (self.has_record or RunFolder(self.coarse).is_begun):
+            raise InputError(f"{self.path}: holds no city ({CITY} is missing); give a folder that "
+                             "`clsplat city` wrote")
 
     def check_free(self):
         """InputError where a city cannot begin here, as the folder holds a run or a block."""

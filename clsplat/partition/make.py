@@ -46,7 +46,7 @@ class PartitionOptions:
 
     def __post_init__(self):
         for name, least, most in (("margin", 0, MOST_MARGIN), ("threshold", 0, 2),
-                                  ("least_views", 1, math.inf), ("limit", 0, math.inf)):
+                                  ("least_views", 0, math.inf), ("limit", 0, math.inf)):
             value = getattr(self, name)
             if not least <= value <= most:
                 asked = "block-gaussians" if name == "limit" else name.replace("_", "-")
@@ -62,7 +62,8 @@ class PartitionOptions:
 
     def _check_count(self):
         """InputError for a grid of more blocks than there is to share out among them."""
-        most = max(1, self.expected // self.least_gaussians) if self.expected else MOST_BLOCKS
+        most = (max(1, self.expected // max(1, self.least_gaussians)) if self.expected
+                else MOST_BLOCKS)
         if self.grid is None:
             if self.needed > MOST_BLOCKS:
                 raise InputError(f"--block-gaussians {self.limit}: makes {self.needed:,} blocks, "

@@ -23,7 +23,7 @@ from clsplat.region import Region, Space
 from clsplat.scene import Scene, View
 from clsplat.schedule.constant import Constant
 from clsplat.train import step
-from clsplat.train.block import options_of_blocks
+from clsplat.train.block import decided_by, options_of_blocks
 from tests.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
 
 SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}
@@ -288,8 +288,10 @@ def test_a_coarse_run_has_smaller_photos(schedule):
     assert resolve({}, {"coarse": True, "downscale": 8.0}).downscale == 8
 
 
-def test_blocks_follow_the_coarse_run():
-    coarse = {"needs": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}}
+def test_blocks_follow_the_coarse_run(tmp_path):
+    coarse = RunFolder.create(tmp_path)
+    coarse.write_options({"needs": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}})
+    coarse = decided_by(coarse)
     values = options_of_blocks({"exposure": "auto", "coarse": True, "iterations": 9}, coarse)
     options = resolve({}, values)
     assert (options.exposure, options.sh_degree, options.test_every) == ("on", 2, 0)
