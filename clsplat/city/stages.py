@@ -61,18 +61,19 @@ def begin_from_coarse(city, given=None):
     moved."""
     if city.has_record:
         record = city.read(scene=str, options=dict)
-        scene = read_scene(recorded_scene(record, city.path, given))
+        options = resolve({}, {key: checked(str(city.path / CITY), key, value)
+                               for key, value in record["options"].items()})
+        scene = read_scene(recorded_scene(record, city.path, given), options.images)
         if fingerprint(scene) != record["fingerprint"]:
             raise InputError(f"{city.path}: its scene {scene.path} has changed since; put it "
                              "back, or begin a new city")
-        return scene, resolve({}, {key: checked(str(city.path / CITY), key, value)
-                                   for key, value in record["options"].items()})
+        return scene, options
     folder = RunFolder.open(city.coarse)
     coarse = run_options(folder)
     if not coarse.coarse:
         raise InputError(f"{city.coarse}: was not trained with --coarse; begin again with "
                          f"`clsplat train SCENE --coarse -o {city.coarse}`")
-    scene = read_scene(folder.scene_path(given))
+    scene = read_scene(folder.scene_path(given), coarse.images)
     options = dataclasses.replace(
         coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         max_resolution=COARSE_FACTOR * coarse.max_resolution,

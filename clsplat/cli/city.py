@@ -95,12 +95,14 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     if options.init != "sfm" or options.coarse:
         raise InputError("--init, --coarse: the coarse run begins a city, blocks begin with it; "
                          "leave them out")
-    data = read_scene(scene)
+    data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
     device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
     wanted = partition_options(ctx.params, data, options, device)
     if scheduler and not RunFolder(folder.coarse).has_model:
         check_scheduler(scheduler)
+    if not folder.has_record:
+        folder.check_free()
     ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
 

@@ -31,6 +31,7 @@ def options_of_blocks(given, decided):
     are given training views only. The gaussians have their harmonics already, so these are not
     switched on one by one.
     """
+    given = {name: value for name, value in given.items() if name != "images"}  # links to them
     return {"sh_every": 1, **given, **decided, "coarse": False, "test_every": 0}
 
 
