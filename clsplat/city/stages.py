@@ -21,7 +21,7 @@ from clsplat.merge import partition_of
 from clsplat.options import checked, resolve
 from clsplat.partition import geojson, make_partition
 from clsplat.partition.site import world_of
-from clsplat.report.map import partition_map
+from clsplat.report.map import write_map
 from clsplat.train.block import block_options, decided_by, options_of_blocks, train_block
 from clsplat.train.loop import resume, train
 
@@ -165,7 +165,7 @@ def draw(city, partition, scene, counts):
     """Write the partition as a map and as GeoJSON; counts: int[B], gaussians that each block owns.
     """
     with replacing(city.picture) as file:
-        partition_map(partition, scene, counts).savefig(file, format="png", dpi=110)
+        write_map(file, partition, scene, counts)
     with replacing(city.map) as file:
         file.write((json.dumps(geojson(partition, scene, [
             {"gaussians": int(count)} for count in counts])) + "\n").encode())

@@ -9,6 +9,7 @@ from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
 
 MIB = 2**20
+MOST_PHOTOS = 10**9
 WIDTH = 12  # of the column of names
 
 
@@ -32,8 +33,10 @@ def plan(ctx, scene, config, photos, margin, **_):
     from clsplat.device import choose_device
     from clsplat.io.scenes import read_scene
     from clsplat.options import from_toml, resolve
+    from clsplat.partition import PartitionOptions
     from clsplat.plan.forecast import Planned
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
+    numbers, margin = _numbers(photos), PartitionOptions(margin=margin).margin
     data = read_scene(scene, options.images)
     device = choose_device(options.device, form=options.form)
     planned = Planned(data, options, device)
@@ -45,19 +48,21 @@ def plan(ctx, scene, config, photos, margin, **_):
     _line("photos", forecast.streaming.reason)
     _line("memory", _memory(forecast, device))
     _line("time", _time(forecast))
-    if photos:
+    if numbers:
         from clsplat.city.forecast import scale_table
-        click.echo("\n" + scale_table(planned, forecast, device, margin, _numbers(photos)).text())
+        click.echo("\n" + scale_table(planned, forecast, device, margin, numbers).text())
 
 
 def _numbers(text):
+    if not text:
+        return []
     try:
         numbers = [int(part) for part in text.split(",")]
-        if min(numbers) < 1:
+        if min(numbers) < 1 or max(numbers) > MOST_PHOTOS:
             raise ValueError
     except ValueError:
-        raise InputError(f"--photos {text}: wants whole numbers of at least 1, such as "
-                         "1000,10000,100000") from None
+        raise InputError(f"--photos {text[:80]}: wants whole numbers from 1 to {MOST_PHOTOS:,}, "
+                         "such as 1000,10000,100000") from None
     return numbers
 
 

@@ -289,14 +289,13 @@ def test_a_coarse_run_has_smaller_photos(schedule):
 
 
 def test_blocks_follow_the_coarse_run(tmp_path):
-    coarse = RunFolder(tmp_path)
+    coarse, given = RunFolder(tmp_path), {"exposure": "auto", "coarse": True, "iterations": 9}
     coarse.write_options({"needs": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}})
-    options = resolve({}, options_of_blocks(
-        {"exposure": "auto", "coarse": True, "iterations": 9}, decided_by(coarse)))
+    options = resolve({}, options_of_blocks(given, decided_by(coarse)))
     assert (options.exposure, options.sh_degree, options.test_every) == ("on", 2, 0)
     assert (options.coarse, options.downscale, options.iterations) == (False, 1, 9)
-    assert options.sh_every == 1 and resolve({}, options_of_blocks(
-        {"sh_every": 50}, decided_by(coarse))).sh_every == 50
+    assert options.sh_every == 1
+    assert options_of_blocks({"sh_every": 50}, {})["sh_every"] == 50
 
 
 # --- the command
