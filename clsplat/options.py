@@ -17,6 +17,9 @@ except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
 
+AUTO = "auto"
+
+
 def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, most=None,
            wish=None, only=None, auto=False):
     """A field of `TrainOptions`: its default and what the command line says about it.
@@ -32,7 +35,6 @@ def option(default, group, text, short=None, choices=None, minimum=None, maximum
         "maximum": maximum, "most": most, "wish": wish, "only": only, "auto": auto})
 
 
-AUTO = "auto"
 MOST = {int: 2**63 - 1, float: 1e15}  # squares and their sums stay far within float32
 MOST_STEPS = 10_000_000  # of a training: 300 times the default
 MOST_ELEMENTS = 1000  # of a list
@@ -62,14 +64,17 @@ class TrainOptions:
                                    minimum=0)
     eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps; repeatable",
                                      minimum=1, wish="a list of steps, each at least 1")
-    eval_every: int = option(0, "Run", "also evaluate every so many steps (0: off)", minimum=0)
+    eval_every: int = option(AUTO, "Run", "steps between evaluations of the held-out views; auto: "
+                             "eight, evenly over the run, as long as they take no more than a "
+                             "third of the time so far, or a tenth of a time budget (0: only at "
+                             "the end)", minimum=0, auto=True)
     snapshots: bool = option(False, "Run", "keep the model as each level leaves it: the levels of "
                              "detail of `clsplat render --lod`", only=LEVELLED)
 
     downscale: float = option(1.0, "Scene", "divide image width and height by this", short="-r",
                               minimum=1.0)
-    max_resolution: int = option(0, "Scene", "limit of the longer image side, pixels (0: none)",
-                                 minimum=0)
+    max_resolution: int = option(1600, "Scene", "photos whose longer side has more pixels than "
+                                 "this are reduced to it (0: photos keep their size)", minimum=0)
     images: str = option("", "Scene", "folder of the photos, from SCENE's own: images_4, say, "
                          "whose photos are smaller than the model's cameras (none: images)")
     test_every: int = option(8, "Scene", "hold out every N-th view by name (0: none)", minimum=0)
@@ -202,7 +207,7 @@ CHOICES = {
             "optimizer": "sparse", "ssim_weight": 0.33},
     },
     "size": {"L": {"grow_threshold": 1.25e-4}},
-    "coarse": {True: {"downscale": 2.0}},
+    "coarse": {True: {"downscale": 2.0, "max_resolution": TrainOptions.max_resolution // 2}},
 }
 UNITS = {"s": 1, "m": 60, "h": 3600}
 

@@ -174,9 +174,10 @@ def draw(city, partition, scene, counts):
 def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=None, began=None):
     """Train what is not finished; the Outcome of every block.
 
-    workers, scheduler, devices: see `distribute.run`; progress: makes that of a training, a context
-    manager, where blocks are trained one after the other in this process; told: called with each
-    Outcome as it comes; began: called with a block's name and "block 2 of 9", say, as it begins.
+    workers, scheduler, devices: see `distribute.run`; progress: called with "block 2 of 9", say,
+    makes that of a training, a context manager, where blocks are trained one after the other in
+    this process; told: called with each Outcome as it comes, and began with a block's name as it
+    begins, both with "block 2 of 9", say, after that.
     """
     blocks = {block.path.name: block for block in city.blocks()}
     places = {name: f"block {number} of {len(blocks)}" for number, name in enumerate(blocks, 1)}
@@ -188,10 +189,11 @@ def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=
         block = blocks[task.name]
         block.check()
         options = block_options(block, **({"device": devices[0]} if devices else {}))
-        with progress() if progress else nullcontext() as shown:
+        with progress(places[task.name]) if progress else nullcontext() as shown:
             train_block(block, options, shown)
 
-    return run(tasks, workers, scheduler, progress=told, devices=devices, call=here,
+    return run(tasks, workers, scheduler, devices=devices, call=here,
+               progress=told and (lambda outcome: told(outcome, places[outcome.task.name])),
                began=began and (lambda name: began(name, places[name])))
 
 

@@ -87,6 +87,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
     from clsplat.options import resolve
+    from clsplat.train.photos import size_note
     given = given_options(ctx)
     devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
@@ -105,19 +106,22 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
         folder.check_free()
     ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
+    if not quiet and (note := size_note(data.views, options)):
+        click.echo(note)
 
-    def shown():
-        return nullcontext() if quiet else _progress(options)
+    def shown(title):
+        return nullcontext() if quiet else _progress(options, title)
 
     try:
-        with shown() as progress:
+        with shown("coarse run") as progress:
             train_coarse(folder, data, options, device, progress)
         _, counts = cut_into_blocks(folder, data, options, wanted, device)
         if not quiet:
             click.echo(block_table(folder, device, counts).text())
         outcomes = train_all_blocks(
-            folder, data, options, device, told=_told(quiet), began=_began(quiet), workers=workers,
-            scheduler=scheduler, devices=devices, progress=shown)
+            folder, data, options, device, told=_told(quiet), began=_began(quiet or not (
+                scheduler or workers > 1)), workers=workers, scheduler=scheduler, devices=devices,
+            progress=shown)
     except Interrupted:
         raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command goes on"
                           ) from None
@@ -254,13 +258,13 @@ def _began(quiet):
 
 
 def _told(quiet):
-    def told(outcome):
+    def told(outcome, place):
         if not quiet:
-            click.echo(f"block {outcome.task.name}: "
+            click.echo(f"{place} (blocks/{outcome.task.name}): "
                        f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
     return told
 
 
-def _progress(options):
+def _progress(options, title):
     from clsplat.cli.progress import Progress
-    return Progress(options.stop_at)
+    return Progress(options.stop_at, title=title)

@@ -1,10 +1,11 @@
-"""What `clsplat city`, `partition`, `merge` and `plan` refuse, before anything is trained or made."""
+"""What `clsplat city`, `partition`, `merge` and `plan` refuse before anything is trained."""
 
 import contextlib
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,6 +19,7 @@ from clsplat.io.scenes import read_scene
 from clsplat.merge import KEPT, TRAINS, merge
 from clsplat.partition import PartitionOptions
 from clsplat.train import loop
+from clsplat.train.silent import WARNING, Silent
 from tests.large.test_merge import (  # noqa: F401  (fixtures)
     city,
     scene,
@@ -218,3 +220,40 @@ def test_costs_of_metrics_that_are_empty_are_nothing(city):  # noqa: F811
         (path / "metrics.jsonl").write_text('{"event"')
     assert finish.cost(city) == {"iteration": 0, "train_seconds": 0, "wall_seconds": 0}
     assert stages.COARSE_FACTOR == 2
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_which_block_is_trained_is_told(city, monkeypatch, workers):  # noqa: F811
+    """Before each block, and when it has ended, here and in children."""
+    said = []
+
+    def run_here(tasks, workers, scheduler, progress=None, began=None, call=None, **_):
+        for task in tasks:
+            began(task.name)
+            if workers == 1:
+                call(task)
+            progress(SimpleNamespace(task=task, ok=True))
+
+    @contextlib.contextmanager
+    def shown(title):
+        said.append(title)
+        yield
+
+    monkeypatch.setattr(stages, "run", run_here)
+    monkeypatch.setattr(stages, "block_options", lambda block: None)
+    monkeypatch.setattr(stages, "train_block", lambda *_: None)
+    stages.train_blocks(city, workers, progress=shown,
+                        told=lambda outcome, place: said.append(("ended", place)),
+                        began=lambda name, place: said.append((name, place)))
+    shows = ["block 2 of 4"] if workers == 1 else []
+    assert said[2 + len(shows):][:2 + len(shows)] == [
+        ("001", "block 2 of 4"), *shows, ("ended", "block 2 of 4")]
+    assert len(said) == 4 * (2 + len(shows))
+
+
+def test_warnings_of_photos_are_shown_with_q(capsys):
+    silent = Silent()
+    silent.message("a line")
+    silent.phase("reading")
+    silent.message(f"{WARNING}all photos are black")
+    assert capsys.readouterr().err == "warning: all photos are black\n"

@@ -284,7 +284,7 @@ def test_a_run_without_exposures_leaves_none(item_device, city, tmp_path):
 def test_a_coarse_run_has_smaller_photos(schedule):
     chosen = resolve({}, {"schedule": schedule, "coarse": True})
     same = resolve({}, {"schedule": schedule})
-    assert chosen == replace(same, coarse=True, downscale=2.0)
+    assert chosen == replace(same, coarse=True, downscale=2.0, max_resolution=800)
     assert resolve({}, {"coarse": True, "downscale": 8.0}).downscale == 8
 
 
