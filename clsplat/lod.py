@@ -19,9 +19,10 @@ from clsplat.evaluate.metrics import psnr
 from clsplat.evaluate.views import photo_of, render_view, run_options
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
+from clsplat.io.folders import make_folder
 from clsplat.io.images import write_image
 from clsplat.io.ply import read_ply
-from clsplat.io.run import MODEL, RunFolder, make_folder
+from clsplat.io.run import MODEL, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.merge import cropped, joined, partition_of
 from clsplat.render.slabs import open_model

@@ -13,9 +13,9 @@ import clsplat
 from clsplat.distribute import Task, cluster, guarded, run
 from clsplat.distribute.child import LOG
 from clsplat.distribute.ledger import LOSSES, Ledger
-from clsplat.distribute.lock import Held, exclusive
 from clsplat.distribute.task import HELD, INTERRUPTED, LOST, Result
 from clsplat.errors import InputError, Interrupted
+from clsplat.io.lock import Held, exclusive
 from tests.large.driver import PROGRAM, stub_tasks
 from tests.large.stub_command import ENDS, NO_DEVICE, STARTS, STATE, STEP_SECONDS
 from tests.tiny_training import CITY, flags

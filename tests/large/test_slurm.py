@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 SCRIPT = Path(__file__).resolve().parents[2] / "tools" / "slurm" / "blocks.sbatch"
-TRY = ("import sys; from clsplat.distribute.lock import Held, exclusive\n"
+TRY = ("import sys; from clsplat.io.lock import Held, exclusive\n"
        "try:\n    exclusive(sys.argv[1]).__enter__()\nexcept Held:\n    print('held')")
 needs_flock = pytest.mark.skipif(not shutil.which("flock"), reason="util-linux is not installed")
 
