@@ -33,7 +33,7 @@ def register():
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for icd in SYSTEM_VENDORS.glob("*.icd"):
         shutil.copy(icd, folder)
-    (folder / "clsplat-intel-cpu.icd").write_text(f"{library}\n")
+    (folder / "clsplat-intel-cpu.icd").write_text(f"{library}\n", encoding="utf-8")
     os.environ["OCL_ICD_VENDORS"] = str(folder)
 
 

@@ -90,7 +90,7 @@ def _check_mappings(path, stems):
     if not path.exists():
         return
     try:
-        lines = [line for line in path.read_text().splitlines() if line.strip()]
+        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
     except (OSError, ValueError):
         raise InputError(f"{path}: cannot be read as text; {AGAIN}") from None
     names = [line.rpartition(",")[2].strip() for line in lines]
