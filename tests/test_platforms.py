@@ -17,16 +17,16 @@ from tests.test_layout import ROOT, sources
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog", "posix", "curses",
            "readline", "crypt", "nis", "spwd", "ossaudiodev")
 NAMES = {
-    "os": ("fork", "forkpty", "killpg", "getpgid", "getpgrp", "setpgid", "setsid", "getsid", "getuid",
-           "geteuid", "getgid", "getegid", "setuid", "getloadavg", "uname", "sysconf", "statvfs",
-           "nice", "mkfifo", "mknod", "openpty", "ttyname", "chown", "lchown", "fchown", "chroot",
-           "pread", "pwrite", "preadv", "sendfile", "wait3", "wait4", "pipe2", "setns",
+    "os": ("fork", "forkpty", "killpg", "getpgid", "getpgrp", "setpgid", "setsid", "getsid",
+           "getuid", "geteuid", "getgid", "getegid", "setuid", "getloadavg", "uname", "sysconf",
+           "statvfs", "nice", "mkfifo", "mknod", "openpty", "ttyname", "chown", "lchown",
+           "fchown", "chroot", "setns", "pread", "pwrite", "preadv", "sendfile", "wait3", "wait4", "pipe2",
            "sched_getaffinity", "sched_setaffinity", "memfd_create", "posix_fadvise",
            "posix_fallocate", "posix_spawn", "pidfd_open", "eventfd", "copy_file_range",
            "getxattr", "setxattr", "getrandom", "O_NOFOLLOW", "O_DIRECTORY", "O_CLOEXEC"),
-    "signal": ("SIGKILL", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM", "SIGCHLD",
-               "SIGSTOP", "SIGCONT", "pthread_kill", "pthread_sigmask", "sigwait", "alarm",
-               "setitimer", "siginterrupt", "pause"),
+    "signal": ("SIGKILL", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM",
+               "SIGCHLD", "SIGSTOP", "SIGCONT", "pthread_kill", "pthread_sigmask", "sigwait",
+               "alarm", "setitimer", "siginterrupt", "pause"),
 }
 # names that subprocess, tempfile and pathlib of this very system use themselves: only looked for
 # in clsplat's own code

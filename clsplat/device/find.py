@@ -10,7 +10,7 @@ from clsplat.errors import DeviceError
 
 NO_DEVICE = (
     "no working OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
-    "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's OpenCL driver")
+    "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
 
 
 @dataclass
