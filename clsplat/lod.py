@@ -190,7 +190,7 @@ def compare_views(model, scene_path, folder, device, views="all", beside=False, 
     """
     run, folder = RunFolder.open(model), Path(folder)
     options = run_options(run)
-    scene = read_scene(scene_path or run.read_options()["scene"])
+    scene = read_scene(run.scene_path(scene_path))
     scene = scene.reduced(options.downscale, options.max_resolution).reduced(downscale)
     train, test = scene.split(options.test_every)
     chosen = {"all": scene.views, "train": train, "test": test}[views]

@@ -6,13 +6,15 @@ from pathlib import Path
 from clsplat.errors import InputError
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder, with those above it; InputError where it cannot be made."""
+CURE = "check its path, and that the folder above may be written"
+
+
+def make_folder(path: Path, cure: str = CURE) -> None:
+    """Make a folder, with those above it; InputError, with this cure, where it cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be made ({error.strerror}); check its path, and that "
-                         "the folder above may be written") from None
+        raise InputError(f"{path}: cannot be made ({error.strerror}); {cure}") from None
 
 
 def remove_files(paths: list[Path], root: Path) -> None:

@@ -37,6 +37,8 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
     Held : another process still holds the folder; the message names it.
     InputError : the folder cannot be written, or its file system has no locks.
     """
+    if not os.path.isdir(folder):
+        raise InputError(f"{folder}: cannot be locked (no such folder); check its path")
     path = Path(os.path.realpath(folder)) / LOCK
     lock = FileLock(path, is_singleton=True)
     try:

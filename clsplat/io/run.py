@@ -103,7 +103,7 @@ class RunFolder:
         """Hold the folder, made if needed, for this process alone; see `lock.exclusive`. A folder
         made here in which nothing was written is removed again."""
         made = not self.path.exists()
-        make_folder(self.path)
+        make_folder(self.path, "choose another --output")
         with exclusive(self.path, patience):
             try:
                 yield
@@ -157,6 +157,14 @@ class RunFolder:
         InputError : the scene was moved, and nobody says where to.
         """
         return recorded_scene(self.read_options(), self.path, given)
+
+    def note_scene(self, scene: Path) -> None:
+        """Record that the run's scene is here now; nothing is written where that is known."""
+        record = self.read_options()
+        found = scene_record(scene, self.path)
+        if any(record.get(key) != value for key, value in found.items()):
+            with replacing(self.path / OPTIONS) as file:
+                file.write((json.dumps(record | found, indent=2) + "\n").encode())
 
     def read_options(self):
         """The dict that `write_options` wrote."""
@@ -270,13 +278,18 @@ class RunFolder:
 
     @property
     def has_model(self):
-        """Whether the run is finished."""
+        """Whether the training is finished; its last evaluation may not be."""
         return (self.path / MODEL).is_file()
+
+    @property
+    def is_finished(self):
+        """Whether all is done: the report comes last."""
+        return self.has_model and (self.path / REPORT).is_file()
 
     def write_report(self, html):
         """Replace the report by a page (str); returns its path."""
         with replacing(self.path / REPORT) as file:
-            file.write(html.encode())
+            file.write(html.encode("utf-8", "backslashreplace"))
         return self.path / REPORT
 
     def load_model(self):
