@@ -1,4 +1,4 @@
-"""What .ci/run builds on: the lowest versions are those of setup.cfg, and README's commands are run."""
+"""What .ci/run builds on: lowest versions come from setup.cfg, README's commands are run."""
 
 import configparser
 import importlib.util
