@@ -60,6 +60,8 @@ class TrainOptions:
                               minimum=1.0)
     max_resolution: int = option(0, "Scene", "limit of the longer image side, pixels (0: none)",
                                  minimum=0)
+    images: str = option("", "Scene", "folder of the photos, from SCENE's own: images_4, say, "
+                         "whose photos are smaller than the model's cameras (none: images)")
     test_every: int = option(8, "Scene", "hold out every N-th view by name (0: none)", minimum=0)
     init: str = option("sfm", "Scene", "initial gaussians: sfm, random, or a PLY file")
     background: tuple[float, float, float] = option(

@@ -11,6 +11,7 @@ import sys
 
 import pytest
 
+from clsplat.device import runtimes
 from tests.test_layout import ROOT, sources
 
 # not in Windows' standard library; macOS has all but the last two
@@ -106,6 +107,15 @@ def test_a_training_from_scene_to_picture(elsewhere, tmp_path):
         assert done.returncode == 0, (words, done.stderr)
     assert (tmp_path / "model.ply").stat().st_size > 1000
     assert (tmp_path / "cut" / "point_cloud.ply").is_file()
+
+
+def test_a_user_without_a_home(monkeypatch):
+    """As in a container that is run under any number: drivers are found all the same."""
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+    monkeypatch.setattr(runtimes.Path, "home", homeless)
+    folder = runtimes._folder_of({"a.icd": "liba.so\n"}, "name")
+    assert (folder / "a.icd").read_text("utf-8") == "liba.so\n"
 
 
 # --- what can be read off the code

@@ -4,7 +4,7 @@ import dataclasses
 
 from clsplat.city.stages import COARSE_FACTOR
 from clsplat.evaluate.seams import find_seams
-from clsplat.evaluate.views import evaluate_run
+from clsplat.evaluate.views import evaluate_run, training_pictures
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.io.run import MODEL, RunFolder
@@ -58,7 +58,8 @@ def evaluate_city(city, scene, options, device, against=None):
     train, test = scene.reduced(options.downscale, options.max_resolution).split(options.test_every)
     if test:
         scores = evaluate_run(run, device, save_images=False)
-        means = {key: value for key, value in scores.items() if key != "per_view"}
+        means = {key: value for key, value in scores.items()
+                 if key not in ("per_view", "pictures")}
         run.log({"event": "eval", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
                  **means})
     seams = None
@@ -76,7 +77,8 @@ def evaluate_city(city, scene, options, device, against=None):
         run.log({"event": "seams", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
                  "seam_db": seams["seam_db"], "worst_seam_db": seams["worst_seam_db"]})
     write_report(run, embedded(city.picture, "map of the blocks"), block_shares(merged),
-                 seams and seam_table(seams))
+                 seams and seam_table(seams),
+                 pictures=scores["pictures"] if scores else training_pictures(run, device))
     return scores, seams
 
 

@@ -56,7 +56,7 @@ def begin_from_coarse(city):
     the coarse run in CITY/coarse was trained by itself."""
     if city.has_record:
         record = city.read()
-        scene = read_scene(record.get("scene", ""))
+        scene = read_scene(record.get("scene", ""), record.get("options", {}).get("images", ""))
         if fingerprint(scene) != record["fingerprint"]:
             raise InputError(f"{city.path}: its scene {record['scene']} has changed since; put it "
                              "back, or begin a new city")
@@ -66,7 +66,7 @@ def begin_from_coarse(city):
     if not coarse.coarse:
         raise InputError(f"{city.coarse}: was not trained with --coarse; begin again with "
                          f"`clsplat train SCENE --coarse -o {city.coarse}`")
-    scene = read_scene(record["scene"])
+    scene = read_scene(record["scene"], coarse.images)
     options = dataclasses.replace(
         coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         iterations=int(coarse.iterations / COARSE_SHARE))

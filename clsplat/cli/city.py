@@ -89,7 +89,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     if options.init != "sfm" or options.coarse:
         raise InputError("--init, --coarse: the coarse run begins a city, blocks begin with it; "
                          "leave them out")
-    data = read_scene(scene)
+    data = read_scene(scene, options.images)
     folder = CityFolder(output or scene.with_name(scene.name + ".city"))
     device = choose_device(options.device, form=options.form)
     begin(folder, data, options)

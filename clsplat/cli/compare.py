@@ -25,4 +25,4 @@ def compare(runs, output, levels):
             raise InputError(f"--psnr {level}: wants a number of dB, such as 28.5")
     from clsplat.report.compare import write_comparison
     text, page = write_comparison(runs, output, levels)
-    click.echo(f"{text}\n\npage: {page}")
+    click.echo(f"{text}\n\npage: {click.format_filename(page)}")

@@ -16,6 +16,7 @@ from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
 from clsplat.cli.evaluate import evaluate
 from clsplat.cli.export import export
+from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
 from clsplat.cli.render import render
 from clsplat.cli.sections import SectionedGroup
@@ -52,8 +53,8 @@ class Reporting(SectionedGroup):
                 if message:
                     say(message)
                 return code
-            except SystemExit as end:  # among others click's answer to a pipe that nobody reads
-                return 128 + SIGPIPE if isinstance(end.__context__, BrokenPipeError) else end.code
+            except SystemExit as end:  # 1 is click's answer to a pipe that nobody reads
+                return 128 + SIGPIPE if end.code == 1 else end.code
 
 
 def verdict(error, signalled=0):
@@ -106,7 +107,7 @@ def main(ctx):
 
 main.add_section("Train", plan, train, evaluate, compare, render, export)
 main.add_section("Large scenes", city, partition_command, block, merge)
-main.add_section("Data", synth)
+main.add_section("Data", synth, pack)
 main.add_section("Machine", devices, bench, completion)
 
 # `main` looks for the flag in the arguments; as an option it shows in help and may stand anywhere

@@ -34,7 +34,7 @@ def plan(ctx, scene, config, photos, margin, **_):
     from clsplat.options import from_toml, resolve
     from clsplat.plan.forecast import Planned
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
-    data = read_scene(scene)
+    data = read_scene(scene, options.images)
     device = choose_device(options.device, form=options.form)
     planned = Planned(data, options, device)
     click.echo(f"{data.name}: {len(planned.views)} photos to train on, {len(planned.held_out)} "

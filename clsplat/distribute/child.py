@@ -17,6 +17,7 @@ from clsplat.distribute.task import (
     INTERRUPTED,
     LOST,
     REFUSED,
+    TERMINATED,
     Result,
 )
 
@@ -78,7 +79,7 @@ def _verdict(task, code, start):
     """(ending, message) of a child's exit code."""
     if code == 0 and task.done.exists():
         return DONE, ""
-    if code == INTERRUPTED:
+    if code in (INTERRUPTED, TERMINATED):
         return LOST, "it was stopped"
     log = task.folder / LOG
     if code < 0:

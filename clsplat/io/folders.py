@@ -5,7 +5,6 @@ from pathlib import Path
 
 from clsplat.errors import InputError
 
-
 CURE = "check its path, and that the folder above may be written"
 
 

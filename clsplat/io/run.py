@@ -292,6 +292,13 @@ class RunFolder:
             file.write(html.encode("utf-8", "backslashreplace"))
         return self.path / REPORT
 
+    def read_report(self):
+        """The page that `write_report` wrote, or None where there is none that can be read."""
+        try:
+            return (self.path / REPORT).read_bytes().decode()
+        except (OSError, ValueError):
+            return None
+
     def load_model(self):
         """The finished model's Gaussians, in the scene's local coordinates."""
         path = self.path / MODEL

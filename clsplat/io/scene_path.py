@@ -31,7 +31,8 @@ def recorded_scene(record: dict, folder: Path, given: Path | None = None) -> Pat
         if place.exists():
             return place
     where = f"its scene {places[-1]} is not there any more" if places else "it names no scene"
-    raise InputError(f"{folder}: {where}; say where it is with --scene")
+    raise InputError(f"{folder}: {where}; say where it is, as SCENE to `clsplat train` and "
+                     "with --scene to other commands")
 
 
 def _text_of(path: str) -> str:

@@ -23,6 +23,7 @@ def options_of_blocks(given, coarse):
     gaussians have their harmonics already, so these are not switched on one by one.
     """
     decided = {name: coarse["needs"][name] for name in DECIDED}
+    given = {name: value for name, value in given.items() if name != "images"}  # links to them
     return {"sh_every": 1, **given, **decided, "coarse": False, "test_every": 0}
 
 

@@ -111,7 +111,7 @@ class Training(Clock):
         super().__init__(device)
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.iteration = 0
-        self.evaluated_at = self.level = self.losses = None
+        self.evaluated_at = self.per_view = self.level = self.losses = None
         self.fingerprint = fingerprint(scene)
         scene = scene.reduced(options.downscale, options.max_resolution)
         self.scene = scene = scene.normalised()  # same steps whatever the unit of the scene
@@ -354,7 +354,7 @@ class Training(Clock):
         self.unpause()
         if self.budget:
             self.budget.evaluation_seconds = time.perf_counter() - begin
-        self.evaluated_at = self.iteration
+        self.evaluated_at, self.per_view = self.iteration, result["per_view"]
         means = {key: value for key, value in result.items() if key != "per_view"}
         self.log("eval", **means)
         if self.progress:

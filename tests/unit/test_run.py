@@ -87,7 +87,8 @@ def test_options(run, tmp_path, monkeypatch):
     record = RunFolder.open(run.path).read_options()
     assert record.pop("commit") is None or len(record) == 6
     assert record == {"scene": "../../town", "scene_absolute": str(tmp_path / "town"),
-                      "options": {"seed": 3, "init": "a.ply"}, "fingerprint": "f00", "device": "cpu", "version": clsplat.__version__}
+                      "options": {"seed": 3, "init": "a.ply"}, "fingerprint": "f00",
+                      "device": "cpu", "version": clsplat.__version__}
     for text in ("{", "[]", ""):
         (run.path / "options.json").write_text(text)
         refused(run.read_options, "options.json")
