@@ -39,7 +39,7 @@ FOREIGN_OPTIONS = {"--nthreads": "dask", "--resources": "dask", "--memory-limit"
 PACKAGES = {"pocl-binary-distribution", "pip", "wheel"}
 FILES = re.compile(r"(tools|docs|tests|cl|clsplat|data_samples|\.ci)/[\w./-]+|[A-Z]+\.md"
                    r"|setup\.cfg")
-OPTION = re.compile(r"(?<![\w/-])--[a-z][a-z0-9_-]*")
+OPTION = re.compile(r"(?<![\w/-])(?<!var\()--[a-z][a-z0-9_-]*\b(?!:\S)")  # and not CSS's names
 PLACEHOLDER = "X"
 
 
