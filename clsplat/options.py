@@ -17,6 +17,9 @@ except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib
 
 
+AUTO = "auto"
+
+
 def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, wish=None,
            only=None, auto=False):
     """A field of `TrainOptions`: its default and what the command line says about it.
@@ -30,7 +33,6 @@ def option(default, group, text, short=None, choices=None, minimum=None, maximum
         "minimum": minimum, "maximum": maximum, "wish": wish, "only": only, "auto": auto})
 
 
-AUTO = "auto"
 SHOWN = 200  # characters, of what a user gave, in a message
 SIG = ("sig",)
 LEVELLED = ("sig", "dash")  # schedules that change the level
@@ -52,14 +54,17 @@ class TrainOptions:
                                    minimum=0)
     eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps; repeatable",
                                      minimum=1, wish="a list of steps, each at least 1")
-    eval_every: int = option(0, "Run", "also evaluate every so many steps (0: off)", minimum=0)
+    eval_every: int = option(AUTO, "Run", "steps between evaluations of the held-out views; auto: "
+                             "eight, evenly over the run, as long as they take no more than a "
+                             "third of the time so far, or a tenth of a time budget (0: only at "
+                             "the end)", minimum=0, auto=True)
     snapshots: bool = option(False, "Run", "keep the model as each level leaves it: the levels of "
                              "detail of `clsplat render --lod`", only=LEVELLED)
 
     downscale: float = option(1.0, "Scene", "divide image width and height by this", short="-r",
                               minimum=1.0)
-    max_resolution: int = option(0, "Scene", "limit of the longer image side, pixels (0: none)",
-                                 minimum=0)
+    max_resolution: int = option(1600, "Scene", "photos whose longer side has more pixels than "
+                                 "this are reduced to it (0: photos keep their size)", minimum=0)
     images: str = option("", "Scene", "folder of the photos, from SCENE's own: images_4, say, "
                          "whose photos are smaller than the model's cameras (none: images)")
     test_every: int = option(8, "Scene", "hold out every N-th view by name (0: none)", minimum=0)

@@ -113,7 +113,8 @@ def cut_into_blocks(city, scene, options, wanted, device):
     else:
         drop = None
         if wanted.method == "citygs" and wanted.grid != (1, 1):
-            drop = DropTest(device, gaussians, scene.reduced(record["downscale"]))
+            drop = DropTest(device, gaussians, scene.reduced(
+                record["downscale"], record["max_resolution"]))
         partition = make_partition(scene, wanted, gaussians, views, drop)
         city.write_partition({**partition.record(), ASKED: _plain(wanted)})
     counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),

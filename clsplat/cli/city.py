@@ -83,6 +83,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     from clsplat.io.city import CityFolder
     from clsplat.io.scenes import read_scene
     from clsplat.options import resolve
+    from clsplat.train.photos import size_note
     given = given_options(ctx)
     devices = tuple(given.pop("device", "").split(",")) if given.get("device") else ()
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
@@ -93,6 +94,8 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     folder = CityFolder(output or scene.with_name(scene.name + ".city"))
     device = choose_device(options.device, form=options.form)
     begin(folder, data, options)
+    if not quiet and (note := size_note(data.views, options)):
+        click.echo(note)
 
     def shown():
         return nullcontext() if quiet else _progress(options)

@@ -71,7 +71,7 @@ def _flag(option):
         settings.update(type=Numbers(get_args(option.type)[0]), multiple=True, show_default=False,
                         callback=lambda ctx, param, lists: sum(lists, ()))
     elif meta["auto"]:
-        settings["type"] = NumberOrAuto(type(default))
+        settings["type"] = NumberOrAuto(option.type)
     elif isinstance(default, tuple):
         settings.update(type=type(default[0]), nargs=len(default))
     else:

@@ -13,8 +13,8 @@ _backend = os.environ.pop("MPLBACKEND", None)
 try:
     import matplotlib  # noqa: F401  (here first, for all modules of the package)
 except (OSError, ValueError) as error:
-    raise InputError("matplotlib cannot be imported: a matplotlibrc file or its folder of settings "
-                     f"is damaged ({error}); repair that file, or name another by MATPLOTLIBRC"
+    raise InputError(f"matplotlib cannot be imported ({error}); repair or remove its settings, the "
+                     "file matplotlibrc, and let it write to the folder that MPLCONFIGDIR names"
                      ) from None
 finally:
     if _backend is not None:

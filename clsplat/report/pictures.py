@@ -43,7 +43,7 @@ def _section(pictures):
                  f"model than others would. Chosen from {pictures.count} of them.")
     colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
     return (f"<h2>{title}</h2>\n<p>{which} PSNR and SSIM are higher where both are more alike."
-            "</p>\n<div class=scale>error: none "
+            "</p>\n<div class=scale><b>error: none</b> "
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
             f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"
             "<p class=note>Renders and errors are shown after the colour fit, a quadratic fit of "

@@ -28,7 +28,8 @@ table { border-collapse: collapse; font-size: .94rem; font-variant-numeric: tabu
 th, td { padding: .35rem .95rem .35rem 0; text-align: left; vertical-align: top; }
 th { font-weight: 600; font-size: .85rem; color: var(--soft); border-bottom: 1px solid #b9bdc1;
   vertical-align: bottom; }
-td { border-bottom: 1px solid var(--line); min-width: 2.5rem; }
+td { border-bottom: 1px solid var(--line); }
+td:not(.number) { min-width: 3.6rem; }
 .pairs td { overflow-wrap: anywhere; }
 .number { text-align: right; white-space: nowrap; overflow-wrap: normal; }
 td:first-child { white-space: nowrap; }
@@ -43,6 +44,7 @@ figure { margin: 0; }
 figcaption { font-size: .875rem; color: var(--soft); margin-top: .25rem; }
 .scale { display: flex; align-items: center; gap: .6rem; font-size: .875rem; color: var(--soft);
   margin: .5rem 0; }
+.scale b { font-weight: 400; white-space: nowrap; }
 .scale i { flex: 0 1 14rem; height: .8rem; border-radius: 2px; }
 
 @media (max-width: 40rem) {

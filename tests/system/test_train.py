@@ -322,7 +322,7 @@ def test_steps_are_scaled(item_device, city, tmp_path):
 
 def test_progress_is_told(item_device, city, tmp_path):
     class Progress:
-        told, messages = [], []
+        told, messages, phases = [], [], []
 
         def __call__(self, **values):
             self.told.append(values)
@@ -330,9 +330,15 @@ def test_progress_is_told(item_device, city, tmp_path):
         def message(self, text):
             self.messages.append(text)
 
+        def phase(self, text):
+            self.phases.append(text)
+
     loop.train(city, options_of(iterations=60, **STILL), item_device,
                RunFolder.create(tmp_path / "run"), Progress())
     assert [values["iteration"] for values in Progress.told] == [1, 50]
+    assert list(dict.fromkeys(Progress.phases)) == [
+        "planning", "reading photos", "reading photos of level 1", "compiling kernels",
+        "training level 1", "evaluating", "writing the checkpoint"]
     assert set(Progress.told[0]) == {"iteration", "total", "loss", "gaussians", "memory_bytes",
                                      "level"}
     assert {values["total"] for values in Progress.told} == {60}
