@@ -126,6 +126,10 @@ def foreign(path, text):
     guarded = {node.args[1].value for node in ast.walk(tree) if isinstance(node, ast.Call)
                and ast.unparse(node.func) in ("hasattr", "getattr") and len(node.args) > 1
                and isinstance(node.args[1], ast.Constant)}
+    guarded |= {child.attr for node in ast.walk(tree) if isinstance(node, ast.Try)
+                if any("AttributeError" in ast.unparse(handler.type or ast.Constant(""))
+                       for handler in node.handlers)
+                for child in ast.walk(ast.Module(node.body, [])) if isinstance(child, ast.Attribute)}
     tried = {id(child) for node in ast.walk(tree) if isinstance(node, ast.Try)
              and any("ImportError" in ast.unparse(handler.type or ast.Constant(""))
                      for handler in node.handlers) for child in node.body}
@@ -188,6 +192,7 @@ def test_what_is_foreign_is_noticed(text, said):
 
 @pytest.mark.parametrize("text", [
     "try:\n    import resource\nexcept ImportError:\n    resource = None",
+    "try:\n    os.getloadavg()\nexcept AttributeError:\n    pass",
     "if hasattr(signal, 'pthread_kill'):\n    signal.pthread_kill(1, 2)",
     "open('a', 'rb')", "open('a', encoding='utf-8')", "p.read_text('utf-8')", "os.replace(a, b)"])
 def test_what_every_system_has_passes(text):
