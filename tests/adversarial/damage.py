@@ -21,10 +21,11 @@ def truncated(name, size):
 
 
 def written(name, data):
-    """A file with these bytes or this text, its folder made."""
-    def setup(folder):
+    """A file with these bytes or this text, or what a function gives; its folder made."""
+    def setup(folder, data=data):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
+        data = data() if callable(data) else data
         path.write_bytes(data if isinstance(data, bytes) else data.encode())
     return setup
 

@@ -13,10 +13,12 @@ NAME = "003.jpg"
 
 
 def encoded(form, mode="RGB", size=(96, 64), **how):
-    """The bytes of a picture of one colour."""
-    buffer = io.BytesIO()
-    Image.new(mode, size).save(buffer, form, **how)
-    return buffer.getvalue()
+    """A function that gives the bytes of a picture of one colour."""
+    def data():
+        buffer = io.BytesIO()
+        Image.new(mode, size).save(buffer, form, **how)
+        return buffer.getvalue()
+    return data
 
 
 CASES = [
@@ -46,7 +48,8 @@ CASES = [
     either("photo-grey", RUN, setup=photo("L")),
     either("photo-16-bits", RUN, setup=photo("I;16", format="PNG")),
     either("photo-float", RUN, setup=photo("F", format="TIFF")),
-    either("photo-palette-with-alpha", RUN, setup=written(PHOTO, encoded("PNG", "PA"))),
+    either("photo-palette-with-alpha", RUN, setup=written(PHOTO, encoded(
+        "PNG", "P", transparency=0))),
     either("photo-grey-alpha", RUN, setup=written(PHOTO, encoded("PNG", "LA"))),
     either("photo-rgba", RUN, setup=written(PHOTO, encoded("PNG", "RGBA"))),
     either("photo-cmyk", RUN, setup=photo("CMYK")),
