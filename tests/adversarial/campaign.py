@@ -19,7 +19,7 @@ NOISE = (".lock",)  # a lock's file says nothing about what a folder holds
 
 def patience() -> float:
     """By how much more time everything takes on a machine that is busy already."""
-    return 2 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    return min(4.0, 2 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)))
 
 
 def run_line(line: str, folder: Path, scratch: Path, seconds: float = 60, extra=None,

@@ -24,7 +24,8 @@ from tests.adversarial.whole import fault
 NAMES_IT = re.compile(r"process \d+.* on \S+.* since ")
 TRAIN = "clsplat train sy -n 12 --checkpoint-every 4 -q"
 CITY = "clsplat city sy -n 8 --grid 2x1 -q -o city"
-UNTRAINED = "rm -r city/blocks/*/run city/point_cloud.ply city/metrics.jsonl city/lod city/options.*"
+UNTRAINED = ("rm -r city/blocks/*/run city/point_cloud.ply city/metrics.jsonl city/lod "
+             "city/options.json")
 
 
 @dataclass(frozen=True)
