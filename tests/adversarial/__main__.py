@@ -16,7 +16,8 @@ def chosen(arguments):
     rows = [(label, case) for label, cases in CLASSES.items() for case in cases
             if not arguments.label or label in arguments.label]
     rows = [row for row in rows if not arguments.name or row[1].name in arguments.name]
-    return [row for row in rows if row[1].quick or not arguments.quick]
+    rows = [row for row in rows if row[1].quick or not arguments.quick]
+    return rows[arguments.part % arguments.every::arguments.every]
 
 
 def table(rows, failed):
@@ -33,6 +34,8 @@ def main(words=None):
     parser.add_argument("--class", dest="label", action="append", choices=list(CLASSES))
     parser.add_argument("--name", action="append", help="only the case of this name")
     parser.add_argument("--quick", action="store_true", help="only those that pytest runs")
+    parser.add_argument("--every", type=int, default=1, help="only one case of so many")
+    parser.add_argument("--part", type=int, default=0, help="with --every: which of them")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", help="file for one record a line")
     parser.add_argument("--list", action="store_true", help="say which cases there are")

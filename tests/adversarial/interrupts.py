@@ -1,9 +1,9 @@
 """python -m tests.adversarial.interrupts: Ctrl-C at random moments, from a process's start to its
 end.
 
-Each command gets SIGINT (some also a second one, or SIGTERM) at a seeded moment of its life. It must
-end with exit code 130 and a line that says how to go on; what that line says is then done, and must
-end in the same bytes as a run that nobody stopped, for eval in the same table.
+Each command gets SIGINT (some also a second one, or SIGTERM) at a seeded moment of its life. It
+must end with exit code 130 and a line that says how to go on; what that line says is then done, and
+must end in the same bytes as a run that nobody stopped, for eval in the same table.
 """
 
 import random
