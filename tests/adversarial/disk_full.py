@@ -14,6 +14,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import pycolmap
+
 from tests.adversarial.campaign import faults_of, faults_of_files, patience, run_line
 from tests.adversarial.prepared import environment, provide
 from tests.adversarial.sweep import arguments_of, finish
@@ -59,13 +61,22 @@ TARGETS = (
     Target("pack", "clsplat pack small -o disk/out.npz", ("out.npz",), step=32 * KIB),
     Target("merge", "clsplat merge disk/city", ("city/point_cloud.ply",), ("city",)),
     Target("city", "clsplat city small -n 4 --grid 2x1 --least-views 1 -q -o disk/out",
-           ("out/point_cloud.ply",), step=128 * KIB),
+           ("out/point_cloud.ply",)),
 )
 LINES = (  # of small inputs, so that there are few steps
     "clsplat synth -o small --blocks 1x1 --views 8 --size 40x30",
     "clsplat train small -n 8 --checkpoint-every 3 -q -o run",
     "clsplat train small -n 8 --checkpoint-every 3 -q --stop-at 4 -o half",
     "clsplat city small -n 4 --grid 2x1 --least-views 1 -q -o city")
+
+
+def _thin(folder):
+    """Keep one point in four of a COLMAP model."""
+    model = pycolmap.Reconstruction(str(folder))
+    for number in sorted(model.point3D_ids()):
+        if number % 4:
+            model.delete_point3D(number)
+    model.write(str(folder))
 
 
 def can_mount() -> str | None:
@@ -97,6 +108,8 @@ class Workplace:
             result = self.run(line)
             if result.code not in (0, 130):
                 raise SystemExit(f"{line}: {result.output}")
+            if "synth" in line:
+                _thin(self.folder / "small/sparse/0")
         return self
 
     def __exit__(self, *_):
@@ -161,7 +174,7 @@ def sweep(place, target):
         yield {"case": target.name, "free": f"{free // KIB} KiB", "exits": exits,
                "error": (result.errors or [""])[0][:110], "faults": faults,
                "output": result.output[-900:]}
-        if worked:
+        if worked and not faults:
             return
 
 

@@ -6,6 +6,7 @@ must end with exit code 130 and a line that says how to go on; what that line sa
 must end in the same bytes as a run that nobody stopped, for eval in the same table.
 """
 
+import os
 import random
 import re
 import shutil
@@ -17,7 +18,7 @@ from pathlib import Path
 
 from tests.adversarial.campaign import faults_of, faults_of_files, patience, run_line
 from tests.adversarial.checks import rows
-from tests.adversarial.prepared import environment, provide
+from tests.adversarial.prepared import ROOT, environment, provide
 from tests.adversarial.sweep import arguments_of, finish
 from tests.adversarial.whole import listing
 
@@ -48,6 +49,11 @@ EXTRA = (  # (how, its signals, (seconds after the moment) each)
     ("SIGINT twice", ((signal.SIGINT, 0.0), (signal.SIGINT, 0.15))),
     ("SIGTERM", ((signal.SIGTERM, 0.0),)))
 TAKEN_FOR_130 = (130, -signal.SIGINT)  # a shell's code of a process before Python's own handler
+
+
+def before_clsplat(output: str) -> bool:
+    """Whether Python itself was interrupted, before a line of clsplat's code ran."""
+    return "KeyboardInterrupt" in output and f"{ROOT / 'clsplat'}{os.sep}" not in output
 
 
 def goes_on(output: str, line: str) -> str | None:
@@ -108,6 +114,8 @@ class Moments:
         if how == "SIGTERM":  # nothing is promised but that nothing is lost
             line = line or self.target.line
             faults = [each for each in faults_of(result, ()) if "exit code" not in each]
+        elif before_clsplat(result.output):
+            how = "SIGINT to Python"
         elif result.code in TAKEN_FOR_130:
             faults = faults_of(result, TAKEN_FOR_130)
             if result.code == 130 and not result.output.strip():

@@ -142,7 +142,7 @@ def try_pair(pair: Pair, seed: int) -> dict:
         environment(bench.base / "scratch")
         bench.folder()
         alone = bench.run(pair.first)[0].seconds
-        offset = rng.uniform(0.05, 0.6) * alone
+        offset = 0.6 * rng.random() ** 2 * alone  # many while both start
         folder = bench.folder()
         if pair.kill:
             bench.run(pair.first, signals=[(offset, signal.SIGKILL)])
