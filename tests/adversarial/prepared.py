@@ -14,13 +14,14 @@ LINES = {  # name -> what makes it; `half` was stopped, so that it ends with 130
     "sy": "clsplat synth -o sy --blocks 1x1 --views 12 --size 96x64",
     "run": f"clsplat train sy -n {STEPS} --checkpoint-every 4 -q -o run",
     "half": f"clsplat train sy -n {STEPS} --checkpoint-every 4 -q --stop-at 6 -o half",
-    "parted": "clsplat train sy --coarse -n 8 -q -o parted/coarse && "
+    "parted": "clsplat train sy --coarse -n 4 -q -o parted/coarse && "
               "clsplat partition parted --grid 2x1",
     "city": "clsplat city sy -n 8 --grid 2x1 -q -o city",
 }
 
 SCRIPTS = {  # what a case's line can call
     "clsplat": f'"{sys.executable}" -m clsplat', "python": f'"{sys.executable}"',
+    "dask": f'"{sys.executable}" -m dask',
     # root to whom the permissions of files apply as to others
     "unprivileged": "setpriv --bounding-set=-dac_override,-dac_read_search,-fowner"}
 

@@ -16,6 +16,13 @@ CITY_PHASES = {"coarse": "out/coarse/options.json", "cutting": "out/coarse/point
                "map": "out/partition.json", "block": "out/blocks/000/run/options.json",
                "second": "out/blocks/001/run/metrics.jsonl",
                "merging": "out/blocks/001/run/point_cloud.ply", "lod": "out/lod"}
+WRITTEN = {"checkpoint": "checkpoint.npz", "model": "point_cloud.ply", "report": "report.html"}
+DASK = """dask scheduler --port 18786 --no-dashboard > scheduler.log 2>&1 & S=$!
+CLSPLAT_DEVICE=auto dask worker tcp://127.0.0.1:18786 --nthreads 1 --memory-limit 0 \
+  --no-dashboard --death-timeout 20 --resources device=1 > worker.log 2>&1 & W=$!
+trap 'kill -9 $S $W 2> /dev/null' EXIT; sleep 5
+"""
+ON_DASK = ("clsplat city sy -n 8 --grid 2x1 -q -o out --scheduler tcp://127.0.0.1:18786")
 SAYS = r"clsplat \w+ .*|the same command goes on"
 
 CASES = [
@@ -26,6 +33,23 @@ CASES = [
             f"{TRAIN} --overwrite", same_model(), writes=("out", "log"))
       for signal in ("TERM", "KILL", "HUP", "QUIT", "ABRT", "SEGV")
       for name, sign in PHASES.items() if (signal, name) != ("QUIT", "begun")),
+    *(works(f"kill-while-writing-{name}", "(" + during(TRAIN, "kill -KILL $P", f"out/{file}.part")
+            + f") 2> log; {TRAIN} --resume || {TRAIN} --overwrite", same_model(),
+            writes=("out", "log")) for name, file in WRITTEN.items()),
+    *(works(f"kill-before-rename-{number}", f"(python -m tests.kill.child rename {number} "
+            f"{TRAIN.removeprefix('clsplat ')}) 2> log; {TRAIN} --resume || {TRAIN} --overwrite",
+            same_model(), writes=("out", "log")) for number in range(1, 8)),
+    *(works(f"merge-kill-before-rename-{number}", f"(python -m tests.kill.child rename {number} "
+            "merge city) > log 2>&1; clsplat merge city", same_model("city", "city"),
+            needs=("sy", "city"), writes=("city", "log")) for number in range(1, 4)),
+    works("dask-scheduler-killed", DASK + "(" + during(
+        ON_DASK, "kill -9 $S", "out/blocks/000/run/metrics.jsonl") + ") > log 2>&1; [ $? != 1 ] && "
+        f"! grep Traceback log; {CITY}", same_model("out", "city"),
+        writes=("out", "log", "scheduler.log", "worker.log")),
+    works("dask-worker-killed", DASK + "(" + during(
+        ON_DASK, "kill -9 $W; sleep 20; kill -INT $P", "out/blocks/000/run/metrics.jsonl")
+        + f") > log 2>&1; {CITY}", same_model("out", "city"),
+        writes=("out", "log", "scheduler.log", "worker.log")),
     *(either(f"{signal.lower()}-ignored", during(TRAIN, f"kill -{signal} $P", PHASES["plan"]))
       for signal in ("CHLD", "WINCH", "URG", "CONT")),
     works("int-ignored-by-shell", during(TRAIN, "kill -INT $P", PHASES["begun"]), same_model()),
