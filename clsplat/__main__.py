@@ -1,5 +1,48 @@
-"""`python -m clsplat` is the command `clsplat`."""
+"""The process of the command `clsplat`: `python -m clsplat`, and the console script."""
 
-from clsplat.cli.main import main
+import os
+import signal
+import sys
 
-main(prog_name="clsplat")
+
+def run() -> None:
+    """Run the command line and exit.
+
+    Importing it takes a while, in which Ctrl-C must not show where it was; and what a service
+    started without standard streams opens first must not become one of them.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+    from clsplat.cli.main import main
+
+    try:
+        main(prog_name="clsplat")
+    finally:
+        if signal.getsignal(signal.SIGINT) is _end:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is left is cleaning up
+        _flush()
+
+
+def _end(number, frame):
+    os.write(2, b"interrupted: give the same command again\n")
+    os._exit(128 + number)
+
+
+def _flush():
+    """Python flushes standard output when it ends, and complains where nobody reads it."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
+if __name__ == "__main__":
+    run()

@@ -60,7 +60,8 @@ WALLS = {
 }
 
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
-FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/io/": {"pycolmap", "OpenImageIO"},
+FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None,
+                    "clsplat/io/": {"pycolmap", "OpenImageIO"},
                     "clsplat/distribute/": {"distributed"}}  # an extra, seldom asked for
 
 FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}

@@ -77,12 +77,13 @@ def begin_from_coarse(city):
 def train_coarse(city, scene, options, device, progress=None):
     """Train the scaffold into city.coarse, or go on with it; returns its RunFolder."""
     folder = RunFolder(city.coarse)
-    if folder.has_model:
+    if folder.is_finished:
         return folder
     wanted = coarse_options(options)
-    start = resume if folder.is_begun else train
-    folder = folder if folder.is_begun else RunFolder.create(city.coarse)
-    start(scene, wanted, device, folder, progress)
+    with folder.locked():
+        start = resume if folder.is_begun else train
+        folder = folder if folder.is_begun else RunFolder.create(city.coarse)
+        start(scene, wanted, device, folder, progress)
     return folder
 
 

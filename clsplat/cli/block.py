@@ -14,8 +14,10 @@ from clsplat.errors import Interrupted
 @click.option("--device", envvar=DEVICE,
               help="As for `clsplat train`, instead of what the city was given.")
 @click.option("--stop-at", type=click.IntRange(min=1), help="Stop after this step.")
+@click.option("--wait", type=click.FloatRange(0, 86400), default=0, show_default=True,
+              help="Seconds to wait for another process that trains this block.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress line.")
-def block(folder, device, stop_at, quiet):
+def block(folder, device, stop_at, wait, quiet):
     """Train the block in FOLDER, a CITY/blocks/NNN, into its folder run/.
 
     Goes on from the last checkpoint, and does nothing where the block is finished. It needs nothing
@@ -30,7 +32,7 @@ def block(folder, device, stop_at, quiet):
     options = block_options(there, **{key: value for key, value in changes.items() if value})
     try:
         with nullcontext() if quiet else _progress(options) as progress:
-            trained = train_block(there, options, progress)
+            trained = train_block(there, options, progress, wait)
     except Interrupted:
         raise Interrupted(f"{folder}: stopped, its state is saved; the same command goes on"
                           ) from None

@@ -4,6 +4,7 @@ A run is folder OUTPUT/SCHEDULE.SEED. The same command again goes on where the l
 """
 
 import dataclasses
+import os
 from pathlib import Path
 
 import click
@@ -75,21 +76,33 @@ def run_campaign(train_one, wanted, output, scene):
 
 
 def _state(folder, options, scene):
-    """(folder, NEW, STARTED or FINISHED), the folder made; InputError if it holds another run."""
+    """(folder, NEW, STARTED or FINISHED); InputError if the folder holds another run."""
     from clsplat.io.run import OPTIONS, RunFolder
     if not (folder / OPTIONS).exists():
-        RunFolder.create(folder)
+        with RunFolder(folder).locked():
+            RunFolder.create(folder)
         return folder, NEW
     run = RunFolder.open(folder)
     record = run.read_options()
     cure = "choose another -o, or remove that folder"
-    if record.get("scene") != str(Path(scene).resolve()):
+    if not _is_of(run, record, scene):
         raise InputError(f"{folder}: holds a run of another scene, {record.get('scene')}; {cure}")
     for name, value in dataclasses.asdict(options).items():
         held = record.get(name)
         held = tuple(held) if isinstance(held, list) else held
         if name not in MAY_DIFFER and held != value:
             raise InputError(f"{folder}: holds a run with {name} {held}, not {value}; {cure}")
-    if run.has_model:
+    if run.is_finished:
         return folder, FINISHED
     return folder, STARTED if run.has_checkpoint else NEW
+
+
+def _is_of(run, record, scene):
+    """Whether a run was trained on this scene, which may have been moved since."""
+    from clsplat.io.scenes import fingerprint, read_scene
+    try:
+        if os.path.samefile(run.scene_path(), scene):
+            return True
+    except (InputError, OSError):
+        pass
+    return fingerprint(read_scene(scene)) == record.get("fingerprint")

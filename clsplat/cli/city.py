@@ -73,7 +73,12 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     `clsplat eval`, `render` and `compare`. Several devices: --device 0,1 with --workers 2.
     """
     from clsplat.city.forecast import block_table
-    from clsplat.city.stages import begin, cut_into_blocks, train_all_blocks, train_coarse
+    from clsplat.city.stages import (
+        begin,
+        cut_into_blocks,
+        train_all_blocks,
+        train_coarse,
+    )
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.scenes import read_scene

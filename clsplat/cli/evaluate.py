@@ -1,5 +1,6 @@
 """`clsplat eval`: a run's held-out views against their photos."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import click
@@ -11,7 +12,9 @@ import click
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--images/--no-images", default=True, show_default=True,
               help="Write each render beside its photo as PNG.")
-def evaluate(run, device, images):
+@click.option("--scene", type=click.Path(path_type=Path),
+              help="Where RUN's scene is, if it was moved.")
+def evaluate(run, device, images, scene):
     """Compare the held-out views of RUN with their photos.
 
     PSNR (dB) and SSIM are means over views, plain and after a quadratic fit of each render's
@@ -22,7 +25,8 @@ def evaluate(run, device, images):
     from clsplat.evaluate.views import evaluate_run
     from clsplat.io.run import RENDERS, RunFolder
     folder = RunFolder.open(run)
-    result = evaluate_run(folder, choose_device(device), save_images=images)
+    with folder.locked() if images else nullcontext():
+        result = evaluate_run(folder, choose_device(device), images, scene)
     click.echo(summary(result))
     if images:
         click.echo(f"pictures: {folder.path / RENDERS}")

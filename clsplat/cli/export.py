@@ -21,7 +21,9 @@ FORMATS = {".ply": "the format of Kerbl et al. 2023, which splat viewers open"}
               help="PSNR that --sh-degree auto may cost, dB.")
 @click.option("--device", default="auto", show_default=True,
               help="For --sh-degree auto: as for `clsplat eval`.")
-def export(run, output, sh_degree, sh_cost, device):
+@click.option("--scene", type=click.Path(path_type=Path),
+              help="For --sh-degree auto: where RUN's scene is, if it was moved.")
+def export(run, output, sh_degree, sh_cost, device, scene):
     """Write the gaussians of RUN, in the world coordinates of its scene, to one file.
 
     Those that no view can show, being fainter than a step of 8 bits, are left out.
@@ -34,10 +36,12 @@ def export(run, output, sh_degree, sh_cost, device):
     from clsplat.io.run import MODEL, RunFolder
     from clsplat.plan.thin import alive
     folder = RunFolder.open(run)
+    if output.exists() and output.samefile(folder.path / MODEL):
+        raise InputError(f"{output}: is the run's own model; name another file")
     gaussians = folder.load_model()  # reads all of it: a damaged model is not passed on
     keep, degree = alive(gaussians), gaussians.sh_degree
     if sh_degree == "auto":
-        degree = _measured_degree(folder, device, sh_cost)
+        degree = _measured_degree(folder, device, sh_cost, scene)
     elif sh_degree != "all":
         degree = int(sh_degree)
     if keep.all() and degree == gaussians.sh_degree:
@@ -50,10 +54,10 @@ def export(run, output, sh_degree, sh_cost, device):
                "no view can show are left out")
 
 
-def _measured_degree(folder, device, cost):
+def _measured_degree(folder, device, cost, scene):
     from clsplat.device import choose_device
     from clsplat.plan.thin import needed_sh_degree
-    degree, scores = needed_sh_degree(folder, choose_device(device), cost)
+    degree, scores = needed_sh_degree(folder, choose_device(device), cost, scene)
     click.echo("held-out PSNR, dB: " + ", ".join(
         f"degree {number} {score:.3f}" for number, score in enumerate(scores)))
     return degree

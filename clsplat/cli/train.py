@@ -19,14 +19,15 @@ FOLDER = {"cls": SectionedOption, "section": "Run folder"}
 
 
 @click.command(cls=SectionedCommand)
-@click.argument("scene", type=click.Path(path_type=Path))
+@click.argument("scene", type=click.Path(path_type=Path), required=False)
 @training_flags
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), **FOLDER,
               help="Folder of the run: options, metrics, checkpoints, point_cloud.ply.")
 @click.option("--config", type=click.Path(path_type=Path), **FOLDER,
               help="TOML file of options; flags win over it.")
 @click.option("--resume", is_flag=True, **FOLDER,
-              help="Go on from the run's last checkpoint, with its options.")
+              help="Go on from the run's last checkpoint, with its options; SCENE is needed only "
+              "where the scene was moved.")
 @click.option("--overwrite", is_flag=True, **FOLDER, help="Replace a run that is there.")
 @click.option("--schedules", **FOLDER, help="Several schedules, commas between them: each with "
               "each seed becomes OUTPUT/SCHEDULE.SEED, then they are compared. The same command "
@@ -49,6 +50,8 @@ def train(ctx, scene, output, config, resume, overwrite, schedules, seeds, quiet
                          "which continues the run as it was; leave one of them out")
     flags = given_options(ctx)
     values = from_toml(config) if config else {}
+    if scene is None and not resume:
+        raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
     if schedules:
         if resume or overwrite or "schedule" in flags:
             raise InputError("--schedules: goes on by itself and names the schedules; leave out "
@@ -68,16 +71,18 @@ def _train(scene, output, options, flags, overwrite, quiet):
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
     from clsplat.train import loop
-    start = loop.resume if options is None else loop.train
-    if options is None:
-        run = RunFolder.open(output)
+    resumes = options is None
+    run = RunFolder.open(output) if resumes else RunFolder(output)
+    if resumes:
         options = resumed_options(run.read_options(), flags)
-    data = read_scene(scene)
+    data = read_scene(run.scene_path(scene) if resumes else scene)
     device = choose_device(options.device, form=options.form)
-    if start is loop.train:
-        run = RunFolder.create(output, overwrite=overwrite)
-    with nullcontext() if quiet else _progress(options) as progress:
-        start(data, options, device, run, progress=progress)
+    with run.locked(), nullcontext() if quiet else _progress(options) as progress:
+        if resumes:
+            loop.resume(data, options, device, run, progress=progress)
+        else:
+            run = RunFolder.create(output, overwrite=overwrite)
+            loop.train(data, options, device, run, progress=progress)
 
 
 def _campaign(scene, output, values, flags, schedules, seeds, quiet):

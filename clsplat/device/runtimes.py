@@ -6,6 +6,7 @@ holds the system's ICD files and one with the true path; a folder chosen by the 
 """
 
 import atexit
+import hashlib
 import os
 import shutil
 import sys
@@ -29,12 +30,44 @@ def register():
     library = intel_library()
     if library is None or "OCL_ICD_VENDORS" in os.environ:
         return
+    files = {icd.name: icd.read_text() for icd in sorted(SYSTEM_VENDORS.glob("*.icd"))}
+    files["clsplat-intel-cpu.icd"] = f"{library}\n"
+    name = hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest()[:16]
+    os.environ["OCL_ICD_VENDORS"] = str(_folder_of(files, name))
+
+
+def _folder_of(files, name):
+    """A folder with these files, {name: text}: the same in every process of this user, so that a
+    killed one leaves nothing behind; a temporary one where the user has no cache."""
+    folder = Path.home() / ".cache" / "clsplat" / "vendors" / name
+    try:
+        if _is_whole(folder, files):
+            return folder
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=folder.parent))
+        _write(made, files)
+        try:
+            os.rename(made, folder)  # whole, or not at all
+        except OSError:  # another process was quicker
+            shutil.rmtree(made, ignore_errors=True)
+        if _is_whole(folder, files):
+            return folder
+    except OSError:
+        pass
     folder = Path(tempfile.mkdtemp(prefix="clsplat-icd-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    for icd in SYSTEM_VENDORS.glob("*.icd"):
-        shutil.copy(icd, folder)
-    (folder / "clsplat-intel-cpu.icd").write_text(f"{library}\n")
-    os.environ["OCL_ICD_VENDORS"] = str(folder)
+    _write(folder, files)
+    return folder
+
+
+def _is_whole(folder, files):
+    return all((folder / name).is_file() for name in files)
+
+
+def _write(folder, files):
+    for name, text in files.items():
+        (folder / name).write_text(text)
 
 
 register()

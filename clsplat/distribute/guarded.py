@@ -14,9 +14,9 @@ from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
 
-from clsplat.distribute.lock import Held, exclusive
 from clsplat.distribute.task import GRACE_SECONDS, HELD, INPUT, INTERRUPTED
 from clsplat.errors import InputError
+from clsplat.io.lock import Held, exclusive
 
 PATIENCE_SECONDS = 300  # with another process in the folder, who may be in its grace
 

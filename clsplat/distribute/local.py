@@ -12,9 +12,9 @@ from dataclasses import replace
 from queue import SimpleQueue
 
 from clsplat.distribute.child import in_child
-from clsplat.distribute.lock import exclusive
 from clsplat.distribute.task import DONE, FAILED, REFUSED, Result
 from clsplat.errors import ClsplatError, Interrupted
+from clsplat.io.lock import exclusive
 
 HERE = "this machine"
 

@@ -8,10 +8,11 @@ from clsplat.errors import InputError
 from clsplat.evaluate.colour import fit_colour
 from clsplat.evaluate.floaters import floater_share, ground_truth
 from clsplat.evaluate.metrics import psnr, ssim
+from clsplat.io.folders import make_folder
 from clsplat.io.images import read_photo, write_image
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import TrainOptions, resolve
 from clsplat.render.slabs import open_model
 
@@ -56,12 +57,25 @@ def run_options(run):
     return resolve({k: v for k, v in record.items() if k in known}, {})
 
 
-def evaluate_run(run, device, save_images):
+def read_scene_of(run, given=None):
+    """The Scene that a run was trained on; given: where it is now, None: where the run has it.
+    InputError where that is another scene."""
+    path = run.scene_path(given)
+    scene = read_scene(path)
+    wanted = run.read_options().get("fingerprint")
+    if wanted is not None and fingerprint(scene) != wanted:
+        raise InputError(f"{path}: is not the scene that {run.path} was trained on; give that one "
+                         "with --scene")
+    return scene
+
+
+def evaluate_run(run, device, save_images, scene_path=None):
     """`evaluate_views` of a run's finished model on its held-out views; `save_images` writes
-    render, colour-fitted render and photo side by side as PNG into the run. Where the scene has
-    its ground truth, the result also holds `floaters.floater_share`."""
+    render, colour-fitted render and photo side by side as PNG into the run. scene_path: where the
+    scene is now; None takes what the run has recorded. Where the scene has its ground truth, the
+    result also holds `floaters.floater_share`."""
     options = run_options(run)
-    scene = read_scene(run.read_options()["scene"])
+    scene = read_scene_of(run, scene_path)
     scene = scene.reduced(options.downscale, options.max_resolution)
     train, views = scene.split(options.test_every)
     if not views:
@@ -74,6 +88,8 @@ def evaluate_run(run, device, save_images):
         beside = np.concatenate([image, fitted, photo], axis=1)
         write_image(run.render_path("test", view.name), beside)
 
+    if save_images:
+        run.note_renders("test", [view.name for view in views])
     result = evaluate_views(renderer, rows, degree, views, keep if save_images else None)
     if city:
         cameras = [view.camera for view in train]
@@ -91,7 +107,7 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
     if model.is_dir():
         run = RunFolder.open(model)
         options = run_options(run)
-        scene = read_scene(scene_path or run.read_options()["scene"])
+        scene = read_scene(run.scene_path(scene_path))  # another scene's cameras are welcome
         gaussians = run.load_model()
     else:
         if scene_path is None:
@@ -104,16 +120,12 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
     if not chosen:
         raise InputError(f"{scene.name}: no {views} views; choose others with --views")
     renderer, rows, degree = _opened(device, gaussians, scene, options)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
     for view in chosen:
         image = render_view(renderer, rows, degree, view.camera)
         if beside:
             image = np.concatenate([image, photo_of(view)], axis=1)
         path = folder / f"{view.name}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         write_image(path, image)
     return len(chosen)
 

@@ -12,11 +12,12 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
-def replacing(path):
+def replacing(path, content=None):
     """A binary file beside `path` that takes its place, on disk, when the block ends.
 
     Whatever goes wrong, the old file stays as it was and the new one is removed; a disk that is
-    full or may not be written raises InputError.
+    full or may not be written raises InputError. content: the bytes that the file must hold then,
+    as read back; None checks its size only.
     """
     path = Path(path)
     partial = path.with_name(path.name + PARTIAL)
@@ -25,6 +26,9 @@ def replacing(path):
             yield file
             file.flush()
             os.fsync(file.fileno())
+            size = file.seek(0, os.SEEK_END)
+        if partial.stat().st_size != size or content not in (None, partial.read_bytes()):
+            raise OSError(errno.EIO, "what was written cannot be read back")
         os.replace(partial, path)
     except BaseException as error:
         _remove(partial)

@@ -1,6 +1,8 @@
 """Photos in and renders out, through OpenImageIO."""
 
+import os
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -8,8 +10,10 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from clsplat.errors import InputError
+from clsplat.io.atomic import replacing
 
 JPEG_QUALITY = 92
+STREAMED, PIPES = ("png", "jpeg"), "/dev/fd"  # formats written in one go; Linux and macOS
 # a header that claims more is damaged: no decoder may allocate for it
 LARGEST_PIXELS = 1 << 30
 PIXELS_PER_BYTE = 1 << 13  # deflate's limit, for samples of one bit
@@ -18,34 +22,74 @@ PIXELS_PER_BYTE = 1 << 13  # deflate's limit, for samples of one bit
 def write_image(path, pixels, quality=JPEG_QUALITY):
     """Write pixels uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), as sRGB.
 
-    The suffix of `path` selects the format; quality: of JPEG, 1 to 100. Raises InputError where
-    the file cannot be written.
+    The suffix of `path` selects the format; quality: of JPEG, 1 to 100. The file appears whole,
+    read back and compared, or not at all. Raises InputError where it cannot be written.
+    """
+    path = Path(path)
+    data = encode_image(pixels, path.suffix.lower().removeprefix("."), quality, path)
+    with replacing(path, data) as file:
+        file.write(data)
+
+
+def encode_jpeg(pixels, quality):
+    """The bytes of the JPEG that `write_image` would write."""
+    return encode_image(pixels, "jpg", quality, "JPEG")
+
+
+def encode_image(pixels: np.ndarray, suffix: str, quality: int, name: object) -> bytes:
+    """The bytes of an image file.
+
+    Its writers know only files, and report success on a full disk or, as libjpeg does, end the
+    process. So they write into a pipe where there is one, else into a temporary file.
+
+    Parameters
+    ----------
+    pixels : uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), sRGB.
+    suffix : of the format, such as "png".
+    quality : of JPEG, 1 to 100.
+    name : of the image, for messages.
+
+    Raises
+    ------
+    InputError : the format is unknown, or its writer fails.
     """
     import OpenImageIO as oiio
 
     if pixels.dtype != np.uint8:
         pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * 255 + 0.5).astype(np.uint8)
     height, width, channels = pixels.shape
-    output = oiio.ImageOutput.create(str(path))
+    output = oiio.ImageOutput.create(suffix)
     if output is None:
         oiio.geterror()  # the library keeps it, and warns at exit, until somebody asks
-        raise InputError(f"{path}: not an image format that can be written; use .png or .jpg")
+        raise InputError(f"{name}: not an image format that can be written; use .png or .jpg")
     spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
     if output.format_name() == "jpeg":
         spec.attribute("Compression", f"jpeg:{quality}")
         spec.attribute("jpeg:subsampling", "4:4:4")
-    written = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
-    if not (output.close() and written):
-        raise InputError(f"{path}: cannot be written ({_reason(output)}); "
-                         "check that the folder exists, may be written and has space")
 
+    def write(path):
+        written = output.open(path, spec) and output.write_image(np.ascontiguousarray(pixels))
+        if not (output.close() and written):
+            raise InputError(f"{name}: cannot be encoded ({_reason(output)})")
 
-def encode_jpeg(pixels, quality):
-    """The bytes of the JPEG that `write_image` would write."""
+    if output.format_name() in STREAMED and Path(PIPES).is_dir():
+        return _piped(write)
     with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
-        path = Path(folder) / "image.jpg"
-        write_image(path, pixels, quality)
+        path = Path(folder) / f"image.{suffix}"
+        write(str(path))
         return path.read_bytes()
+
+
+def _piped(write):
+    """All bytes that write(path) writes into the path that it is given."""
+    receiver, sender = os.pipe()
+    with ThreadPoolExecutor(1) as thread, open(receiver, "rb") as file:
+        content = thread.submit(file.read)
+        try:
+            write(f"{PIPES}/{sender}")
+        finally:
+            os.close(sender)  # or the thread would read for ever
+        return content.result()
 
 
 def read_image(source, size=None):

@@ -1,9 +1,12 @@
 """The folder of a run: the only code that knows its file names."""
 
 import json
+import os
 import re
 import subprocess
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +15,13 @@ import clsplat
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL, replacing
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
+from clsplat.io.folders import make_folder, remove_files
+from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, record_of
+from clsplat.io.scene_path import recorded_scene, scene_record
 
 OPTIONS = "options.json"
 METRICS = "metrics.jsonl"
@@ -24,7 +30,9 @@ MODEL = "point_cloud.ply"
 REPORT = "report.html"
 RENDERS = "renders"
 LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
-FILES = (OPTIONS, METRICS, CHECKPOINT, EXPOSURES, MODEL, REPORT)
+FILES = (METRICS, CHECKPOINT, EXPOSURES, MODEL, REPORT, OPTIONS)  # in the order of their removal
+WRITTEN = "written.json"  # in RENDERS: the pictures there that clsplat wrote
+CITY = "city.json"  # of a folder that `clsplat city` wrote; see io/city.py
 STATE = "state.json"  # the member of a checkpoint that holds what is no array
 
 
@@ -47,10 +55,7 @@ class RunFolder:
         run = cls(path)
         try:
             run.path.mkdir(parents=True, exist_ok=True)
-            held = [name for name in FILES if (run.path / name).exists()]
-            if held and not overwrite:
-                raise InputError(f"{run.path}: already holds a run ({held[0]}); continue it with "
-                                 "--resume, replace it with --overwrite, or choose another folder")
+            run._check_free(overwrite)
             run._replaces = True
             probe = run.path / (OPTIONS + PARTIAL)
             probe.touch()
@@ -59,6 +64,52 @@ class RunFolder:
             raise InputError(f"{run.path}: cannot be used as run folder ({error.strerror}); "
                              "choose another --output") from None
         return run
+
+    def _check_free(self, overwrite):
+        """InputError where a new run cannot begin here."""
+        if (self.path / CITY).exists():
+            raise InputError(f"{self.path}: holds a city ({CITY}); go on with it by `clsplat "
+                             "city`, or choose another folder")
+        found = [name for name in FILES if os.path.lexists(self.path / name)]
+        if found and not overwrite:
+            raise InputError(f"{self.path}: already holds a run ({found[-1]}); continue it with "
+                             "--resume, replace it with --overwrite, or choose another folder")
+        if found and not self._is_ours():
+            raise InputError(f"{self.path}: holds {found[-1]}, but no run that clsplat wrote; "
+                             "--overwrite removes runs only: choose another folder")
+
+    def _is_ours(self):
+        """Whether clsplat wrote what the folder holds: the options say so, or, where these are
+        damaged, the metrics or the checkpoint."""
+        try:
+            if "version" in self.read_options():
+                return True
+        except InputError:
+            pass
+        try:
+            with open(self.path / METRICS, "rb") as file:
+                if b'{"event":' in file.read(1000):
+                    return True
+        except OSError:
+            pass
+        try:
+            with zipfile.ZipFile(self.path / CHECKPOINT) as archive:
+                return f"{STATE}.npy" in archive.namelist()
+        except (OSError, ValueError, zipfile.BadZipFile):
+            return False
+
+    @contextmanager
+    def locked(self, patience: float = 0.0) -> Iterator[None]:
+        """Hold the folder, made if needed, for this process alone; see `lock.exclusive`. A folder
+        made here in which nothing was written is removed again."""
+        made = not self.path.exists()
+        make_folder(self.path, "choose another --output")
+        with exclusive(self.path, patience):
+            try:
+                yield
+            finally:
+                if made and set(os.listdir(self.path)) <= {LOCK, HOLDER}:
+                    remove_files([self.path / LOCK, self.path / HOLDER], self.path)
 
     @classmethod
     def open(cls, path):
@@ -70,30 +121,50 @@ class RunFolder:
         return run
 
     def _remove_files(self):
+        """Remove what clsplat wrote of a run; links are removed, never followed."""
+        renders, lod = self.path / RENDERS, self.path / LOD
+        if not renders.is_symlink():
+            remove_files([*self.renders(), renders / WRITTEN], renders)
+        if not lod.is_symlink():
+            remove_files([path for path in lod.glob("level_*")
+                          if SNAPSHOT.fullmatch(path.name.removesuffix(PARTIAL))], lod)
         for name in FILES:
-            (self.path / name).unlink(missing_ok=True)
             (self.path / (name + PARTIAL)).unlink(missing_ok=True)
-        for path in (self.path / LOD).glob("level_*"):
-            if SNAPSHOT.fullmatch(path.name.removesuffix(PARTIAL)):
-                path.unlink()
-        renders = self.path / RENDERS
-        for image in renders.rglob("*.png"):
-            image.unlink()
-        for folder in sorted((p for p in renders.rglob("*") if p.is_dir()), reverse=True):
-            if not any(folder.iterdir()):
-                folder.rmdir()
+            (self.path / name).unlink(missing_ok=True)
 
     def write_options(self, record):
-        """Write what the run was started with: a dict for JSON, with `scene` a path, made
-        absolute here; `version` and, in a checkout, `commit` of clsplat are added."""
+        """Write what the run was started with: a dict for JSON, with `scene` a path, recorded
+        here relative to the run and absolute; `version` and, in a checkout, `commit` of clsplat
+        are added."""
         if self._replaces:
             self._remove_files()
             self._replaces = False
         record = {**record, "version": clsplat.__version__, "commit": _commit()}
         if "scene" in record:
-            record["scene"] = str(Path(record["scene"]).resolve())
+            record |= scene_record(record["scene"], self.path)
         with replacing(self.path / OPTIONS) as file:
             file.write((json.dumps(_plain(record), indent=2) + "\n").encode())
+
+    def scene_path(self, given: Path | None = None) -> Path:
+        """Where the run's scene is.
+
+        Parameters
+        ----------
+        given : what the user names instead; None takes what the run has recorded.
+
+        Raises
+        ------
+        InputError : the scene was moved, and nobody says where to.
+        """
+        return recorded_scene(self.read_options(), self.path, given)
+
+    def note_scene(self, scene: Path) -> None:
+        """Record that the run's scene is here now; nothing is written where that is known."""
+        record = self.read_options()
+        found = scene_record(scene, self.path)
+        if any(record.get(key) != value for key, value in found.items()):
+            with replacing(self.path / OPTIONS) as file:
+                file.write((json.dumps(record | found, indent=2) + "\n").encode())
 
     def read_options(self):
         """The dict that `write_options` wrote."""
@@ -207,13 +278,18 @@ class RunFolder:
 
     @property
     def has_model(self):
-        """Whether the run is finished."""
+        """Whether the training is finished; its last evaluation may not be."""
         return (self.path / MODEL).is_file()
+
+    @property
+    def is_finished(self):
+        """Whether all is done: the report comes last."""
+        return self.has_model and (self.path / REPORT).is_file()
 
     def write_report(self, html):
         """Replace the report by a page (str); returns its path."""
         with replacing(self.path / REPORT) as file:
-            file.write(html.encode())
+            file.write(html.encode("utf-8", "backslashreplace"))
         return self.path / REPORT
 
     def load_model(self):
@@ -222,6 +298,29 @@ class RunFolder:
         if not path.is_file():
             raise InputError(f"{path}: the run has no model yet; finish it with --resume")
         return read_ply(path)
+
+    def renders(self):
+        """The pictures of views that clsplat wrote and that are still there, as a list of paths.
+        What lies behind a link is not listed: it may be somebody's own."""
+        folder = self.path / RENDERS
+        try:
+            names = object_of((folder / WRITTEN).read_bytes())["pictures"]
+            found = [folder / name for name in names if ".." not in Path(name).parts]
+        except (OSError, ValueError, KeyError, TypeError):
+            return []
+        inside = os.path.join(os.path.realpath(self.path), RENDERS, "")
+        return [path for path in found if path.is_file() and not path.is_symlink()
+                and os.path.realpath(path).startswith(inside)]
+
+    def note_renders(self, kind: str, names: list[str]) -> None:
+        """Record that `render_path(kind, name)` will be written for each name, so that
+        --overwrite knows these pictures from those that a user put there."""
+        folder = self.path / RENDERS
+        make_folder(folder)
+        pictures = {path.relative_to(folder).as_posix() for path in self.renders()}
+        pictures |= {f"{kind}/{name}.png" for name in names}
+        with replacing(folder / WRITTEN) as file:
+            file.write((json.dumps({"pictures": sorted(pictures)}, indent=0) + "\n").encode())
 
     def render_path(self, kind, name):
         """Where the render of a view goes, its folder made: `renders/KIND/NAME.png`.
@@ -233,15 +332,6 @@ class RunFolder:
             raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
         make_folder(path.parent)
         return path
-
-
-def make_folder(path):
-    """Make a folder for pictures or models, with those above it; InputError where it cannot be."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be made ({error.strerror}); check its path"
-                         ) from None
 
 
 def find_runs(path):
@@ -278,8 +368,8 @@ def _plain(value):
         return _plain(value.tolist())
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
+    if isinstance(value, (str, Path)):  # half characters, of names that are no Unicode, escaped
+        return str(value).encode("utf-8", "backslashreplace").decode()
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

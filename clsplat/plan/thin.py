@@ -4,8 +4,7 @@ held-out view misses."""
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.evaluate.views import evaluate_views, run_options
-from clsplat.io.scenes import read_scene
+from clsplat.evaluate.views import evaluate_views, read_scene_of, run_options
 from clsplat.render.pipeline import Renderer
 
 ALPHA_MIN = 1 / 255  # cl/include/splat.h: fainter contributions are skipped
@@ -18,14 +17,15 @@ def alive(gaussians):
         return 1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))) >= ALPHA_MIN
 
 
-def needed_sh_degree(run, device, cost):
+def needed_sh_degree(run, device, cost, scene_path=None):
     """(degree, [PSNR at degree 0, 1, ...], dB): the lowest degree of the harmonics whose renders of
-    the run's held-out views lose less than `cost` dB of PSNR, a mean over views.
+    the run's held-out views lose less than `cost` dB of PSNR, a mean over views. scene_path: as of
+    `evaluate.views.evaluate_run`.
 
     Raises InputError for a run without held-out views.
     """
     options, gaussians = run_options(run), run.load_model()
-    scene = read_scene(run.read_options()["scene"])
+    scene = read_scene_of(run, scene_path)
     scene = scene.reduced(options.downscale, options.max_resolution)
     _, views = scene.split(options.test_every)
     if not views:

@@ -33,22 +33,24 @@ def block_options(block, **changes):
     return resolve(values, {"init": str(block.initial), **changes})
 
 
-def train_block(block, options, progress=None):
+def train_block(block, options, progress=None, patience=0.0):
     """Train a BlockFolder to its end: from the start, or on from the last checkpoint of its run.
 
-    options: those of `block_options`. Returns whether there was anything to do: a finished run is
+    options: those of `block_options`; patience: seconds to wait for another process that trains it.
+    Returns whether there was anything to do: a finished run is
     left alone. InputError where it was begun with other options.
     """
     run = RunFolder(block.run)
-    begun = run.is_begun
-    if begun:
-        _check_same(run, options)
-    if run.has_model:
-        return False
-    scene = read_scene(block.path)
-    device = choose_device(options.device, form=options.form)
-    run, start = (run, resume) if begun else (RunFolder.create(run.path), train)
-    start(scene, options, device, run, progress=progress)
+    with run.locked(patience):
+        begun = run.is_begun
+        if begun:
+            _check_same(run, options)
+        if run.is_finished:
+            return False
+        scene = read_scene(block.path)
+        device = choose_device(options.device, form=options.form)
+        run, start = (run, resume) if begun else (RunFolder.create(run.path), train)
+        start(scene, options, device, run, progress=progress)
     return True
 
 

@@ -9,10 +9,10 @@ from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 REALS = (np.float32, np.float64)  # what devices compute in
 # key of the state -> (types, least value of a number)
 NUMBER, OPTIONAL = (int, float), type(None)
-STATE = {"fingerprint": (str, None), "iteration": (int, 0), "evaluated_at": ((int, OPTIONAL), 0),
-         "level": (NUMBER, 1), "train_seconds": (NUMBER, 0), "wall_seconds": (NUMBER, 0),
-         "kernel_bytes": (int, 0), "pixel_pairs": (int, 0), "initial_count": (int, 0),
-         "skipped": (dict, None), "schedule": (dict, None), "budget": ((dict, OPTIONAL), None)}
+STATE = {"fingerprint": (str, None), "iteration": (int, 0), "level": (NUMBER, 1),
+         "train_seconds": (NUMBER, 0), "wall_seconds": (NUMBER, 0), "kernel_bytes": (int, 0),
+         "pixel_pairs": (int, 0), "initial_count": (int, 0), "skipped": (dict, None),
+         "schedule": (dict, None), "budget": ((dict, OPTIONAL), None)}
 
 
 def save(training):
@@ -36,7 +36,7 @@ def save(training):
         raise training.broken(f"{', '.join(spoilt)} at step {training.iteration}: not finite")
     training.run.save_checkpoint(arrays, {
         "fingerprint": training.fingerprint, "iteration": training.iteration,
-        "evaluated_at": training.evaluated_at, "level": training.level,
+        "level": training.level,
         "train_seconds": training.train_seconds, "wall_seconds": training.elapsed(),
         "kernel_bytes": training.kernel_bytes, "pixel_pairs": training.step.pixel_pairs,
         "skipped": training.step.skipped.state(),
@@ -62,7 +62,7 @@ def load(training, arrays, state):
             training.adjacent.compare_colours()
     step.skipped.load(state["skipped"])
     training.kernel_bytes, step.pixel_pairs = state["kernel_bytes"], state["pixel_pairs"]
-    training.iteration, training.evaluated_at = state["iteration"], state["evaluated_at"]
+    training.iteration = state["iteration"]
     training.train_seconds, training.wall_seconds = state["train_seconds"], state["wall_seconds"]
     training.schedule.subject = dataclasses.replace(
         training.schedule.subject, count=state["initial_count"])

@@ -6,12 +6,14 @@ resumed run ends in the same bytes as one that was never stopped.
 
 import dataclasses
 import functools
+import shlex
 import time
+from contextlib import contextmanager
 
 import numpy as np
 
 from clsplat.blocks import seen_pixels, trainable
-from clsplat.errors import InputError, Interrupted
+from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.evaluate.views import evaluate_views
 from clsplat.frequency import scene_frequency
 from clsplat.gaussians import mean_inverse_distance
@@ -19,13 +21,13 @@ from clsplat.io.scenes import fingerprint
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
 from clsplat.render.pipeline import Renderer
-from clsplat.report.run import write_report
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.train import checkpoint
 from clsplat.train.adjacent import Adjacent
 from clsplat.train.begin import initial_exposures, initial_gaussians
 from clsplat.train.clock import Clock
-from clsplat.train.interrupt import deferred_interrupt
+from clsplat.train.finish import draw_report, save_model
+from clsplat.train.interrupt import deferred_interrupt, was_interrupted
 from clsplat.train.model import Model
 from clsplat.train.needs import find_needs, smallest_size
 from clsplat.train.photos import Photos, decoded
@@ -46,19 +48,15 @@ def train(scene, options, device, run, progress=None):
     memory_bytes=, level=) and progress.message(text). Raises Interrupted, state saved, on Ctrl-C.
     """
     training = Training(scene, options, device, run, progress)
+    found = find_warnings(training.scene, training.train_views,
+                             training.step.model.rows["opacity_logits"].download())
     run.write_options({"scene": scene.path, **dataclasses.asdict(options),
                        "fingerprint": training.fingerprint, "opencl_device": device.name,
                        "kernel_form": device.form, "extent": scene.extent,
                        "offset": scene.offset.tolist(), "needs": training.needs.found})
-    warnings = find_warnings(training.scene, training.train_views,
-                             training.step.model.rows["opacity_logits"].download())
-    training.unpause()  # no time of training yet
-    training.log("plan", reasons=training.needs.reasons, levels=training.schedule.levels)
-    for text in warnings:
-        training.log("warning", text=text)
-        if progress:
-            progress.message(f"warning: {text}")
-    training.run_to_end()
+    with training.resumable():
+        training.begin(found)
+        training.run_to_end()
 
 
 def resume(scene, options, device, run, progress=None):
@@ -66,7 +64,8 @@ def resume(scene, options, device, run, progress=None):
     record = run.read_options()
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "
-                         f"{record.get('scene')}; give that one, or another --output")
+                         f"{record.get('scene_absolute', record.get('scene'))}; give that one, or "
+                         "another --output")
     if not (run.has_checkpoint or run.has_model):  # it was killed before its first checkpoint
         run.rewind(-1)
         train(scene, options, device, run, progress)
@@ -89,7 +88,11 @@ def resume(scene, options, device, run, progress=None):
         raise InputError(f"{run.path}: its checkpoint lacks {error}; "
                          "start again with --overwrite") from None
     run.rewind(training.iteration)
-    training.run_to_end()
+    run.note_scene(scene.path)
+    training.evaluated_at = max((record["iteration"] for record in run.records()
+                                 if record.get("event") == "eval"), default=None)
+    with training.resumable():
+        training.run_to_end()
 
 
 @functools.lru_cache(maxsize=2)  # this step's epoch, and the next one's
@@ -167,36 +170,54 @@ class Training(Clock):
         self.cameras = [self.renderer.pack(camera) for camera in cameras]
         self.step.statistics.clear(self.step.model.count)
 
+    def begin(self, found):
+        """The first records of a run that starts; found: warnings, as texts for the user."""
+        self.unpause()  # no time of training yet
+        self.log("plan", reasons=self.needs.reasons, levels=self.schedule.levels)
+        for text in found:
+            self.log("warning", text=text)
+            if self.progress:
+                self.progress.message(f"warning: {text}")
+
     def run_to_end(self):
-        """Steps until done, `stop_at` or Ctrl-C, which waits for its step; then saves the state."""
+        """Steps until done, `stop_at` or Ctrl-C, which waits for its step; then saves the state.
+
+        What cannot be made again comes first: the checkpoint, then the finished model, then the
+        final evaluation, and the report last, which costs nothing else when it fails.
+        """
         self.unpause()
+        with deferred_interrupt() as interrupted:
+            while not (self.finished() or self.stops() or interrupted()):
+                self.take_step()
+                self.report()
+                if self.due(self.options.checkpoint_every) and not self.finished():
+                    self.save()
+            self.save()
+            if self.finished():
+                save_model(self)
+        if not self.finished():
+            raise self.stopped()
+        if self.evaluated_at != self.iteration:
+            self.evaluate()
+        draw_report(self)
+
+    @contextmanager
+    def resumable(self):
+        """What interrupts the block, wherever it is, tells how to go on from the last checkpoint.
+        """
         try:
-            with deferred_interrupt() as interrupted:
-                while not (self.finished() or self.stops() or interrupted()):
-                    self.take_step()
-                    self.report()
-                    if self.due(self.options.checkpoint_every) and not self.finished():
-                        self.save()
-            complete = self.finished()
-            if complete and self.evaluated_at != self.iteration:
-                self.evaluate()
+            yield
+        except (Exception, KeyboardInterrupt) as error:
+            if isinstance(error, ClsplatError) or not was_interrupted(error):
+                raise
+            raise self.stopped() from None
         finally:
             self.photos.close()
-        self.save()
-        if not complete:
-            raise Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
-                              f"{self.scene.path} -o {self.run.path} --resume")
-        write_report(self.run)
-        if self.step.exposures:
-            self.run.save_exposures(self.learned_exposures())
-        gaussians = self.step.model.download().scaled(self.scene.unit)
-        self.run.save_model(gaussians, self.scene.offset, self.comments(),
-                            self.options.sphere_columns)
 
-    def learned_exposures(self):
-        """View name -> float[3, 4]."""
-        rows = self.step.exposures.transforms.download().reshape(-1, 3, 4)
-        return {view.name: row for view, row in zip(self.train_views, rows)}
+    def stopped(self):
+        """The Interrupted of a run that can go on."""
+        return Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
+                           f"--resume -o {shlex.quote(str(self.run.path))}")
 
     def finished(self):
         """Whether all steps are taken, or all time is spent."""
@@ -352,8 +373,3 @@ class Training(Clock):
         if self.budget:
             self.budget.note_saved(checkpoint.size(self.step.model), time.perf_counter() - begin)
         self.unpause()
-
-    def comments(self):
-        """Lines for the PLY header that other tools read."""
-        mode = "mip" if self.options.antialiased else "default"
-        return (f"iterations {self.iteration}", f"SplatRenderMode: {mode}")

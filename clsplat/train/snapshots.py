@@ -1,6 +1,7 @@
 """The model as a level leaves it: what clsplat/lod.py draws far away."""
 
 from clsplat.frequency import VARIANTS, scene_frequency
+from clsplat.train.finish import comments
 
 
 def save_snapshot(training):
@@ -14,6 +15,6 @@ def save_snapshot(training):
     frequency = scene_frequency(training.device, model.rows, unit)
     training.run.save_snapshot(
         training.level, model.download().scaled(unit), training.scene.offset,
-        (*training.comments(), f"level {training.level:g}",
+        (*comments(training), f"level {training.level:g}",
          *(f"frequency {name} {frequency[f'{name}_mean']:.9g}" for name in VARIANTS)))
     training.unpause()

@@ -7,7 +7,13 @@ import numpy as np
 
 from clsplat.loss.image_loss import image_loss
 from tests.extreme.cases import DOUBLE
-from tests.kernels.chain import depth_order, gradients_by_row, precision_of, render, size_of
+from tests.kernels.chain import (
+    depth_order,
+    gradients_by_row,
+    precision_of,
+    render,
+    size_of,
+)
 from tests.reference.blend import blend, blend_adjoint, fragile_pixels
 from tests.reference.image_loss import image_loss as reference_loss
 from tests.reference.project import project, project_adjoint

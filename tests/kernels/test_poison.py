@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from tests import cases
-from tests.kernels.chain import camera_of, render, renderer_of, size_of, small_scene, upload_rows
+from tests.kernels.chain import (
+    camera_of,
+    render,
+    renderer_of,
+    size_of,
+    small_scene,
+    upload_rows,
+)
 
 POISONED, NO_ROW = 5, 2**32 - 1
 SLOTS = {

@@ -7,8 +7,8 @@ import signal
 import pytest
 
 from clsplat.distribute import cluster, run
-from clsplat.distribute.lock import exclusive
 from clsplat.errors import InputError
+from clsplat.io.lock import exclusive
 from tests.large.driver import PROGRAM, stub_tasks
 from tests.large.stub_command import ENDS, NO_DEVICE, STARTS, STATE
 from tests.large.test_distribute import caches, driver, eventually, lines, starts  # noqa: F401

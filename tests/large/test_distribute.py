@@ -13,9 +13,10 @@ import clsplat
 from clsplat.distribute import Task, cluster, guarded, run
 from clsplat.distribute.child import LOG
 from clsplat.distribute.ledger import LOSSES, Ledger
-from clsplat.distribute.lock import Held, exclusive
 from clsplat.distribute.task import HELD, INTERRUPTED, LOST, Result
 from clsplat.errors import InputError, Interrupted
+from clsplat.io.lock import exclusive
+from tests.held import held_elsewhere
 from tests.large.driver import PROGRAM, stub_tasks
 from tests.large.stub_command import ENDS, NO_DEVICE, STARTS, STATE, STEP_SECONDS
 from tests.tiny_training import CITY, flags
@@ -168,13 +169,10 @@ def test_two_children_on_one_task_work_once(tmp_path):
 def test_a_folder_that_stays_locked_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(guarded, "PATIENCE_SECONDS", 0.3)
     monkeypatch.setattr(guarded, "_follow_parent", lambda: None)
-    with exclusive(tmp_path):
-        with pytest.raises(SystemExit) as ended:
-            guarded.main(str(tmp_path / "done"), PROGRAM, str(tmp_path))
+    with held_elsewhere(tmp_path) as other, pytest.raises(SystemExit) as ended:
+        guarded.main(str(tmp_path / "done"), PROGRAM, str(tmp_path))
     assert ended.value.code == HELD
-    assert f"process {os.getpid()} on" in capsys.readouterr().err
-    with exclusive(tmp_path), pytest.raises(Held), exclusive(tmp_path):
-        pass
+    assert f"process {other} on" in capsys.readouterr().err
 
 
 def test_a_worker_that_has_another_clsplat_or_not_the_files_is_unfit(tmp_path):

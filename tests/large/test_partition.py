@@ -11,7 +11,13 @@ from scipy.spatial.transform import Rotation
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.scenes import read_scene
-from clsplat.partition import METHODS, Partition, PartitionOptions, geojson, make_partition
+from clsplat.partition import (
+    METHODS,
+    Partition,
+    PartitionOptions,
+    geojson,
+    make_partition,
+)
 from clsplat.partition.frame import up_axis
 from clsplat.partition.site import Site
 from clsplat.region import Region, Space

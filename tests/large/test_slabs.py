@@ -12,7 +12,14 @@ from clsplat.io.scenes import read_scene
 from clsplat.render import slabs
 from clsplat.render.slabs import Parts, SlabRenderer, gaussian_limit, open_model
 from tests import cases
-from tests.kernels.chain import camera_of, render, renderer_of, size_of, stored_degree, upload_rows
+from tests.kernels.chain import (
+    camera_of,
+    render,
+    renderer_of,
+    size_of,
+    stored_degree,
+    upload_rows,
+)
 from tests.tiny_training import CITY, options_of
 
 # of a pixel that ended: the light left is below TRANSMITTANCE_MIN / (1 - ALPHA_MAX)

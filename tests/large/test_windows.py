@@ -17,7 +17,13 @@ from clsplat.region import Region, Space
 from clsplat.render.slabs import Parts, SlabRenderer
 from clsplat.scene import View
 from tests import cases
-from tests.kernels.chain import camera_of, renderer_of, size_of, stored_degree, upload_rows
+from tests.kernels.chain import (
+    camera_of,
+    renderer_of,
+    size_of,
+    stored_degree,
+    upload_rows,
+)
 from tests.tiny_training import CITY
 
 

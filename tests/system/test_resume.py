@@ -134,7 +134,7 @@ def test_killed_right_after_a_checkpoint(item_device, city, tmp_path, monkeypatc
 
 def test_a_stopped_run_says_how_to_go_on_and_is_not_finished(item_device, city, tmp_path):
     run = RunFolder.create(tmp_path / "run")
-    with pytest.raises(Interrupted, match=f"^stopped after step 30; .* -o {run.path} --resume$"):
+    with pytest.raises(Interrupted, match=f"^stopped after step 30; .* --resume -o {run.path}$"):
         train(city, options_of(stop_at=30), item_device, run)
     assert run.has_checkpoint and not run.has_model and not records(run, "eval")
     resumed(run, city, item_device, stop_at=31)

@@ -19,7 +19,15 @@ from clsplat.scene import Scene, View
 from clsplat.train import loop
 from clsplat.train.begin import initial_gaussians
 from clsplat.train.step import Step
-from tests.tiny_training import CITY, EVENTFUL, LEVELLED, STILL, options_of, records, trained
+from tests.tiny_training import (
+    CITY,
+    EVENTFUL,
+    LEVELLED,
+    STILL,
+    options_of,
+    records,
+    trained,
+)
 
 COMMON = ["event", "iteration", "train_seconds", "wall_seconds", "level", "gaussians",
           "pixel_pairs", "kernel_bytes"]

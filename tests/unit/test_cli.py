@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 import types
+from contextlib import contextmanager
 
 import click
 import numpy as np
@@ -52,15 +53,25 @@ def calls(monkeypatch):
         stored = resolve({}, {"iterations": 800, "stop_at": 300, "seed": 5, "device": "stored",
                               "eval_at": (9,), "preset": "release", "sphere_shrink": 0.5})
 
+        def __init__(self, path):
+            self.path = path
+
         @classmethod
         def create(cls, path, overwrite):
             noted.append(("create", path, overwrite))
-            return cls()
+            return cls(path)
 
         @classmethod
         def open(cls, path):
             noted.append(("open", path))
-            return cls()
+            return cls(path)
+
+        @contextmanager
+        def locked(self):
+            yield
+
+        def scene_path(self, given):
+            return given or "recorded"
 
         def read_options(self):
             record = {"scene": "city", "version": "0", **dataclasses.asdict(self.stored)}
@@ -154,7 +165,7 @@ def test_a_bug_shows_its_traceback_and_exit_1():
 
 @pytest.mark.parametrize("error, said", [
     (Interrupted("stopped at 5; go on with --resume"), "stopped at 5; go on with --resume"),
-    (KeyboardInterrupt(), "interrupted")])
+    (KeyboardInterrupt(), "interrupted; what was saved is kept: give the same command again")])
 def test_interrupts_exit_130(error, said):
     result = CliRunner().invoke(raising(error), ["fail"])
     assert result.exit_code == 130 and result.stderr.strip() == said
@@ -202,7 +213,15 @@ def test_resume_takes_the_stored_options(calls):
     stored = resolve({}, {"iterations": 800, "seed": 5, "device": "stored", "eval_at": (9,),
                           "preset": "release", "sphere_shrink": 0.5, "checkpoint_every": 10})
     assert calls[1][2] == stored and stored.stop_at == 0
-    assert calls[1][3] == "device stored"
+    assert calls[1][1] == "scene city" and calls[1][3] == "device stored"
+
+
+def test_resume_needs_no_scene(calls):
+    result = clsplat_("train", "--resume", "-o", "run")
+    assert result.exit_code == 0, result.output
+    assert calls[1][:2] == ("resume", "scene recorded")
+    result = clsplat_("train", "-o", "run")
+    assert result.exit_code == 2 and "SCENE" in result.stderr
 
 
 @pytest.mark.parametrize("choice", [{"schedule": "dash"}, {"preset": "paper", "levels": (2, 1)},
@@ -258,15 +277,15 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
     RunFolder.create(tmp_path).write_options({})
     asked = []
 
-    def evaluate_run(run, device, save_images):
-        asked.append((run.path, device, save_images))
+    def evaluate_run(run, device, save_images, scene_path):
+        asked.append((run.path, device, save_images, str(scene_path)))
         return {"views": 1, "psnr": 20.0, "ssim": 0.5, "psnr_cc": 25.0, "ssim_cc": 0.75}
 
     module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
     module(monkeypatch, "clsplat.evaluate.views", evaluate_run=evaluate_run)
-    result = clsplat_("eval", tmp_path, flag, "--device", "cpu")
+    result = clsplat_("eval", tmp_path, flag, "--device", "cpu", "--scene", "moved")
     assert result.exit_code == 0, result.output
-    assert asked == [(tmp_path, "device cpu", images)]
+    assert asked == [(tmp_path, "device cpu", images, "moved")]
     assert (str(tmp_path / "renders") in result.output) is images
 
 

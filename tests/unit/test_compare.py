@@ -9,7 +9,13 @@ from clsplat.cli.campaign import combinations, run_campaign
 from clsplat.cli.main import main
 from clsplat.errors import DeviceError, InputError, Interrupted
 from clsplat.io.run import RunFolder, find_runs
-from clsplat.report.compare import compare, final_table, levels_from, time_table, write_comparison
+from clsplat.report.compare import (
+    compare,
+    final_table,
+    levels_from,
+    time_table,
+    write_comparison,
+)
 from clsplat.report.curves import curve
 from clsplat.report.figures import cost_figure
 from clsplat.report.groups import Trained, grouped, read_runs, warnings

@@ -11,7 +11,14 @@ from click.testing import CliRunner
 from clsplat.cli.flags import flag_name, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
-from clsplat.options import CHOICES, TrainOptions, checked, from_toml, resolve, seconds_of
+from clsplat.options import (
+    CHOICES,
+    TrainOptions,
+    checked,
+    from_toml,
+    resolve,
+    seconds_of,
+)
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
 

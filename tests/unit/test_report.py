@@ -8,7 +8,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from clsplat.io.run import RunFolder
-from clsplat.report.curves import band, curve, frequency_curves, reached, spread, value_at
+from clsplat.report.curves import (
+    band,
+    curve,
+    frequency_curves,
+    reached,
+    spread,
+    value_at,
+)
 from clsplat.report.page import Table, page, picture
 from clsplat.report.run import level_table, score_table, write_report
 from tests.made_runs import made_records, made_run

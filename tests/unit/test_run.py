@@ -50,7 +50,9 @@ def test_create_open_overwrite(run):
     run.log({"iteration": 1})
     run.save_checkpoint(ARRAYS, STATE)
     run.save_model(Gaussians.from_points(np.eye(3), np.zeros((3, 3), np.uint8), 0), np.zeros(3))
+    run.note_renders("test", ["a/b.jpg"])
     run.render_path("test", "a/b.jpg").write_bytes(b"png")
+    (run.path / "renders" / "test" / "mine.png").write_bytes(b"png")
     (run.path / "renders" / "note.txt").write_text("keep")
     (run.path / "checkpoint.npz.part").write_bytes(b"left by a kill")
     refused(lambda: RunFolder.create(run.path), "--resume", "--overwrite")
@@ -60,7 +62,8 @@ def test_create_open_overwrite(run):
     new.write_options({})
     (run.path / "options.json").unlink()
     left = sorted(p.relative_to(run.path).as_posix() for p in run.path.rglob("*"))
-    assert left == ["mine.txt", "renders", "renders/note.txt"]
+    assert left == ["mine.txt", "renders", "renders/note.txt", "renders/test",
+                    "renders/test/mine.png"]
 
 
 def test_each_file_of_a_run_protects_it(run):
@@ -82,9 +85,10 @@ def test_options(run, tmp_path, monkeypatch):
     run.write_options({"scene": "town", "options": {"seed": np.int64(3), "init": Path("a.ply")},
                        "fingerprint": "f00", "device": "cpu"})
     record = RunFolder.open(run.path).read_options()
-    assert record.pop("commit") is None or len(record) == 5
-    assert record == {"scene": str(tmp_path / "town"), "options": {"seed": 3, "init": "a.ply"},
-                      "fingerprint": "f00", "device": "cpu", "version": clsplat.__version__}
+    assert record.pop("commit") is None or len(record) == 6
+    assert record == {"scene": "../../town", "scene_absolute": str(tmp_path / "town"),
+                      "options": {"seed": 3, "init": "a.ply"}, "fingerprint": "f00",
+                      "device": "cpu", "version": clsplat.__version__}
     for text in ("{", "[]", ""):
         (run.path / "options.json").write_text(text)
         refused(run.read_options, "options.json")

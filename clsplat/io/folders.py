@@ -1,0 +1,27 @@
+"""Folders that are made for what is written, and removed when nothing was."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from clsplat.errors import InputError
+
+CURE = "check its path, and that the folder above may be written"
+
+
+def make_folder(path: Path, cure: str = CURE) -> None:
+    """Make a folder, with those above it; InputError, with this cure, where it cannot be made."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made ({error.strerror}); {cure}") from None
+
+
+def remove_files(paths: list[Path], root: Path) -> None:
+    """Remove files below `root`, then the folders that are empty without them, `root` included."""
+    for path in paths:
+        path.unlink(missing_ok=True)
+        folder = path.parent
+        with suppress(OSError):  # not empty: it stays
+            while folder.is_relative_to(root):
+                folder.rmdir()
+                folder = folder.parent

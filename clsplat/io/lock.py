@@ -1,0 +1,87 @@
+"""Locks on folders. A lock ends with the process that holds it, however that process ends."""
+
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from clsplat.errors import InputError
+
+LOCK = ".lock"  # a native lock of the operating system; on Linux the one of `flock FOLDER/.lock`
+HOLDER = ".lock.json"  # who holds it, for messages only; it may be left over from a killed process
+
+
+class Held(InputError):
+    """Another process holds the folder."""
+
+
+@contextmanager
+def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
+    """Hold a folder alone while the block runs.
+
+    The same thread of the same process may enter a folder again. The lock of a process that has
+    died is free at once, whatever files it left.
+
+    Parameters
+    ----------
+    folder : an existing folder.
+    patience : seconds to wait for another process that holds it.
+
+    Raises
+    ------
+    Held : another process still holds the folder; the message names it.
+    InputError : the folder cannot be written, or its file system has no locks.
+    """
+    if not os.path.isdir(folder):
+        raise InputError(f"{folder}: cannot be locked (no such folder); check its path")
+    path = Path(os.path.realpath(folder)) / LOCK
+    lock = FileLock(path, is_singleton=True)
+    try:
+        lock.acquire(timeout=patience)
+    except Timeout:
+        raise Held(f"{folder}: {holder(folder)} works here; wait for it, or stop it") from None
+    except (OSError, NotImplementedError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be locked ({reason}); check that the folder exists and "
+                         "may be written, and that its file system has locks (Lustre: -o flock)"
+                         ) from None
+    try:
+        if lock.lock_counter == 1:
+            _sign(path.with_name(HOLDER))
+        yield
+    finally:
+        if lock.lock_counter == 1:
+            with suppress(OSError):
+                path.with_name(HOLDER).unlink(missing_ok=True)
+        lock.release()
+
+
+def is_held(folder: Path) -> bool:
+    """Whether another process holds the folder at this moment; writes nothing."""
+    if not (Path(folder) / LOCK).is_file():
+        return False
+    try:
+        with exclusive(folder):
+            return False
+    except Held:
+        return True
+
+
+def holder(folder: Path) -> str:
+    """Who holds a folder, in words, as far as it is known."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        record = json.loads((Path(folder) / HOLDER).read_bytes())
+        return f"process {record['process']} on {record['host']}, since {record['since']},"
+    return "another process"
+
+
+def _sign(path: Path) -> None:
+    record = {"process": os.getpid(), "host": socket.gethostname(),
+              "since": time.strftime("%Y-%m-%d %H:%M:%S")}
+    with suppress(OSError):  # a full disk must not keep a lock from being taken
+        path.write_text(json.dumps(record) + "\n")
