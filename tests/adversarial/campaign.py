@@ -14,7 +14,7 @@ from tests.adversarial.prepared import environment, provide
 from tests.adversarial.whole import changes, fault, listing
 
 MARKS = ("Traceback (most recent call last)", "this is a bug")
-NOISE = (".lock",)  # a lock's file says nothing about what a folder holds
+NOISE = (".lock", ".lock.json")  # a lock says nothing about what a folder holds
 
 
 def patience() -> float:

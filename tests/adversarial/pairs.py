@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
 
-from tests.adversarial.campaign import faults_of, patience, run_line
+from tests.adversarial.campaign import NOISE, faults_of, patience, run_line
 from tests.adversarial.prepared import environment, provide
 from tests.adversarial.sweep import arguments_of, finish
 from tests.adversarial.whole import fault
@@ -84,7 +84,7 @@ def state(folder: Path) -> dict[str, object]:
     found = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if path.is_dir() or path.name == ".lock":
+        if path.is_dir() or path.name in NOISE:
             continue
         if path.suffix == ".ply" or path.suffix == ".png" and "renders" in name:
             found[name] = hash(path.read_bytes())
@@ -172,10 +172,12 @@ def _judge(bench, pair, results, left):
             faults.append("other models than without the kill")
         return "went on after a kill", faults
     codes = [result.code for result in results]
-    named = [bool(NAMES_IT.search(result.output)) for result in results]
+    held = ["works here" in result.output for result in results]
+    faults += [f"does not name who holds the folder: {result.errors}" for result, refused in
+               zip(results, held) if refused and not NAMES_IT.search(result.output)]
     lines = [pair.first, pair.second]
     for winner, loser in ((0, 1), (1, 0)):
-        if codes[winner] == 0 and codes[loser] == 2 and named[loser]:
+        if codes[winner] == 0 and codes[loser] == 2 and held[loser]:
             if left != bench.after(lines[winner])[1]:
                 faults.append(f"not as `{lines[winner]}` alone: "
                               + _difference(left, bench.after(lines[winner])[1]))
