@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import signal
 import sys
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
@@ -47,9 +48,10 @@ def main(words=None):
         return 0
     prepared()
     failed, records = Counter(), open(arguments.json, "w") if arguments.json else None
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that what runs is ended too
     with ThreadPoolExecutor(arguments.jobs) as pool:
-        for (label, case), (result, faults) in zip(
-                rows, pool.map(lambda row: run_case(row[1]), rows)):
+        each = pool.map if arguments.jobs > 1 else map
+        for (label, case), (result, faults) in zip(rows, each(lambda row: run_case(row[1]), rows)):
             print(f"{'FAILED' if faults else 'passed'} {label} {case.name} "
                   f"({result.seconds:.0f} s)", flush=True)
             if faults:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import tempfile
 import time
+import traceback
 from pathlib import Path
 
 from tests.adversarial.case import INTERRUPTED, REFUSED, WORKS, Case, Result
@@ -112,6 +113,8 @@ def run_case(case: Case) -> tuple[Result, list[str]]:
         result = run_line(case.line, folder, scratch, case.seconds * patience(),
                           case.environment)
         return result, _judge(case, folder, scratch, before, result)
+    except Exception as error:  # noqa: BLE001  (one case does not end the campaign)
+        return Result(None, traceback.format_exc(), 0.0), [f"the harness failed: {error}"]
     finally:
         _release(base)
 
