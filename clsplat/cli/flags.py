@@ -65,7 +65,7 @@ def given_options(ctx):
 
 
 def flag_name(name):
-    """`--kebab-case` of an option's name."""
+    """An option's name as a flag, with hyphens."""
     return "--" + name.replace("_", "-")
 
 

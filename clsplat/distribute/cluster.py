@@ -186,7 +186,7 @@ def _distributed():
     try:
         import distributed
     except ImportError:
-        raise InputError("--scheduler: needs Dask; `pip install 'clsplat[cluster]'`") from None
+        raise InputError("--scheduler: needs Dask; `pip install dask distributed`") from None
     return distributed
 
 

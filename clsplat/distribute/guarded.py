@@ -3,6 +3,7 @@ command line unless the file DONE exists, alone in that file's folder and with a
 own, and is interrupted when its standard input ends: as when its parent dies, or closes it.
 """
 
+import _thread
 import os
 import runpy
 import signal
@@ -44,17 +45,25 @@ def main(done, module, *words):
 def _follow_parent():
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
     pipe = os.dup(0)
-    with open(os.devnull) as nothing:
+    with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)  # what this process starts shall not hold the pipe
 
     def watch():
         while os.read(pipe, 1):
             pass
-        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        _interrupt()
         time.sleep(GRACE_SECONDS)
         os._exit(INTERRUPTED)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def _interrupt():
+    """Raise Ctrl-C in the main thread, and end a system call of it where the platform can."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+    else:  # Windows
+        _thread.interrupt_main()
 
 
 def _own_kernel_cache(stack):
