@@ -129,7 +129,8 @@ def foreign(path, text):
     guarded |= {child.attr for node in ast.walk(tree) if isinstance(node, ast.Try)
                 if any("AttributeError" in ast.unparse(handler.type or ast.Constant(""))
                        for handler in node.handlers)
-                for child in ast.walk(ast.Module(node.body, [])) if isinstance(child, ast.Attribute)}
+                for child in ast.walk(ast.Module(node.body, []))
+                if isinstance(child, ast.Attribute)}
     tried = {id(child) for node in ast.walk(tree) if isinstance(node, ast.Try)
              and any("ImportError" in ast.unparse(handler.type or ast.Constant(""))
                      for handler in node.handlers) for child in node.body}

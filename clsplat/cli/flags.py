@@ -12,6 +12,15 @@ from clsplat.options import AUTO, TrainOptions
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
 
 
+class GivenPath(click.Path):
+    """A path that is not empty: "" would be the current folder."""
+
+    def convert(self, value, param, ctx):
+        if str(value) == "":
+            self.fail("is empty; give a path, or . for the current folder", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class Numbers(click.ParamType):
     """Numbers of one kind, separated by commas."""
 

@@ -9,6 +9,7 @@ import runpy
 import signal
 import socket
 import sys
+import tempfile
 import threading
 import time
 from contextlib import ExitStack
@@ -67,16 +68,32 @@ def _interrupt():
 
 def _own_kernel_cache(stack):
     """The first folder for compiled kernels that no other process of this machine holds: PoCL's is
-    not safe across processes. (pyopencl's is off, see clsplat/device/runtimes.py.)"""
-    base = Path(os.environ.get("POCL_CACHE_DIR") or Path.home() / ".cache" / "clsplat" / "kernels")
-    for number in count():
-        folder = base / socket.gethostname() / str(number)
-        folder.mkdir(parents=True, exist_ok=True)
+    not safe across processes. (pyopencl's is off, see clsplat/device/runtimes.py.) Where it cannot
+    be written, one in a temporary folder, which ends with the process."""
+    base = _kernel_caches()
+    for number in count() if base else ():
+        folder = base / str(number)
         try:
+            folder.mkdir(exist_ok=True)
             stack.enter_context(exclusive(folder))
             return folder
         except Held:
             pass
+        except (OSError, InputError):  # another user's, or the disk is full
+            break
+    return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="clsplat-kernels-")))
+
+
+def _kernel_caches():
+    """The folder of this machine's kernel caches, made; None where none can be."""
+    chosen = os.environ.get("POCL_CACHE_DIR")
+    try:
+        base = Path(chosen) if chosen else Path.home() / ".cache" / "clsplat" / "kernels"
+        base = base / socket.gethostname()
+        base.mkdir(parents=True, exist_ok=True)
+        return base
+    except (OSError, RuntimeError):  # a home that may not be written, or that nobody knows
+        return None
 
 
 if __name__ == "__main__":

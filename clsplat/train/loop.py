@@ -31,7 +31,7 @@ from clsplat.train.interrupt import deferred_interrupt, was_interrupted
 from clsplat.train.model import Model
 from clsplat.train.needs import find_needs, smallest_size
 from clsplat.train.photos import Photos, decoded, size_note
-from clsplat.train.silent import Silent
+from clsplat.train.silent import WARNING, Silent
 from clsplat.train.skipped import TOO_MANY
 from clsplat.train.snapshots import save_snapshot
 from clsplat.train.step import Shot, Step
@@ -187,7 +187,7 @@ class Training(Clock):
         for text in found:
             self.log("warning", text=text)
             if self.progress:
-                self.progress.message(f"warning: {text}")
+                self.progress.message(f"{WARNING}{text}")
 
     def run_to_end(self):
         """Steps until done, `stop_at` or Ctrl-C, which waits for its step; then saves the state.
@@ -254,6 +254,10 @@ class Training(Clock):
         self.progress.phase(f"training level {plan.level:g}")
         event = self.step.follow(iteration, plan, self.schedule, self.look)
         self.iteration = iteration
+        if not self.step.model.count:
+            raise self.broken(f"all gaussians were pruned after step {iteration}",
+                              "lower --prune-opacity, or allow larger --prune-size or "
+                              "--sphere-reach")
         if event:
             self.log("grow", **event)
         self.observe()
@@ -349,12 +353,11 @@ class Training(Clock):
                                   "skipped_rows")
         return values
 
-    def broken(self, what):
+    def broken(self, what, cure="lower the learning rates or check the scene"):
         """The InputError for a training that cannot go on."""
         kept = ("the last checkpoint is kept" if self.run.has_checkpoint
                 else "there is no checkpoint yet")
-        return InputError(f"{self.run.path}: {what}; {kept}: lower the learning rates or check "
-                          "the scene")
+        return InputError(f"{self.run.path}: {what}; {kept}: {cure}")
 
     def evaluate(self):
         """Metrics of the held-out views, outside of training time."""

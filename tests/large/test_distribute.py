@@ -97,7 +97,7 @@ def test_two_tasks_of_one_name_are_refused(tmp_path):
 
 
 def test_no_workers_are_refused(tmp_path):
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(InputError, match="wants 1 to 1024"):
         run(stub_tasks(tmp_path, 1), workers=0)
 
 
