@@ -12,6 +12,15 @@ from clsplat.options import AUTO, TrainOptions
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
 
 
+class GivenPath(click.Path):
+    """A path that is not empty: "" would be the current folder."""
+
+    def convert(self, value, param, ctx):
+        if str(value) == "":
+            self.fail("is empty; give a path, or . for the current folder", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class Numbers(click.ParamType):
     """Numbers of one kind, separated by commas."""
 
@@ -56,7 +65,7 @@ def given_options(ctx):
 
 
 def flag_name(name):
-    """`--kebab-case` of an option's name."""
+    """An option's name as a flag, with hyphens."""
     return "--" + name.replace("_", "-")
 
 
@@ -71,7 +80,7 @@ def _flag(option):
         settings.update(type=Numbers(get_args(option.type)[0]), multiple=True, show_default=False,
                         callback=lambda ctx, param, lists: sum(lists, ()))
     elif meta["auto"]:
-        settings["type"] = NumberOrAuto(type(default))
+        settings["type"] = NumberOrAuto(option.type)
     elif isinstance(default, tuple):
         settings.update(type=type(default[0]), nargs=len(default))
     else:

@@ -4,6 +4,7 @@ import signal
 import sys
 import traceback
 from contextlib import suppress
+from pathlib import Path
 
 import click
 
@@ -16,6 +17,7 @@ from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
 from clsplat.cli.evaluate import evaluate
 from clsplat.cli.export import export
+from clsplat.cli.flags import GivenPath
 from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
 from clsplat.cli.render import render
@@ -115,3 +117,6 @@ for _command in (main, *main.commands.values()):
     _command.params.append(click.Option(
         ["--traceback"], is_flag=True, expose_value=False,
         help="Show where in the code an error arose."))
+    for _parameter in _command.params:
+        if isinstance(_parameter.type, click.Path):
+            _parameter.type = GivenPath(path_type=Path)

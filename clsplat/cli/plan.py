@@ -9,6 +9,7 @@ from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
 
 MIB = 2**20
+MOST_PHOTOS = 10**9
 WIDTH = 12  # of the column of names
 
 
@@ -29,35 +30,48 @@ def plan(ctx, scene, config, photos, margin, **_):
     overrides a line. Then the memory that the training takes on the device at most, and its time,
     from a few real steps.
     """
+    from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.io.scenes import read_scene
     from clsplat.options import from_toml, resolve
+    from clsplat.partition import PartitionOptions
     from clsplat.plan.forecast import Planned
+    from clsplat.plan.pace import load
+    from clsplat.train.photos import size_note
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
-    data = read_scene(scene, options.images)
-    device = choose_device(options.device, form=options.form)
-    planned = Planned(data, options, device)
+    photos, margin = _numbers(photos), PartitionOptions(margin=margin).margin
+    busy, progress = load(), Progress()
+    with progress:
+        progress.phase("reading the scene")
+        data = read_scene(scene, options.images)
+        device = choose_device(options.device, form=options.form)
+        planned = Planned(data, options, device, progress)
     click.echo(f"{data.name}: {len(planned.views)} photos to train on, {len(planned.held_out)} "
                f"held out, {len(data.points):,} points; {device.name}")
+    if note := size_note(data.views, options):
+        click.echo(f"  {note}")
     for name, reason in planned.needs.reasons.items():
         _line(name, reason)
-    forecast = planned.forecast()
+    with progress:
+        forecast = planned.forecast()
     _line("photos", forecast.streaming.reason)
     _line("memory", _memory(forecast, device))
-    _line("time", _time(forecast))
+    _line("time", _time(forecast, busy))
     if photos:
         from clsplat.city.forecast import scale_table
-        click.echo("\n" + scale_table(planned, forecast, device, margin, _numbers(photos)).text())
+        click.echo("\n" + scale_table(planned, forecast, device, margin, photos).text())
 
 
 def _numbers(text):
+    if not text:
+        return []
     try:
         numbers = [int(part) for part in text.split(",")]
-        if min(numbers) < 1:
+        if min(numbers) < 1 or max(numbers) > MOST_PHOTOS:
             raise ValueError
     except ValueError:
-        raise InputError(f"--photos {text}: wants whole numbers of at least 1, such as "
-                         "1000,10000,100000") from None
+        raise InputError(f"--photos {text[:80]}: wants whole numbers from 1 to {MOST_PHOTOS:,}, "
+                         "such as 1000,10000,100000") from None
     return numbers
 
 
@@ -73,8 +87,23 @@ def _memory(forecast, device):
     return text if memory.total < there else f"{text}; does not fit: use --max-gaussians or -r"
 
 
-def _time(forecast):
-    minutes, seconds = divmod(round(forecast.seconds), 60)
-    level, gaussians, step = max(forecast.measured, key=lambda measured: measured[2])
-    return (f"about {minutes} min {seconds:02d} s for {forecast.steps:,} steps; a step at level "
-            f"{level:g} with {gaussians:,} gaussians takes {1e3 * step:.1f} ms here")
+def _time(forecast, load):
+    (_, _, begin), (level, gaussians, end) = forecast.ends
+    text = (f"about {duration(forecast.seconds)} for {forecast.steps:,} steps: a step takes "
+            f"{1e3 * begin:.1f} ms at first, and {1e3 * end:.1f} ms at the end at level {level:g} "
+            f"with {gaussians:,} gaussians")
+    if load:
+        text += (f"; this machine is busy (load {load[0]:.1f} on {load[1]} cores), so this is an "
+                 "upper estimate")
+    return text
+
+
+def duration(seconds):
+    """Such as 45 s, 12 min 05 s, 6 h 37 min."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    minutes = round(whole / 60)
+    return f"{minutes // 60:,} h {minutes % 60:02d} min"

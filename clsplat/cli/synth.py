@@ -29,12 +29,12 @@ def _pair(context, option, text):
 @click.option("--overwrite", is_flag=True, help="Replace an earlier synthetic scene.")
 def synth(output, blocks, views, size, seed, overwrite):
     """Make a procedural city scene: photos, COLMAP model, and the true geometry."""
-    from tqdm import tqdm
-
+    from clsplat.cli.progress import Progress
     from clsplat.synth.write import synthesise
-    with tqdm(total=views, unit="view", disable=None, leave=False) as bar:
+    with Progress() as progress:
+        progress.phase("laying out the city")
         photos, points, observations = synthesise(
             output, blocks, views, *size, seed=seed, overwrite=overwrite,
-            progress=lambda done, total: bar.update())
+            progress=lambda done, total: progress.count("photo", done, total))
     click.echo(f"{output}: {photos} views of {size[0]} x {size[1]}, {points:,} points, "
                f"{observations:,} observations")

@@ -37,11 +37,13 @@ def in_child(task, program, device="", folder=None, stopping=lambda: False):
                   f"{' '.join(task.command)}\n".encode())
         log.flush()
         start = log.tell()
-        # a session of its own: Ctrl-C in the terminal is for the parent, who passes it on once
+        # a session of its own (on Windows: a group): Ctrl-C in the terminal is for the parent, who
+        # passes it on once
         child = subprocess.Popen(
             [sys.executable, "-m", "clsplat.distribute.guarded", str(task.done), program,
              *task.command], stdin=subprocess.PIPE, stdout=log, stderr=log, cwd=folder,
-            env=environment(device), start_new_session=True)
+            env=environment(device), start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0))
     try:
         code = _waited(child, stopping)
     finally:

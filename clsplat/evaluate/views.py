@@ -150,7 +150,7 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
     else:
         if scene_path is None:
             raise InputError(f"{model}: a PLY file has no cameras; name them with --scene SCENE")
-        options, scene = TrainOptions(), read_scene(scene_path)
+        options, scene = TrainOptions(max_resolution=0), read_scene(scene_path)
         gaussians = read_ply(model, scene.offset)
     scene = scene.reduced(options.downscale, options.max_resolution)
     train, test = scene.split(options.test_every)

@@ -16,6 +16,7 @@ ROWS_AT_A_TIME = 1 << 16
 # positions become double where float would move one by more than this share of the median scale
 TOLERANCE = 1e-3
 LONGEST_HEADER = 1 << 20  # bytes
+TEXT = re.compile(rb"[\r\n]format\s+ascii\b")
 END_HEADER = re.compile(rb"[\r\n]end_header(?=[\r\n]|$)")
 PLACES = ("positions", "anchors")  # fields in world units that the offset moves
 OFFSET = re.compile(r"offset\s+(\S+)\s+(\S+)\s+(\S+)\s*$")
@@ -169,11 +170,11 @@ def read_vertices(path):
 
 
 def _checked(file):
-    """A file for plyfile, from its start: `file`, or where the header has other bytes than ASCII,
-    as comments may, a copy that has "?" for them."""
+    """A file for plyfile, from its start: `file`, or a copy where its rows are text, which plyfile
+    would leave open, or where the header has other bytes than ASCII, as comments may: "?" there."""
     header = _header(file)
     file.seek(0)
-    if header.isascii():
+    if header.isascii() and not TEXT.search(header):
         return file
     file.seek(len(header))
     return io.BytesIO(bytes(byte if byte < 128 else ord("?") for byte in header) + file.read())

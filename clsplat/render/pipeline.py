@@ -107,6 +107,21 @@ class Renderer:
         return Frame(camera, degree, visible, splats, order, pairs, bands, pair_count, blended,
                      with_depth)
 
+    def count(self, rows, camera, width, height):
+        """(splats, pairs) that `render` would find; neither sorts nor blends."""
+        device = self.device
+        visible = self._visible(rows, camera)
+        splats = project(device, rows, visible, camera, 0, self._project_defines)
+        return len(visible), int(count_tiles(device, splats, width, height).sum())
+
+    def count_splats(self, rows, camera):
+        """The splats alone."""
+        return len(self._visible(rows, camera))
+
+    def _visible(self, rows, camera):
+        flags, depth_keys = cull(self.device, rows, camera, self._project_defines)
+        return compact(self.device, flags, depth_keys)[1]
+
     def adjoint(self, rows, frame, grad_image, grad_depth=None, grad_transmittance=None):
         """Gradients from grad_image real[3, H, W] and, for a frame with depth, from grad_depth and
         grad_transmittance real[H, W], by the depth channel and by what is left of the light."""

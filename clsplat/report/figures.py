@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
 from clsplat.report.curves import band, curve, frequency_curves
-from clsplat.report.drawing import LOOK, SMALL  # noqa: F401  (LOOK for the map)
+from clsplat.report.drawing import SMALL
 
 # Okabe and Ito (2008), apart for the colour-blind; yellow left out, it does not show on white
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")

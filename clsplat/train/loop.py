@@ -30,7 +30,8 @@ from clsplat.train.finish import draw_report, save_model
 from clsplat.train.interrupt import deferred_interrupt, was_interrupted
 from clsplat.train.model import Model
 from clsplat.train.needs import find_needs, smallest_size
-from clsplat.train.photos import Photos, decoded
+from clsplat.train.photos import Photos, decoded, size_note
+from clsplat.train.silent import WARNING, Silent
 from clsplat.train.skipped import TOO_MANY
 from clsplat.train.snapshots import save_snapshot
 from clsplat.train.step import Shot, Step
@@ -113,9 +114,12 @@ class Training(Clock):
         self.iteration = 0
         self.evaluated_at = self.per_view = self.level = self.losses = None
         self.fingerprint = fingerprint(scene)
+        self.run, self.progress = run, progress or Silent()
+        note = size_note(scene.views, options)
+        if note and not (options.coarse or scene.region):  # a city says it once, for all
+            self.progress.message(note)
         scene = scene.reduced(options.downscale, options.max_resolution)
         self.scene = scene = scene.normalised()  # same steps whatever the unit of the scene
-        self.run, self.progress = run, progress
         if len(scene.views) < 2:
             raise InputError(f"{scene.name}: has a single photo; depth needs at least two from "
                              "different places, and 20 or more make a good model")
@@ -123,6 +127,7 @@ class Training(Clock):
         if not self.train_views:
             raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
                              "view; use a larger number, or 0")
+        self.progress.phase("planning")
         self.needs = find_needs(scene, self.train_views, scaled_steps(options), device)
         self.options = options = self.needs.options
         initial = gaussians or initial_gaussians(scene, options)
@@ -143,6 +148,7 @@ class Training(Clock):
             exposures = Exposures(device, len(views), initial=given, learns=given is None)
         self.step = Step(self.renderer, model, scene.extent, options, exposures,
                          trains)
+        self.progress.phase("reading photos")
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
         self.budget = self.measured_budget() if options.time_budget else None
@@ -150,6 +156,7 @@ class Training(Clock):
         self.adjacent = self.needs.neighbours and Adjacent(
             device, self.needs.neighbours, exposures, options.seed)
         self.use_level(self.schedule.levels[0])
+        self.progress.phase("compiling kernels")  # of the first step
         self.unpause()
 
     def view_of(self, number):
@@ -163,7 +170,10 @@ class Training(Clock):
         if level == self.level:
             return
         self.level = level
+        self.progress.phase(f"reading photos of level {level:g}")
         self.photos.use(level)
+        if self.budget:
+            self.budget.note_change(self.photos.read_seconds, self.iteration, self.stepped())
         cameras = [view.camera for view in self.photos.views]
         if self.adjacent:
             self.adjacent.use(cameras)
@@ -177,7 +187,7 @@ class Training(Clock):
         for text in found:
             self.log("warning", text=text)
             if self.progress:
-                self.progress.message(f"warning: {text}")
+                self.progress.message(f"{WARNING}{text}")
 
     def run_to_end(self):
         """Steps until done, `stop_at` or Ctrl-C, which waits for its step; then saves the state.
@@ -229,7 +239,7 @@ class Training(Clock):
     def take_step(self):
         """One step with what follows it, and its evaluation where one is due."""
         iteration = self.iteration + 1
-        plan = self.schedule.plan(iteration)
+        plan = self.allowed(self.schedule.plan(iteration))
         if self.options.snapshots and plan.level != self.level:
             save_snapshot(self)
         self.use_level(plan.level)
@@ -241,14 +251,21 @@ class Training(Clock):
                 self.adjacent.compare_colours()
         self.losses = self.step.take(iteration, plan, (
             self.shot(taken + place, plan.regularises) for place in range(1, batch + 1)))
+        self.progress.phase(f"training level {plan.level:g}")
         event = self.step.follow(iteration, plan, self.schedule, self.look)
         self.iteration = iteration
+        if not self.step.model.count:
+            raise self.broken(f"all gaussians were pruned after step {iteration}",
+                              "lower --prune-opacity, or allow larger --prune-size or "
+                              "--sphere-reach")
         if event:
             self.log("grow", **event)
         self.observe()
         if self.budget and self.budget.is_due(self.stepped()):
             self.estimate_end()
-        if self.due(self.options.eval_every) or iteration in self.options.eval_at:
+        if self.finished():
+            self.end_well()
+        elif self.evaluates():  # the last one comes once the model is saved
             self.evaluate()
 
     def shot(self, number, regularises):
@@ -336,24 +353,23 @@ class Training(Clock):
                                   "skipped_rows")
         return values
 
-    def broken(self, what):
+    def broken(self, what, cure="lower the learning rates or check the scene"):
         """The InputError for a training that cannot go on."""
         kept = ("the last checkpoint is kept" if self.run.has_checkpoint
                 else "there is no checkpoint yet")
-        return InputError(f"{self.run.path}: {what}; {kept}: lower the learning rates or check "
-                          "the scene")
+        return InputError(f"{self.run.path}: {what}; {kept}: {cure}")
 
     def evaluate(self):
         """Metrics of the held-out views, outside of training time."""
         if not self.test_views:
             return
         self.pause()
+        self.progress.phase("evaluating")
         begin = time.perf_counter()
         result = evaluate_views(self.renderer, self.step.model.rows, self.options.sh_degree,
                                 self.test_views)
         self.unpause()
-        if self.budget:
-            self.budget.evaluation_seconds = time.perf_counter() - begin
+        self.note_evaluation(time.perf_counter() - begin)
         self.evaluated_at, self.per_view = self.iteration, result["per_view"]
         means = {key: value for key, value in result.items() if key != "per_view"}
         self.log("eval", **means)
@@ -366,6 +382,7 @@ class Training(Clock):
     def save(self):
         """Write the checkpoint, outside of training time; InputError rather than a spoilt one."""
         self.pause()
+        self.progress.phase("writing the checkpoint")
         if self.losses:
             self.check()
         begin = time.perf_counter()

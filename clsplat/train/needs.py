@@ -173,8 +173,8 @@ def _engine(scene, views, options, device):
     needed = 3 * floats * GROWTH_ROOM * count * device.real.itemsize
     there = device.handle.global_mem_size
     value = "device" if needed < DEVICE_SHARE * there else "numpy"
-    return Part(value, f"{value}: parameters and moments of about {count:,} gaussians take "
-                f"{needed / 2**20:,.0f} MiB of the device's {there / 2**20:,.0f}")
+    return Part(value, f"{value}: parameters and moments take up to {needed / 2**20:,.0f} MiB of "
+                f"the device's {there / 2**20:,.0f}")
 
 
 def subject_of(scene, views, photos=None, inverse_distance=1.0):

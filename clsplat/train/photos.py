@@ -1,5 +1,6 @@
 """Training photos at one level after another, kept on the device while they fit."""
 
+import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -27,6 +28,22 @@ def decoded(views):
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
+
+
+def size_note(views, options):
+    """A line for the user where --max-resolution makes the photos of `views` smaller, or None.
+
+    views: Views as read; options: TrainOptions, of which -r is no surprise and is not mentioned.
+    """
+    limited = [view.camera for view in views
+               if view.camera.reduced(options.downscale, options.max_resolution).width
+               < view.camera.reduced(options.downscale).width]
+    if not limited:
+        return None
+    largest = max(limited, key=lambda camera: camera.width * camera.height)
+    small = largest.reduced(options.downscale, options.max_resolution)
+    return (f"photos of {largest.width}x{largest.height} are reduced to {small.width}x"
+            f"{small.height}; --max-resolution 0 keeps their size")
 
 
 def at_level(views, level):
@@ -61,6 +78,7 @@ class Photos:
         """Go to a level, and begin to read the one that follows it."""
         if level == self.level:
             return
+        begin = time.perf_counter()
         self.level, self.views = level, at_level(self._full, level)
         self.resident = self._fits(self.views)
         self._ahead.clear()
@@ -70,6 +88,7 @@ class Photos:
             photos = ((future.result() for future in expected[1])
                       if expected and expected[0] == level else decoded(self.views))
             self._arrays = [self.device.upload(photo) for photo in photos]
+        self.read_seconds = time.perf_counter() - begin
         following = [new for new in self._levels if new < level]
         if following and self._fits(at_level(self._full, following[0])):
             self._next = following[0], [self._thread.submit(decode, view)

@@ -49,7 +49,7 @@ class Step:
         self.statistics = Statistics(self.device, model.count)
         self.skipped = Skipped(renderer.skipped, *([exposures.skipped] if exposures else []))
         self.held = None
-        self._hold()
+        self.hold()
         self.pixel_pairs = 0  # pairs of gaussian and pixel so far: all pixels of a tile it meets
 
     def take(self, iteration, plan, shots):
@@ -107,7 +107,8 @@ class Step:
                                      None if self.held is None else self.held.download() == 0)
         return event
 
-    def _hold(self):
+    def hold(self):
+        """Find anew which gaussians are held."""
         if self.trains:
             rows = (self.model.rows[name].download() for name in ("positions", "log_scales"))
             self.held = self.device.upload((~self.trains(*rows)).astype(np.uint32))
@@ -120,7 +121,7 @@ class Step:
         rng = np.random.default_rng([options.seed, iteration])
         gradient = self.statistics.mean_gradient()
         candidates = Candidates(rows, self.extent, options, plan.prunes_large)
-        self._hold()
+        self.hold()
         held = np.zeros(model.count, bool) if self.held is None else self.held.download() > 0
         prunes = candidates.prunes & ~held
         scores = None
@@ -133,7 +134,7 @@ class Step:
         grows = self._chosen(iteration, schedule, gradient, candidates, prunes, scores, rng)
         growth = plan_growth(candidates, grows, prunes, rng)
         model.regrow(growth)
-        self._hold()
+        self.hold()
         self.statistics.clear(model.count)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 

@@ -10,8 +10,16 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.options import resolve
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule.plan import Plan
 from clsplat.train import checkpoint
-from clsplat.train.budget import REPORT_SECONDS, SPARE, TOO_LITTLE, TimeBudget
+from clsplat.train.budget import (
+    RECOVERY,
+    REPORT_SECONDS,
+    SETTLING,
+    SPARE,
+    TOO_LITTLE,
+    TimeBudget,
+)
 from clsplat.train.loop import Training
 
 COUNT = 100_000  # gaussians at the start
@@ -35,6 +43,7 @@ class Simulated:
     """The parts of a `loop.Training` that a budget reads and moves, without a device."""
 
     lay_over, estimate_end = Training.lay_over, Training.estimate_end
+    allowed = Training.allowed
     stepped = Training.stepped
 
     def __init__(self, seconds, clock, **options):
@@ -48,6 +57,8 @@ class Simulated:
         self.level = self.schedule.levels[0]
         self.device = SimpleNamespace(finish=lambda: None, build_seconds=0.0)
         self.clock, self.iteration, self.steps_at = clock, 0, {}
+        self.upheavals = {"lowered": 0, "level": 0, "grown": 0}  # the last step of each
+        self.kept_at = []
         self.needs = SimpleNamespace(options=self.options)
         self.budget = TimeBudget(seconds, clock.evaluation, clock.now, checkpoint.size(self.model))
 
@@ -56,10 +67,15 @@ class Simulated:
 
     def take_step(self):
         iteration = self.iteration + 1
-        plan = self.schedule.plan(iteration)
+        plan = self.allowed(self.schedule.plan(iteration))
+        for name, happens in (("level", plan.level != self.level), ("grown", plan.grows),
+                              ("lowered", plan.resets_opacity)):
+            if happens:
+                self.upheavals[name] = iteration
         if plan.level != self.level:
             self.clock.now += self.clock.change
             self.level = plan.level
+            self.budget.note_change(self.clock.change, self.iteration, self.stepped())
         if iteration == 1:
             self.clock.now += self.clock.build
             self.device.build_seconds += self.clock.build
@@ -73,6 +89,9 @@ class Simulated:
             self.schedule.observe(iteration, FREQUENCIES)
         if self.budget.is_due(self.stepped()):
             self.estimate_end()
+
+    def keep(self):
+        self.kept_at.append(self.iteration)
 
     def run(self, checkpoint_every=0, until=None):
         """Seconds until the model is written, or until a step."""
@@ -163,6 +182,73 @@ def test_a_resumed_run_keeps_to_the_budget():
     assert again.options.iterations == first.options.iterations
     again.level = first.level
     assert 0.97 * 240 < again.run() < 1.01 * 240
+
+
+# --- no end just after an upheaval
+
+
+def by_area(level, count, iteration, unit=0.05):
+    """A CPU's: by pixels, which the estimate of a level not seen yet takes for less."""
+    return unit / level**2
+
+
+@pytest.mark.parametrize("step", [by_pixels, by_level, by_area])
+@pytest.mark.parametrize("seconds", [25, 31, 37, 60, 90])
+@pytest.mark.parametrize("options", [
+    {}, {"levels": (5.0, 4.0, 3.0, 2.0, 1.0), "level_share": 0.9},
+    {"schedule": "constant", "reset_every": 300, "densify_until": 30000},
+    {"schedule": "taming", "reset_every": 170, "densify_until": 30000}], ids=str)
+def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
+    """Reading a level's photos takes a tenth of the time, and steps get slower by up to 25 times
+    from level to level."""
+    clock = Clock(step, evaluation=0.5, change=seconds / 10, build=1.0)
+    training = Simulated(seconds, clock, **options)
+    training.budget.change_seconds = clock.change  # the first level's photos were read, too
+    assert training.run() < 1.1 * seconds
+    since = {name: training.iteration - at for name, at in training.upheavals.items() if at}
+    assert since.get("lowered", RECOVERY) >= 0.8 * RECOVERY
+    assert min(since.get(name, SETTLING) for name in ("level", "grown")) >= 0.8 * SETTLING
+
+
+def plan_of(**changes):
+    return Plan(**{"level": 1.0, "degree": 3, "gathers": True, "grows": True, "decay": 0.0,
+                   "resets_opacity": True, "prunes_large": False, **changes})
+
+
+@pytest.mark.parametrize("left, grows, lowers, stays", [
+    (RECOVERY, True, True, False), (RECOVERY - 1, True, False, False),
+    (SETTLING, True, False, False), (SETTLING - 1, False, False, True)])
+def test_what_needs_time_begins_only_while_there_is_time(left, grows, lowers, stays):
+    made = budget()
+    plan = made.allowed(plan_of(), 2.0, left)
+    assert (plan.grows, plan.resets_opacity, plan.level) == (grows, lowers, 2.0 if stays else 1.0)
+    again = made.allowed(plan_of(), 2.0, 10**6)  # a level that was left out stays so
+    assert (again.level == 2.0) is stays and again.grows is not stays
+    restored = budget()
+    restored.load(json.loads(json.dumps(made.state())))
+    assert (restored.last_level == 2.0) is stays
+
+
+def test_the_first_estimates_of_a_level_are_careful():
+    made = budget()
+    made.step_seconds = {2.0: 0.01}
+    assert made.left(2.0, False, 0.0, 0) == int(LEFT / 0.01)
+    assert made.left(1.0, False, 0.0, 0) == int(LEFT / 0.04)
+    made.note_change(7.0, 0, 0.0)
+    made.note_change(3.0, 0, 0.0)
+    assert made.left(1.0, True, 0.0, 0) == int((LEFT - 7) / 0.04)
+
+
+def test_evaluations_of_a_budget_are_paid_for():
+    made = TimeBudget(100.0, 1.0, 0.0, 0, evaluations=8)
+    assert made.reserve(0) == pytest.approx(8 + REPORT_SECONDS + 100 * SPARE)
+    due = [second for second in range(100) if made.evaluates(second)]
+    assert due == [13, 25, 38, 50, 63, 75, 88]
+    assert made.reserve(0) == pytest.approx(1 + REPORT_SECONDS + 100 * SPARE)
+    slow = TimeBudget(100.0, 4.0, 0.0, 0, evaluations=8)  # a tenth of the time: two
+    assert [second for second in range(100) if slow.evaluates(second)] == [50]
+    late = TimeBudget(100.0, 1.0, 0.0, 0, evaluations=8)
+    assert late.evaluates(60) and not late.evaluates(61) and late.evaluates(63)
 
 
 # --- the arithmetic

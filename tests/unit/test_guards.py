@@ -11,6 +11,7 @@ from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.train import checkpoint, loop, skipped, step
+from clsplat.train.silent import Silent
 from clsplat.train.skipped import Skipped
 from tests.tiny_model import write_scene
 from tests.tiny_training import model_digest, records
@@ -105,10 +106,7 @@ def often(monkeypatch):
 @pytest.fixture
 def train(item_device, often, scene, tmp_path):
     """train(**options): a run of its own, on the device; .messages: what the user was told."""
-    class Progress:
-        def __call__(self, **_):
-            pass
-
+    class Progress(Silent):
         def message(self, text):
             messages.append(text)
 

@@ -65,9 +65,9 @@ def another(field):
         return "90s", [flag, "90s"]
     if isinstance(default, tuple):
         return (0.5, 0.25, 1.0), [flag, "0.5", "0.25", "1.0"]
-    if isinstance(default, str):
+    if isinstance(default, str) and not meta["auto"]:
         return "text", [flag, "text"]
-    value = type(default)(meta["maximum"] if meta["maximum"] is not None else 5)
+    value = field.type(meta["maximum"] if meta["maximum"] is not None else 5)
     return value, [flag, str(value)]
 
 

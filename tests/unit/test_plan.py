@@ -120,7 +120,7 @@ def test_detail_is_what_half_the_size_would_not_show(tmp_path):
         height, width = image.shape[:2]
         camera = Camera(width, height, (10.0, 10.0), (4.0, 4.0), np.eye(3), np.zeros(3))
         view = View(name, camera, tmp_path / f"{name}.png")
-        assert photo_detail([view], 1.0) == pytest.approx(expected, abs=1e-6), name
+        assert photo_detail([view], [1.0])[1.0] == pytest.approx(expected, abs=1e-6), name
 
 
 def test_photos_are_compared_while_growing_only():
@@ -264,7 +264,7 @@ def test_the_command_says_it_all(monkeypatch, item_device):
         "levels sh antialiased exposure reproject engine photos memory time")
     assert "exposure      off: asked for\n" in result.output
     assert "sh degree     3: 99% of the points are seen from within 7" in result.output
-    assert "for 60 steps; a step at level 1 with" in result.output
+    assert "for 60 steps: a step takes " in result.output
 
 
 @pytest.mark.parametrize("words, complaint", [

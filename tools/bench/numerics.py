@@ -16,7 +16,7 @@ from .variants import KNOBS
 
 TITLE = "Numerics: error against run time"
 LEAD = (
-    "Made by `python -m tools.bench precision`; do not edit. A frame of the aerial city, "
+    "Made by `clsplat bench precision --markdown`; do not edit. A frame of the aerial city, "
     "rendered and differentiated under every approximation that the kernels could take. Times "
     "are of forward and adjoint without a loss. Image errors are in units of its range, 0 to 1. "
     "A gradient's error is relative: the L2 norm of the difference over that of the reference; "
