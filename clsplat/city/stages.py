@@ -50,7 +50,7 @@ def begin(city, scene, options):
                              f"{there.get('scene_absolute')}; choose another --output")
         changed = [name for name, value in there["options"].items()
                    if name != "device" and _plain(record["options"].get(name)) != value]
-        if changed:
+        if changed and RunFolder(city.coarse).is_begun:  # else nothing was made of them yet
             raise InputError(f"{city.path}: was begun with {changed[0]} "
                              f"{there['options'][changed[0]]}; give the same options, or choose "
                              "another --output")

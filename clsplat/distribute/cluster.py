@@ -137,6 +137,8 @@ def check_scheduler(address):
 def _connected(address, seconds):
     """A client of the scheduler at `address`; InputError where none answers in so many seconds."""
     distributed = _distributed()
+    # it logs a traceback for a scheduler that went away, of which a line is said here
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         return distributed.Client(address, timeout=seconds)
     except (OSError, ValueError, TypeError, distributed.TimeoutError) as error:

@@ -154,6 +154,7 @@ class CityFolder:
             if block.read() != record:
                 raise InputError(f"{block.path}: holds a block of another partition, or with other "
                                  "options; remove it, or choose another --output")
+            _link_again(block.path, [scene.views[index] for index in views])
             return block
         part = scene.part(views)
         if not len(part.points):
@@ -263,6 +264,19 @@ def _write_scene(folder, scene):
         link = folder / "images" / view.name
         link.parent.mkdir(parents=True, exist_ok=True)
         _link(view.source.resolve(), link)
+
+
+def _link_again(folder, views):
+    """Where the photos of a block were moved, link to where they are now."""
+    for view in views:
+        link = folder / "images" / view.name
+        if isinstance(view.source, Path) and link.is_symlink() and not link.exists():
+            try:
+                link.unlink()
+            except OSError as error:
+                raise InputError(f"{link}: cannot be replaced ({error.strerror}); check that its "
+                                 "folder may be written") from None
+            _link(view.source.resolve(), link)
 
 
 def _link(source, link):
