@@ -21,6 +21,7 @@ from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, record_of
+from clsplat.io.regular import native
 from clsplat.io.scene_path import recorded_scene, scene_record
 
 OPTIONS = "options.json"
@@ -312,7 +313,7 @@ class RunFolder:
         folder = self.path / RENDERS
         try:
             names = object_of((folder / WRITTEN).read_bytes())["pictures"]
-            found = [folder / name for name in names if ".." not in Path(name).parts]
+            found = [folder / native(name) for name in names if ".." not in Path(name).parts]
         except (OSError, ValueError, KeyError, TypeError):
             return []
         inside = os.path.join(os.path.realpath(self.path), RENDERS, "")
@@ -324,7 +325,8 @@ class RunFolder:
         --overwrite knows these pictures from those that a user put there."""
         folder = self.path / RENDERS
         make_folder(folder)
-        pictures = {path.relative_to(folder).as_posix() for path in self.renders()}
+        pictures = {os.fsencode(path.relative_to(folder).as_posix()).decode(errors="replace")
+                    for path in self.renders()}
         pictures |= {f"{kind}/{name}.png" for name in names}
         with replacing(folder / WRITTEN) as file:
             file.write((json.dumps({"pictures": sorted(pictures)}, indent=0) + "\n").encode())
@@ -334,7 +336,7 @@ class RunFolder:
 
         The view's name stays whole, or a.jpg and a.png would meet in one file.
         """
-        path = self.path / RENDERS / kind / f"{name}.png"
+        path = self.path / RENDERS / kind / native(f"{name}.png")
         if not path.resolve().is_relative_to((self.path / RENDERS).resolve()):
             raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
         make_folder(path.parent)
