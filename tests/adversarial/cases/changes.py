@@ -44,8 +44,8 @@ CASES = [
           "--checkpoint-every 4 -q -o out", same_model(), setup=shifted(-2)),
     works("clock-backward-city", 'PYTHONPATH="clock:$PYTHONPATH" clsplat city sy -n 8 --grid 2x1 '
           "-q -o out", same_model("out", "city"), setup=shifted(-2)),
-    works("clock-budget", 'PYTHONPATH="clock:$PYTHONPATH" clsplat train sy --time-budget 3s -q '
-          "-o out", model(), setup=shifted(-2)),
+    either("clock-budget", 'PYTHONPATH="clock:$PYTHONPATH" clsplat train sy --time-budget 30s -q '
+           "-o out", setup=shifted(-2)),
     works("files-of-the-future", "clsplat train sy -o half --resume -q", same_model("half"),
           needs=("sy", "half"), writes=("half",), setup="touch -d 2200-01-01 half/*"),
     works("stopped-for-a-while", during(LONG, "kill -STOP $P; sleep 2; kill -CONT $P"), model()),

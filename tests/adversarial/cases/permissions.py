@@ -92,9 +92,9 @@ CASES = [
             setup="mkdir -m 555 d"),
     refused("lock-unwritable", GO_ON, "half", setup="touch half/.lock; chmod 0 half/.lock; "
             "chmod 555 half", needs=("sy", "half"), writes=()),
-    either("lock-is-folder", GO_ON, setup="mkdir half/.lock", needs=("sy", "half"),
-           writes=("half",)),
-    either("lock-is-link", GO_ON, setup="echo mine > mine; ln -s ../mine half/.lock",
+    either("lock-is-folder", GO_ON, setup="rm -f half/.lock; mkdir half/.lock",
+           needs=("sy", "half"), writes=("half",)),
+    either("lock-is-link", GO_ON, setup="echo mine > mine; ln -sf ../mine half/.lock",
            needs=("sy", "half"), writes=("half",)),
 ]
 if hasattr(os, "geteuid") and os.geteuid() == 0 and shutil.which("mount"):
