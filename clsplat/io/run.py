@@ -21,7 +21,7 @@ from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, record_of
-from clsplat.io.regular import native
+from clsplat.io.regular import in_unicode, native
 from clsplat.io.scene_path import recorded_scene, scene_record
 
 OPTIONS = "options.json"
@@ -325,12 +325,10 @@ class RunFolder:
                 and os.path.realpath(path).startswith(inside)]
 
     def note_renders(self, kind: str, names: list[str]) -> None:
-        """Record that `render_path(kind, name)` will be written for each name, so that
-        --overwrite knows these pictures from those that a user put there."""
+        """Record that each `render_path(kind, name)` will be written: --overwrite may remove it."""
         folder = self.path / RENDERS
         make_folder(folder)
-        pictures = {os.fsencode(path.relative_to(folder).as_posix()).decode(errors="replace")
-                    for path in self.renders()}
+        pictures = {in_unicode(path.relative_to(folder)) for path in self.renders()}
         pictures |= {f"{kind}/{name}.png" for name in names}
         with replacing(folder / WRITTEN) as file:
             file.write((json.dumps({"pictures": sorted(pictures)}, indent=0) + "\n").encode())
