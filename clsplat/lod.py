@@ -22,6 +22,7 @@ from clsplat.io.city import CityFolder
 from clsplat.io.folders import make_folder
 from clsplat.io.images import write_image
 from clsplat.io.ply import read_ply
+from clsplat.io.regular import native
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.merge import cropped, joined, partition_of
 from clsplat.render.slabs import open_model
@@ -203,7 +204,7 @@ def compare_views(model, scene_path, folder, device, views="all", beside=False, 
         image, count, seconds = _timed(device, detail.draw, camera)
         full, total, full_seconds = _timed(device, detail.draw_full, camera)
         reference = detail.draw_full(camera, SUPERSAMPLING)[0] if away else photo_of(view)
-        path = folder / f"{view.name}.png"
+        path = folder / native(f"{view.name}.png")
         make_folder(path.parent)
         write_image(path, np.concatenate([image, full, reference], axis=1) if beside else image)
         image, full, reference = image[shown], full[shown], reference[shown]

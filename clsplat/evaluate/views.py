@@ -13,6 +13,7 @@ from clsplat.evaluate.pictures import Pictures, chosen_views, shown_view
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_photo, write_image
 from clsplat.io.ply import read_ply
+from clsplat.io.regular import native
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import TrainOptions, resolve
@@ -162,7 +163,7 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
         image = render_view(renderer, rows, degree, view.camera)
         if beside:
             image = np.concatenate([image, photo_of(view)], axis=1)
-        path = folder / f"{view.name}.png"
+        path = folder / native(f"{view.name}.png")
         make_folder(path.parent)
         write_image(path, image)
     return len(chosen)

@@ -47,6 +47,11 @@ def native(name):
     return os.fsdecode(str(name).encode(errors="surrogatepass"))
 
 
+def in_unicode(path):
+    """The name that `native` has made a relative Path of."""
+    return os.fsencode(path.as_posix()).decode(errors="replace")
+
+
 @contextmanager
 def utf8_path(path):
     """A name of the file `path` that is UTF-8, as OpenImageIO wants it."""

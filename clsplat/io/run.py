@@ -21,6 +21,7 @@ from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, record_of
+from clsplat.io.regular import in_unicode, native
 from clsplat.io.scene_path import recorded_scene, scene_record
 
 OPTIONS = "options.json"
@@ -316,7 +317,7 @@ class RunFolder:
         folder = self.path / RENDERS
         try:
             names = object_of((folder / WRITTEN).read_bytes())["pictures"]
-            found = [folder / name for name in names if ".." not in Path(name).parts]
+            found = [folder / native(name) for name in names if ".." not in Path(name).parts]
         except (OSError, ValueError, KeyError, TypeError):
             return []
         inside = os.path.join(os.path.realpath(self.path), RENDERS, "")
@@ -324,11 +325,10 @@ class RunFolder:
                 and os.path.realpath(path).startswith(inside)]
 
     def note_renders(self, kind: str, names: list[str]) -> None:
-        """Record that `render_path(kind, name)` will be written for each name, so that
-        --overwrite knows these pictures from those that a user put there."""
+        """Record that each `render_path(kind, name)` will be written: --overwrite may remove it."""
         folder = self.path / RENDERS
         make_folder(folder)
-        pictures = {path.relative_to(folder).as_posix() for path in self.renders()}
+        pictures = {in_unicode(path.relative_to(folder)) for path in self.renders()}
         pictures |= {f"{kind}/{name}.png" for name in names}
         with replacing(folder / WRITTEN) as file:
             file.write((json.dumps({"pictures": sorted(pictures)}, indent=0) + "\n").encode())
@@ -338,7 +338,7 @@ class RunFolder:
 
         The view's name stays whole, or a.jpg and a.png would meet in one file.
         """
-        path = self.path / RENDERS / kind / f"{name}.png"
+        path = self.path / RENDERS / kind / native(f"{name}.png")
         if not path.resolve().is_relative_to((self.path / RENDERS).resolve()):
             raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
         make_folder(path.parent)

@@ -268,10 +268,14 @@ def test_paths_that_are_not_utf8(tmp_path, locale):
             "scene = read_scene(sys.argv[1])\n"
             "print(sum(read_photo(view).shape[0] for view in scene.views))\n"
             "write_packed(scene, sys.argv[1] + '/a.npz')\n"
-            "print(len(read_scene(sys.argv[1] + '/a.npz').views))\n")
+            "print(len(read_scene(sys.argv[1] + '/a.npz').views))\n"
+            "from clsplat.io.run import RunFolder\nrun = RunFolder(sys.argv[1] + '/run')\n"
+            "names = [view.name for view in scene.views]\nrun.note_renders('test', names)\n"
+            "for name in names:\n    run.render_path('test', name).touch()\n"
+            "run.note_renders('train', [])\nprint(len(run.renders()))\n")
     done = subprocess.run([sys.executable, "-c", code, place], env={**os.environ, **locale},
                           capture_output=True, text=True, timeout=100, check=False)
-    assert done.stdout.split() == [str(4 * HEIGHT), "4"], done.stderr
+    assert done.stdout.split() == [str(4 * HEIGHT), "4", "4"], done.stderr
 
 
 @pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="needs files in memory")
