@@ -16,14 +16,13 @@ from scipy.special import expit
 
 from clsplat.errors import InputError
 from clsplat.evaluate.metrics import psnr
-from clsplat.evaluate.views import photo_of, render_view, run_options
+from clsplat.evaluate.views import photo_of, read_cameras_for, render_view, run_options
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.folders import make_folder
 from clsplat.io.images import write_image
 from clsplat.io.ply import read_ply
 from clsplat.io.run import MODEL, RunFolder
-from clsplat.io.scenes import read_scene
 from clsplat.merge import cropped, joined, partition_of
 from clsplat.render.slabs import open_model
 from clsplat.train.begin import of_degree
@@ -190,7 +189,7 @@ def compare_views(model, scene_path, folder, device, views="all", beside=False, 
     """
     run, folder = RunFolder.open(model), Path(folder)
     options = run_options(run)
-    scene = read_scene(run.scene_path(scene_path))
+    scene = read_cameras_for(run, scene_path)
     scene = scene.reduced(options.downscale, options.max_resolution).reduced(downscale)
     train, test = scene.split(options.test_every)
     chosen = {"all": scene.views, "train": train, "test": test}[views]

@@ -10,6 +10,7 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.lock import holder, is_held
 from clsplat.io.ply import read_ply
 from clsplat.io.reason import reason
 from clsplat.io.run import MODEL
@@ -20,14 +21,16 @@ from clsplat.report.page import Table
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well
 WHOLE = ("merged", "coarse")  # states of a block whose cell is filled
+TRAINS = "in training"  # by another process, at this moment
+KEPT = (TRAINS, "refused")  # states of a block that is never filled; the last one's cure is said
 
 
 @dataclass(frozen=True)
 class Share:
     """What a block gave. state: merged; coarse, the coarse model's gaussians in its place; or why
-    not: missing, unfinished, starved, refused. gaussians: that the merged model has of it; trained:
-    that its own model has, margin and surroundings included; views: it trained with; points: sparse
-    ones in its cell; note: more, for people."""
+    not: missing, unfinished, in training, starved, refused. gaussians: that the merged model has of
+    it; trained: that its own model has, margin and surroundings included; views: it trained with;
+    points: sparse ones in its cell; note: more, for people."""
 
     block: int
     state: str
@@ -56,9 +59,8 @@ class Merged:
         named = ", ".join(f"{share.block:03d} {share.state}" for share in lacking)
         cure = (f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, or fill them from "
                 "the coarse model with --fill")
-        refused = [share for share in lacking if share.state == "refused"]
-        if refused:
-            cure = refused[0].note
+        for state in KEPT:
+            cure = next((share.note for share in lacking if share.state == state), cure)
         raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be "
                          f"merged: {named}; {cure}")
 
@@ -80,14 +82,15 @@ def merge(city, scene, fill=False):
     """Merge the finished blocks of a CityFolder; returns a `Merged`, whole or not: `check` it.
 
     scene: the whole Scene, as `read_scene` gave it. fill: take the coarse model's gaussians for
-    cells that are missing, unfinished or starved. One block at a time is read; what its cell holds
+    cells that are missing, unfinished or starved; not of a block that another process trains at
+    this moment. One block at a time is read; what its cell holds
     is kept. Raises InputError for another scene, a damaged partition, and block folders that are
     none of it.
     """
     if fingerprint(scene) != city.read()["fingerprint"]:
         raise InputError(f"{city.path}: is a city of another scene than {scene.path}; give the one "
                          "that it was begun with, or begin a new city")
-    partition = partition_of(city)
+    partition = partition_of(city, scene)
     _refuse_strangers(city, len(partition.regions))
     owner = partition.owner(world_of(scene, scene.points))
     points = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
@@ -101,7 +104,7 @@ def merge(city, scene, fill=False):
         pieces.append(piece)
         shares.append(Share(number, state, piece.count if piece else 0, trained, len(views),
                             int(points[number]), note))
-    lacking = [s for s in shares if s.state not in ("merged", "refused")]
+    lacking = [s for s in shares if s.state not in ("merged", *KEPT)]
     if fill and lacking:
         coarse = read_ply(city.coarse / MODEL, scene.offset)
         for share in lacking:
@@ -145,6 +148,9 @@ def _block(folder, number, partition, scene):
     if not folder.is_there:
         return "missing", 0, None, "it was never written"
     if not (folder.run / MODEL).is_file():
+        if is_held(folder.run):
+            return TRAINS, 0, None, (f"{folder.path}: {holder(folder.run)} trains it; wait for it, "
+                                     "or stop it")
         return "unfinished", 0, None, "its run has no model yet"
     try:
         folder.check()
@@ -154,10 +160,14 @@ def _block(folder, number, partition, scene):
     return "merged", gaussians.count, cropped(gaussians, partition, number, scene.offset), ""
 
 
-def partition_of(city):
-    """The Partition of a CityFolder; InputError where it is damaged."""
+def partition_of(city, scene=None):
+    """The Partition of a CityFolder, where given of this whole Scene; InputError where it is
+    damaged."""
     try:
-        return Partition.from_record(city.read_partition())
+        partition = Partition.from_record(city.read_partition())
+        if scene is not None:
+            partition.check_views(len(scene.views))
+        return partition
     except ValueError as error:
         raise InputError(f"{city.path}: its partition is damaged ({reason(error)}); make it again "
                          f"with `clsplat partition {city.path}`") from None

@@ -6,6 +6,7 @@ format, and the run folder stores the resolved values.
 
 import dataclasses
 import math
+import os
 from dataclasses import dataclass, field
 from typing import get_args
 
@@ -20,19 +21,27 @@ except ModuleNotFoundError:  # Python 3.10
 AUTO = "auto"
 
 
-def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, wish=None,
-           only=None, auto=False):
+def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, most=None,
+           wish=None, only=None, auto=False):
     """A field of `TrainOptions`: its default and what the command line says about it.
 
-    choices, minimum, maximum: of a value, or of each element of a tuple; wish: what a refusal says
-    is wanted, where these and the type do not say it well; only: the schedules it means something
-    to (None: all); auto: whether a number may also be "auto", for train/needs.py to find.
+    choices, minimum, maximum: of a value, or of each element of a tuple; most: the same as maximum,
+    where that is no end of a scale but what a training can still be made with (None: MOST of its
+    type); wish: what a refusal says is wanted, where these and the type do not say it well; only:
+    the schedules it means something to (None: all); auto: whether a number may also be "auto", for
+    train/needs.py to find.
     """
     return field(default=default, metadata={
-        "group": group, "help": text, "short": short, "choices": choices,
-        "minimum": minimum, "maximum": maximum, "wish": wish, "only": only, "auto": auto})
+        "group": group, "help": text, "short": short, "choices": choices, "minimum": minimum,
+        "maximum": maximum, "most": most, "wish": wish, "only": only, "auto": auto})
 
 
+MOST = {int: 2**63 - 1, float: 1e15}  # squares and their sums stay far within float32
+MOST_STEPS = 10_000_000  # of a training: 300 times the default
+MOST_ELEMENTS = 1000  # of a list
+LONGEST_TEXT = 4096  # characters: the longest path that Linux takes
+LARGEST_FILE = 1 << 20  # bytes of a TOML file
+MOST_SECONDS = 366 * 24 * 3600.0  # of a time budget
 SHOWN = 200  # characters, of what a user gave, in a message
 SIG = ("sig",)
 LEVELLED = ("sig", "dash")  # schedules that change the level
@@ -42,9 +51,11 @@ LEVELLED = ("sig", "dash")  # schedules that change the level
 class TrainOptions:
     """Everything that decides a training; defaults are those of Kerbl et al. (2023)."""
 
-    iterations: int = option(30000, "Run", "training steps", short="-n", minimum=1)
+    iterations: int = option(30000, "Run", "training steps", short="-n", minimum=1,
+                             most=MOST_STEPS)
     steps_scale: float = option(
-        1.0, "Run", "multiply every step count of the schedule (and -n) by this", minimum=1e-4)
+        1.0, "Run", "multiply every step count of the schedule (and -n) by this", minimum=1e-4,
+        most=1e4)
     seed: int = option(0, "Run", "same seed and device, same bytes", minimum=0)
     stop_at: int = option(0, "Run", "stop after this step; the schedule stays that of -n (0: off)",
                           minimum=0)
@@ -65,6 +76,8 @@ class TrainOptions:
                               minimum=1.0)
     max_resolution: int = option(1600, "Scene", "photos whose longer side has more pixels than "
                                  "this are reduced to it (0: photos keep their size)", minimum=0)
+    images: str = option("", "Scene", "folder of the photos, from SCENE's own: images_4, say, "
+                         "whose photos are smaller than the model's cameras (none: images)")
     test_every: int = option(8, "Scene", "hold out every N-th view by name (0: none)", minimum=0)
     init: str = option("sfm", "Scene", "initial gaussians: sfm, random, or a PLY file")
     background: tuple[float, float, float] = option(
@@ -90,7 +103,7 @@ class TrainOptions:
                                 maximum=1.0)
     antialiased: bool = option(False, "Method", "scale opacity by the area the low-pass adds")
     batch: int = option(1, "Method", "photos a step learns from: their mean gradient moves the "
-                        "gaussians once; a step costs as many times as much", minimum=1)
+                        "gaussians once; a step costs as many times as much", minimum=1, most=1024)
     optimizer: str = option("dense", "Method", "Adam on all rows, or on those seen in the view",
                             choices=("dense", "sparse"))
     engine: str = option("auto", "Method", "where Adam runs: its moments on the device, or in "
@@ -195,7 +208,7 @@ CHOICES = {
             "optimizer": "sparse", "ssim_weight": 0.33},
     },
     "size": {"L": {"grow_threshold": 1.25e-4}},
-    "coarse": {True: {"downscale": 2.0}},
+    "coarse": {True: {"downscale": 2.0, "max_resolution": TrainOptions.max_resolution // 2}},
 }
 UNITS = {"s": 1, "m": 60, "h": 3600}
 
@@ -210,20 +223,33 @@ def seconds_of(text):
     if not 0 < seconds < math.inf:
         raise InputError(f"--time-budget: wants seconds, or a number with s, m or h such as 90s, "
                          f"10m or 2h; got {text[:SHOWN]!r}")
+    if seconds > MOST_SECONDS:
+        raise InputError(f"--time-budget {text[:SHOWN]}: is longer than a year; give less time")
     return seconds
 
 
 def from_toml(path):
     """The values a TOML file sets, as a dict; unknown keys and wrong types raise InputError."""
     try:
+        if os.path.exists(path) and not os.path.isfile(path):
+            raise InputError(f"{path}: is not a file; give a TOML file of options")
         with open(path, "rb") as file:
-            table = tomllib.load(file)
+            data = file.read(LARGEST_FILE + 1)
+        if len(data) > LARGEST_FILE:
+            raise InputError(f"{path}: is larger than {LARGEST_FILE >> 20} MiB; give a TOML file "
+                             "of options, such as iterations = 7000")
+        table = tomllib.loads(data.decode())
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:  # tomllib: also of integers with 4301 digits
         raise InputError(f"{path}: not valid TOML: {str(error)[:SHOWN]}") from None
-    return {key.replace("-", "_"): checked(str(path), key.replace("-", "_"), value)
-            for key, value in table.items()}
+    values = {}
+    for key, value in table.items():
+        name = key.replace("-", "_")
+        if name in values:
+            raise InputError(f"{path}: option '{name}' is set twice; remove one of the two lines")
+        values[name] = checked(str(path), name, value)
+    return values
 
 
 def checked(source, key, value):
@@ -242,11 +268,23 @@ def checked(source, key, value):
         if not isinstance(value, (list, tuple)) or (
                 ... not in elements and len(value) != len(elements)):
             raise ValueError
+        if len(value) > MOST_ELEMENTS:
+            raise _TooMuch(f"at most {MOST_ELEMENTS} values")
         return tuple(_checked_one(elements[0], meta, element) for element in value)
-    except ValueError as wish:
-        raise InputError(
-            f"{source}: option '{key}' wants {meta['wish'] or wish}, got {repr(value)[:SHOWN]}"
-            ) from None
+    except ValueError as error:
+        wish = error if isinstance(error, _TooMuch) else meta["wish"] or error
+        raise InputError(f"{source}: option '{key}' wants {wish}, got {_shown(value)}") from None
+
+
+def _shown(value):
+    try:
+        return repr(value)[:SHOWN]
+    except ValueError:  # Python does not write out integers of more than 4300 digits
+        return "a number of thousands of digits"
+
+
+class _TooMuch(ValueError):
+    """More than an option may have; says how much it may."""
 
 
 def _checked_one(kind, meta, value):
@@ -264,9 +302,22 @@ def _checked_one(kind, meta, value):
         raise ValueError(f"at least {low}" if high is None else f"from {low} to {high}")
     if kind is float and not math.isfinite(value):
         raise ValueError("a finite number")
+    most = MOST.get(kind) if meta["most"] is None else meta["most"]
+    if most is not None and value > most:
+        raise _TooMuch(f"at most {most:,}" if kind is int else f"at most {most:g}")
     if meta["choices"] and value not in meta["choices"]:
         raise ValueError(f"one of {', '.join(meta['choices'])}")
+    if kind is str:
+        _check_text(value)
     return value
+
+
+def _check_text(text):
+    """ValueError for what a record, or the path of a file, cannot hold."""
+    if len(text) > LONGEST_TEXT:
+        raise ValueError(f"at most {LONGEST_TEXT} characters")
+    if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
+        raise ValueError("text in Unicode")
 
 
 def resolve(file_values, flag_values):
@@ -297,6 +348,9 @@ def _check_agreement(options, given):
     if levels and (levels[-1] != 1 or any(a <= b for a, b in zip(levels, levels[1:]))):
         raise InputError(f"--levels {','.join(f'{v:g}' for v in levels)}: wants factors that fall "
                          "and end at 1, such as 4,2,1")
+    if options.iterations * options.steps_scale > MOST_STEPS:
+        raise InputError(f"--steps-scale {options.steps_scale:g}: makes {options.iterations:,} "
+                         f"steps more than {MOST_STEPS:,}; give a smaller one")
     if options.time_budget:
         seconds_of(options.time_budget)
         if options.iterations != TrainOptions.iterations:

@@ -74,7 +74,7 @@ class Space:
         try:
             return cls(**{key: record[key] for key in ("rotation", "origin", "half")},
                        contracted=bool(record["contracted"]))
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"no record of a space ({error})") from None
 
 
@@ -157,5 +157,5 @@ class Region:
             low, high = (np.array([end if x is None else float(x) for x in record[key]])
                          for key, end in (("low", -np.inf), ("high", np.inf)))
             return cls(Space.from_record(record["space"]), low, high, float(record["margin"]))
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"no record of a region ({error})") from None

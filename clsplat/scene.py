@@ -40,6 +40,7 @@ class Scene:
     them; path: where it was read from; observations: int32[M, 2], rows (point, view) that say which
     view the sparse model saw a point in, each once, sorted; None where the file does not tell.
     held_out: names of the views that are for testing where the data set says so itself, or None.
+    notes: lines that a user should see: what of the files is not used, or is read in another way.
     Of a block of a larger scene: region, the region.Region it owns, and exposures, name ->
     float64[3, 4], the colour transforms its views start from; else None.
     """
@@ -55,6 +56,7 @@ class Scene:
     held_out: frozenset | None = None
     region: object = None
     exposures: dict | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def extent(self):

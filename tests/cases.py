@@ -132,7 +132,7 @@ def single(values):
         return {name: single(value) for name, value in values.items()}
     if isinstance(values, int):
         return values
-    return np.float64(np.float32(values))
+    return np.asarray(values, np.float32).astype(np.float64)[()]
 
 
 NEAR = single(0.2)

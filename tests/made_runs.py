@@ -30,6 +30,7 @@ def made_run(folder, schedule="sig", seed=0, finished=True, facts=(), **options)
         run.log(record)
     if finished:
         (run.path / MODEL).write_text("ply")
+        run.write_report("page")  # comes last
     return run
 
 

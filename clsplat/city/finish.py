@@ -2,9 +2,10 @@
 
 import dataclasses
 
-from clsplat.city.stages import COARSE_FACTOR
+from clsplat.city.stages import COARSE_FACTOR, draw
+from clsplat.errors import InputError
 from clsplat.evaluate.seams import find_seams
-from clsplat.evaluate.views import evaluate_run
+from clsplat.evaluate.views import evaluate_run, training_pictures
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.io.run import MODEL, RunFolder
@@ -12,6 +13,18 @@ from clsplat.lod import merge_levels
 from clsplat.merge import merge, partition_of, seam_table
 from clsplat.report.page import Table, embedded
 from clsplat.report.run import write_report
+
+
+def check_reference(against):
+    """InputError where `against`, of `evaluate_city`, is neither a finished run nor a PLY file."""
+    if against is None:
+        return
+    path = against / MODEL if against.is_dir() else against
+    if not path.is_file():
+        raise InputError(f"--against {against}: " + (
+            f"has no {MODEL}; give a finished run, or a PLY file" if against.is_dir()
+            else "no such file; give a PLY file, or a finished run"))
+    read_ply(path)
 
 
 def merge_city(city, scene, options, device, fill=False):
@@ -58,10 +71,13 @@ def evaluate_city(city, scene, options, device, against=None):
     train, test = scene.reduced(options.downscale, options.max_resolution).split(options.test_every)
     if test:
         scores = evaluate_run(run, device, save_images=False)
-        means = {key: value for key, value in scores.items() if key != "per_view"}
+        means = {key: value for key, value in scores.items()
+                 if key not in ("per_view", "pictures")}
         run.log({"event": "eval", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
                  **means})
-    seams = None
+    seams, partition = None, partition_of(city, scene)
+    if not city.picture.is_file():
+        draw(city, partition, scene, [share["gaussians"] for share in merged["blocks"]])
     if len(merged["blocks"]) > 1:
         def model_of(number):
             path = city.block(number).run / MODEL
@@ -70,13 +86,14 @@ def evaluate_city(city, scene, options, device, against=None):
         model, reference = run.load_model(), against or city.coarse
         reference = reference / MODEL if reference.is_dir() else reference
         seams = find_seams(
-            device, partition_of(city), scene, test or train, options, model,
+            device, partition, scene, test or train, options, model,
             [share["gaussians"] for share in merged["blocks"]],
             plain(read_ply(reference, scene.offset)), model_of)
         run.log({"event": "seams", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
                  "seam_db": seams["seam_db"], "worst_seam_db": seams["worst_seam_db"]})
     write_report(run, embedded(city.picture, "map of the blocks"), block_shares(merged),
-                 seams and seam_table(seams))
+                 seams and seam_table(seams),
+                 pictures=scores["pictures"] if scores else training_pictures(run, device))
     return scores, seams
 
 
@@ -94,9 +111,8 @@ def merge_record(city):
 
 def cost(city):
     """{iteration, train_seconds, wall_seconds}: sums over the coarse run and the blocks."""
-    last = [RunFolder(path).records()[-1]
-            for path in (city.coarse, *(block.run for block in city.blocks()))
-            if RunFolder(path).has_metrics]
+    last = [record for path in (city.coarse, *(block.run for block in city.blocks()))
+            if RunFolder(path).has_metrics for record in RunFolder(path).records()[-1:]]
     return {key: round(sum(record.get(key) or 0 for record in last), 3)
             for key in ("iteration", "train_seconds", "wall_seconds")}
 

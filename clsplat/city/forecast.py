@@ -68,7 +68,8 @@ def block_table(city, device, counts):
 
     counts: int[B], coarse gaussians that each owns.
     """
-    records = [(block, block.read()) for block in city.blocks()]
+    records = [(block, block.read("own", "margin", "surroundings", "views"))
+               for block in city.blocks()]
     begins = {block.path.name: sum(record[key] for key in ("own", "margin", "surroundings"))
               for block, record in records}
     largest, record = max(records, key=lambda pair: begins[pair[0].path.name])

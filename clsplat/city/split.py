@@ -14,14 +14,15 @@ def too_large(outcomes):
             if not outcome.ok and TOO_LARGE in outcome.message]
 
 
-def split_blocks(city, numbers, positions_world):
+def split_blocks(city, scene, numbers, positions_world):
     """Cut these blocks of a CityFolder across their longer side, into halves of equal content.
 
-    positions_world: float64[N, 3], of the coarse gaussians. The first half keeps the number, the
-    other gets a new one; both keep the views. The folders of these blocks are removed, the others
-    are theirs as before. Returns the Partition, and which of the blocks could not be cut.
+    scene: the whole; positions_world: float64[N, 3], of the coarse gaussians. The first half keeps
+    the number, the other gets a new one; both keep the views. The folders of these blocks are
+    removed, the others are theirs as before. Returns the Partition, and which of the blocks could
+    not be cut.
     """
-    partition = partition_of(city)
+    partition = partition_of(city, scene)
     regions, views, whole = list(partition.regions), list(partition.views), []
     coordinates = partition.space.to(positions_world)
     notes = list(partition.notes)

@@ -13,14 +13,21 @@ from clsplat.distribute import Task, run
 from clsplat.errors import InputError
 from clsplat.evaluate.views import run_options
 from clsplat.io.atomic import replacing
+from clsplat.io.city import CITY, PARTITION
 from clsplat.io.run import MODEL, RunFolder
+from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.merge import partition_of
-from clsplat.options import resolve
+from clsplat.options import checked, resolve
 from clsplat.partition import geojson, make_partition
 from clsplat.partition.site import world_of
-from clsplat.report.map import partition_map
-from clsplat.train.block import block_options, options_of_blocks, train_block
+from clsplat.report.map import write_map
+from clsplat.train.block import (
+    block_options,
+    decided_by,
+    options_of_blocks,
+    train_block,
+)
 from clsplat.train.loop import resume, train
 
 COARSE_FACTOR = 2  # by which the coarse run's photos are smaller
@@ -34,41 +41,47 @@ LEVELS = (1.0,)  # of blocks under sig: the coarse run, at half size, has been t
 def begin(city, scene, options):
     """Write what was asked for into city.json; InputError where it holds another scene or other
     options. options: TrainOptions of the whole, as one run would have them."""
-    record = {"scene": str(scene.path.resolve()), "fingerprint": fingerprint(scene),
+    record = {**scene_record(scene.path, city.path), "fingerprint": fingerprint(scene),
               "options": dataclasses.asdict(options)}
     if city.has_record:
-        there = city.read()
+        there = city.read(options=dict)
         if there["fingerprint"] != record["fingerprint"]:
-            raise InputError(f"{city.path}: is the city of another scene, {there.get('scene')}; "
-                             "choose another --output")
+            raise InputError(f"{city.path}: is the city of another scene, "
+                             f"{there.get('scene_absolute')}; choose another --output")
         changed = [name for name, value in there["options"].items()
                    if name != "device" and _plain(record["options"].get(name)) != value]
         if changed:
             raise InputError(f"{city.path}: was begun with {changed[0]} "
                              f"{there['options'][changed[0]]}; give the same options, or choose "
                              "another --output")
+    else:
+        city.check_free()
     city.make()
     city.write(record)
 
 
-def begin_from_coarse(city):
+def begin_from_coarse(city, given=None):
     """(Scene, TrainOptions of the whole) of a city by its city.json, which is written here where
-    the coarse run in CITY/coarse was trained by itself."""
+    the coarse run in CITY/coarse was trained by itself. given: where the scene is now, if it was
+    moved."""
     if city.has_record:
-        record = city.read()
-        scene = read_scene(record.get("scene", ""))
+        record = city.read(scene=str, options=dict)
+        options = resolve({}, {key: checked(str(city.path / CITY), key, value)
+                               for key, value in record["options"].items()})
+        scene = read_scene(recorded_scene(record, city.path, given), options.images)
         if fingerprint(scene) != record["fingerprint"]:
-            raise InputError(f"{city.path}: its scene {record['scene']} has changed since; put it "
+            raise InputError(f"{city.path}: its scene {scene.path} has changed since; put it "
                              "back, or begin a new city")
-        return scene, resolve({}, record.get("options", {}))
+        return scene, options
     folder = RunFolder.open(city.coarse)
-    record, coarse = folder.read_options(), run_options(folder)
+    coarse = run_options(folder)
     if not coarse.coarse:
         raise InputError(f"{city.coarse}: was not trained with --coarse; begin again with "
                          f"`clsplat train SCENE --coarse -o {city.coarse}`")
-    scene = read_scene(record["scene"])
+    scene = read_scene(folder.scene_path(given), coarse.images)
     options = dataclasses.replace(
         coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
+        max_resolution=COARSE_FACTOR * coarse.max_resolution,
         iterations=int(coarse.iterations / COARSE_SHARE))
     begin(city, scene, options)
     return scene, options
@@ -77,6 +90,8 @@ def begin_from_coarse(city):
 def train_coarse(city, scene, options, device, progress=None):
     """Train the scaffold into city.coarse, or go on with it; returns its RunFolder."""
     folder = RunFolder(city.coarse)
+    if folder.is_begun and folder.read_options().get("fingerprint") != fingerprint(scene):
+        raise InputError(f"{folder.path}: is a run of another scene; choose another --output")
     if folder.is_finished:
         return folder
     wanted = coarse_options(options)
@@ -88,9 +103,11 @@ def train_coarse(city, scene, options, device, progress=None):
 
 
 def coarse_options(options):
-    """TrainOptions of the coarse run: photos half as large, and part of the steps."""
+    """TrainOptions of the coarse run: photos half as large as the blocks', and part of the steps.
+    """
     return dataclasses.replace(
         options, coarse=True, downscale=COARSE_FACTOR * options.downscale,
+        max_resolution=-(-options.max_resolution // COARSE_FACTOR),
         snapshots=options.schedule == "sig",
         iterations=max(1, int(COARSE_SHARE * options.iterations)), eval_at=(), eval_every=0)
 
@@ -103,18 +120,19 @@ def cut_into_blocks(city, scene, options, wanted, device):
     of the whole would.
     """
     coarse = RunFolder(city.coarse)
-    record, gaussians = coarse.read_options(), coarse.load_model()
+    small, decided = run_options(coarse), decided_by(coarse)
+    gaussians = coarse.load_model()
     training = {view.name for view in scene.split(options.test_every)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
     if city.has_partition:
         city.adopt()
-        partition = partition_of(city)
+        partition = partition_of(city, scene)
         _check_asked(city, wanted)
     else:
         drop = None
         if wanted.method == "citygs" and wanted.grid != (1, 1):
-            drop = DropTest(device, gaussians, scene.reduced(
-                record["downscale"], record["max_resolution"]))
+            drop = DropTest(device, gaussians,
+                            scene.reduced(small.downscale, small.max_resolution))
         partition = make_partition(scene, wanted, gaussians, views, drop)
         city.write_partition({**partition.record(), ASKED: _plain(wanted)})
     counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),
@@ -131,7 +149,7 @@ def cut_into_blocks(city, scene, options, wanted, device):
         part = cut(gaussians, scene, region, shown.views)
         city.write_block(
             number, scene, chosen, region, windows, part.gaussians, exposures,
-            options_of_blocks(given, record),
+            options_of_blocks(given, decided),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings})
     return partition, counts
@@ -149,22 +167,25 @@ def block_steps(options, share):
 
 
 def draw(city, partition, scene, counts):
-    """Write the partition as a map and as GeoJSON."""
+    """Write the partition as a map and as GeoJSON; counts: int[B], gaussians that each block owns.
+    """
     with replacing(city.picture) as file:
-        partition_map(partition, scene, counts).savefig(file, format="png", dpi=110)
+        write_map(file, partition, scene, counts)
     with replacing(city.map) as file:
         file.write((json.dumps(geojson(partition, scene, [
             {"gaussians": int(count)} for count in counts])) + "\n").encode())
 
 
-def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=None):
+def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=None, began=None):
     """Train what is not finished; the Outcome of every block.
 
-    workers, scheduler, devices: see `distribute.run`; progress: makes that of a training, a context
-    manager, where blocks are trained one after the other in this process; told: called with each
-    Outcome as it comes.
+    workers, scheduler, devices: see `distribute.run`; progress: called with "block 2 of 9", say,
+    makes that of a training, a context manager, where blocks are trained one after the other in
+    this process; told: called with each Outcome as it comes, and began with a block's name as it
+    begins, both with "block 2 of 9", say, after that.
     """
     blocks = {block.path.name: block for block in city.blocks()}
+    places = {name: f"block {number} of {len(blocks)}" for number, name in enumerate(blocks, 1)}
     chosen = ("--device", devices[0]) if len(devices) == 1 else ()
     tasks = [Task(name, ("block", str(block.path.resolve()), "-q", *chosen), block.run / MODEL)
              for name, block in blocks.items()]
@@ -173,31 +194,36 @@ def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=
         block = blocks[task.name]
         block.check()
         options = block_options(block, **({"device": devices[0]} if devices else {}))
-        with progress() if progress else nullcontext() as shown:
+        with progress(places[task.name]) if progress else nullcontext() as shown:
             train_block(block, options, shown)
 
-    return run(tasks, workers, scheduler, progress=told, devices=devices, call=here)
+    return run(tasks, workers, scheduler, devices=devices, call=here,
+               progress=told and (lambda outcome: told(outcome, places[outcome.task.name])),
+               began=began and (lambda name: began(name, places[name])))
 
 
-def train_all_blocks(city, scene, options, device, told=None, **how):
+def train_all_blocks(city, scene, options, device, **how):
     """`train_blocks`; blocks that do not fit their device are cut in two and begun again."""
-    outcomes = train_blocks(city, told=told, **how)
+    outcomes = train_blocks(city, **how)
     for _ in range(SPLITS):
         numbers = too_large(outcomes)
         if not numbers:
             break
         gaussians = RunFolder(city.coarse).load_model()
-        _, whole = split_blocks(city, numbers, world_of(scene, gaussians.positions))
+        _, whole = split_blocks(city, scene, numbers, world_of(scene, gaussians.positions))
         if len(whole) == len(numbers):
             break
         cut_into_blocks(city, scene, options, None, device)
-        outcomes = train_blocks(city, told=told, **how)
+        outcomes = train_blocks(city, **how)
     return outcomes
 
 
 def _check_asked(city, wanted):
     """InputError where the blocks that are there were cut as PartitionOptions say otherwise."""
-    asked = city.read_partition().get(ASKED, {})
+    asked = city.read_partition().get(ASKED) or {}
+    if not isinstance(asked, dict):
+        raise InputError(f"{city.path / PARTITION}: damaged ({ASKED} is {str(asked)[:20]!r}); "
+                         f"remove it, and make it with `clsplat partition {city.path}`")
     for name, value in (_plain(wanted) if wanted else {}).items():
         if name in asked and name not in CHOOSE and asked[name] != value:
             raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {asked[name]}, "

@@ -69,7 +69,7 @@ def run_campaign(train_one, wanted, output, scene):
     if finished:
         from clsplat.report.compare import write_comparison
         text, page = write_comparison(finished, output)
-        click.echo(f"\n{text}\n\npage: {page}")
+        click.echo(f"\n{text}\n\npage: {click.format_filename(page)}")
     if failed:
         raise InputError(f"{', '.join(map(str, failed))}: {len(failed)} of {len(wanted)} runs "
                          "failed, for the reasons above; the same command tries them again")
@@ -105,4 +105,4 @@ def _is_of(run, record, scene):
             return True
     except (InputError, OSError):
         pass
-    return fingerprint(read_scene(scene)) == record.get("fingerprint")
+    return fingerprint(read_scene(scene, record.get("images") or "")) == record.get("fingerprint")

@@ -1,5 +1,6 @@
 """`clsplat city` and its stages `partition` and `merge`: large scenes, block by block."""
 
+import os
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -72,6 +73,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     Run again after any failure, it goes on where it was. The folder is a run like any other, for
     `clsplat eval`, `render` and `compare`. Several devices: --device 0,1 with --workers 2.
     """
+    from clsplat.city.finish import check_reference
     from clsplat.city.forecast import block_table
     from clsplat.city.stages import (
         begin,
@@ -80,36 +82,46 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
         train_coarse,
     )
     from clsplat.device import choose_device
+    from clsplat.distribute import check_scheduler, check_workers
     from clsplat.io.city import CityFolder
+    from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
     from clsplat.options import resolve
     from clsplat.train.photos import size_note
     given = given_options(ctx)
-    devices = tuple(given.pop("device", "").split(",")) if given.get("device") else ()
+    devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
+    check_workers(workers)
+    check_reference(against)
     if options.init != "sfm" or options.coarse:
         raise InputError("--init, --coarse: the coarse run begins a city, blocks begin with it; "
                          "leave them out")
-    data = read_scene(scene)
-    folder = CityFolder(output or scene.with_name(scene.name + ".city"))
-    device = choose_device(options.device, form=options.form)
+    data = read_scene(scene, options.images)
+    folder = CityFolder(output or _beside(scene))
+    device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
+    wanted = partition_options(ctx.params, data, options, device)
+    if scheduler and not RunFolder(folder.coarse).has_model:
+        check_scheduler(scheduler)
+    if not folder.has_record:
+        folder.check_free()
+    ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
     if not quiet and (note := size_note(data.views, options)):
         click.echo(note)
 
-    def shown():
-        return nullcontext() if quiet else _progress(options)
+    def shown(title):
+        return nullcontext() if quiet else _progress(options, title)
 
     try:
-        with shown() as progress:
+        with shown("coarse run") as progress:
             train_coarse(folder, data, options, device, progress)
-        _, counts = cut_into_blocks(
-            folder, data, options, partition_options(ctx.params, data, options, device), device)
+        _, counts = cut_into_blocks(folder, data, options, wanted, device)
         if not quiet:
             click.echo(block_table(folder, device, counts).text())
         outcomes = train_all_blocks(
-            folder, data, options, device, _told(quiet), workers=workers, scheduler=scheduler,
-            devices=devices, progress=shown)
+            folder, data, options, device, told=_told(quiet), began=_began(quiet or not (
+                scheduler or workers > 1)), workers=workers, scheduler=scheduler, devices=devices,
+            progress=shown)
     except Interrupted:
         raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command goes on"
                           ) from None
@@ -123,8 +135,10 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
 @click.command("partition", cls=SectionedCommand)
 @click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
 @partition_flags
+@click.option("--scene", type=click.Path(path_type=Path), **BLOCKS, help="Where the scene is now, "
+              "if it was moved.")
 @click.pass_context
-def partition_command(ctx, folder, **_):
+def partition_command(ctx, folder, scene, **_):
     """Cut the scene of CITY into blocks, by the coarse run in CITY/coarse.
 
     Writes partition.json, partition.geojson, the map partition.png, and a folder a block.
@@ -133,11 +147,14 @@ def partition_command(ctx, folder, **_):
     from clsplat.city.stages import begin_from_coarse, cut_into_blocks
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
+    from clsplat.io.run import RunFolder
     there = CityFolder(folder)
-    data, options = begin_from_coarse(there)
+    there.check_there()
+    ctx.with_resource(RunFolder(folder).locked())
+    data, options = begin_from_coarse(there, scene)
     device = choose_device(options.device, form=options.form)
-    _, counts = cut_into_blocks(
-        there, data, options, partition_options(ctx.params, data, options, device), device)
+    wanted = partition_options(ctx.params, data, options, device)
+    _, counts = cut_into_blocks(there, data, options, wanted, device)
     click.echo(block_table(there, device, counts).text())
     click.echo(f"{there.picture}")
 
@@ -150,16 +167,24 @@ def partition_command(ctx, folder, **_):
               "PLY, that seams are measured by, in place of the coarse model.")
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
-def merge(folder, fill, against, device):
+@click.option("--scene", type=click.Path(path_type=Path), help="Where the scene is now, if it was "
+              "moved.")
+@click.pass_context
+def merge(ctx, folder, fill, against, device, scene):
     """Merge the finished blocks of CITY to one model, and score it.
 
     Every gaussian is owned once. Says what is missing, and then ends with exit code 2.
     """
+    from clsplat.city.finish import check_reference
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
+    from clsplat.io.run import RunFolder
     there = CityFolder(folder)
-    data, options = begin_from_coarse(there)
+    there.check_there()
+    check_reference(against)
+    ctx.with_resource(RunFolder(folder).locked())
+    data, options = begin_from_coarse(there, scene)
     _finish(there, data, options, choose_device(device), fill, against, False)
 
 
@@ -169,6 +194,8 @@ def _finish(folder, data, options, device, fill, against, quiet):
     from clsplat.merge import seam_table
     merged = merge_city(folder, data, options, device, fill)
     scores, seams = evaluate_city(folder, data, options, device, against)
+    if against and seams is None:
+        click.echo("--against: not used, as one block has no seams", err=True)
     if quiet:
         return
     click.echo(merged.table().text())
@@ -184,22 +211,60 @@ def partition_options(params, scene, options, device):
     """PartitionOptions of the flags; the grid where none is given is what fits the device."""
     from clsplat.city.forecast import expected_gaussians, gaussians_that_fit
     from clsplat.partition import PartitionOptions
+    least, expected = PartitionOptions.least_gaussians, expected_gaussians(scene, options)
+    asked = params["block_gaussians"]
+    if asked and asked < least:
+        raise InputError(f"--block-gaussians {asked}: wants at least {least}, or 0 for what fits "
+                         "the device")
     return PartitionOptions(
         method=params["method"], grid=params["grid"], up=params["up"] or None,
         bounds=params["bounds"] or None, margin=params["margin"],
         threshold=params["threshold"], least_views=params["least_views"], starved=params["starved"],
-        expected=expected_gaussians(scene, options), least_blocks=params.get("workers", 1),
-        limit=params["block_gaussians"] or gaussians_that_fit(device, options))
+        expected=expected, limit=asked or gaussians_that_fit(device, options),
+        least_blocks=min(params.get("workers", 1), max(1, expected // least)))
+
+
+def _beside(scene):
+    """The folder of a city where none is named: beside SCENE, by its name."""
+    if scene.name in ("", ".."):
+        scene = Path(os.path.abspath(scene))
+    if not scene.name:
+        raise InputError(f"{scene}: has no name; say with --output where the city goes")
+    return scene.with_name(scene.name + ".city")
+
+
+def _devices(text, workers, scheduler):
+    """The names in --device 0,1; InputError where some would not be used."""
+    if not text:
+        return ()
+    names = tuple(text.split(","))
+    if not all(names):
+        raise InputError(f"--device {text}: wants names with a comma between two of them, such as "
+                         "0,1")
+    if len(names) > 1 and scheduler:
+        raise InputError(f"--device {text}: with --scheduler, each worker has its own, as "
+                         "CLSPLAT_DEVICE says there; name one for the coarse run")
+    if len(names) > max(1, workers):
+        raise InputError(f"--device {text}: names {len(names)} devices for --workers {workers}; "
+                         f"use --workers {len(names)}, or name fewer")
+    return names
+
+
+def _began(quiet):
+    def began(name, place):
+        if not quiet:
+            click.echo(f"{place}: training in blocks/{name}")
+    return began
 
 
 def _told(quiet):
-    def told(outcome):
+    def told(outcome, place):
         if not quiet:
-            click.echo(f"block {outcome.task.name}: "
+            click.echo(f"{place} (blocks/{outcome.task.name}): "
                        f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
     return told
 
 
-def _progress(options):
+def _progress(options, title):
     from clsplat.cli.progress import Progress
-    return Progress(options.stop_at)
+    return Progress(options.stop_at, title=title)

@@ -4,8 +4,8 @@ import sys
 
 import click
 
-NONE = ("no OpenCL device; install one: `pip install 'clsplat[cpu]'` (any x86-64 CPU), "
-        "`apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
+NONE = ("no OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
+        "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
 
 
 @click.command()

@@ -11,7 +11,8 @@ import click
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--images/--no-images", default=True, show_default=True,
-              help="Write each render beside its photo as PNG.")
+              help="Write each view's photo, renders and error side by side as PNG, and renew the "
+              "pictures of report.html.")
 @click.option("--scene", type=click.Path(path_type=Path),
               help="Where RUN's scene is, if it was moved.")
 def evaluate(run, device, images, scene):
@@ -22,14 +23,18 @@ def evaluate(run, device, images, scene):
     opacity that lies more than so many pixels from the true surface.
     """
     from clsplat.device import choose_device
-    from clsplat.evaluate.views import evaluate_run
+    from clsplat.evaluate.error_map import MEANING
+    from clsplat.evaluate.views import PANELS, evaluate_run
     from clsplat.io.run import RENDERS, RunFolder
     folder = RunFolder.open(run)
     with folder.locked() if images else nullcontext():
         result = evaluate_run(folder, choose_device(device), images, scene)
-    click.echo(summary(result))
-    if images:
-        click.echo(f"pictures: {folder.path / RENDERS}")
+        click.echo(summary(result))
+        if images:
+            from clsplat.report.run import renew_pictures
+            click.echo(f"pictures: {folder.path / RENDERS}\n"
+                       f"  from left to right: {', '.join(PANELS)} ({MEANING})\n"
+                       f"report: {renew_pictures(folder, result['pictures'])}")
 
 
 def summary(result):

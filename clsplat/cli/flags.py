@@ -1,6 +1,7 @@
 """The flags of `clsplat train`, derived from the table of options."""
 
 import dataclasses
+import math
 from typing import get_args
 
 import click
@@ -10,6 +11,25 @@ from clsplat.cli.sections import SectionedOption
 from clsplat.options import AUTO, TrainOptions
 
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
+
+
+class GivenPath(click.Path):
+    """A path that is not empty: "" would be the current folder."""
+
+    def convert(self, value, param, ctx):
+        if str(value) == "":
+            self.fail("is empty; give a path, or . for the current folder", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class FiniteRange(click.FloatRange):
+    """A finite number within limits, which `nan` would slip through."""
+
+    def convert(self, value, param, ctx):
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
 
 
 class Numbers(click.ParamType):
@@ -56,7 +76,7 @@ def given_options(ctx):
 
 
 def flag_name(name):
-    """`--kebab-case` of an option's name."""
+    """An option's name as a flag, with hyphens."""
     return "--" + name.replace("_", "-")
 
 

@@ -4,6 +4,7 @@ import signal
 import sys
 import traceback
 from contextlib import suppress
+from pathlib import Path
 
 import click
 
@@ -16,6 +17,8 @@ from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
 from clsplat.cli.evaluate import evaluate
 from clsplat.cli.export import export
+from clsplat.cli.flags import GivenPath
+from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
 from clsplat.cli.render import render
 from clsplat.cli.sections import SectionedGroup
@@ -106,7 +109,7 @@ def main(ctx):
 
 main.add_section("Train", plan, train, evaluate, compare, render, export)
 main.add_section("Large scenes", city, partition_command, block, merge)
-main.add_section("Data", synth)
+main.add_section("Data", synth, pack)
 main.add_section("Machine", devices, bench, completion)
 
 # `main` looks for the flag in the arguments; as an option it shows in help and may stand anywhere
@@ -114,3 +117,6 @@ for _command in (main, *main.commands.values()):
     _command.params.append(click.Option(
         ["--traceback"], is_flag=True, expose_value=False,
         help="Show where in the code an error arose."))
+    for _parameter in _command.params:
+        if isinstance(_parameter.type, click.Path):
+            _parameter.type = GivenPath(path_type=Path)

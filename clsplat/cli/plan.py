@@ -9,6 +9,7 @@ from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
 
 MIB = 2**20
+MOST_PHOTOS = 10**9
 WIDTH = 12  # of the column of names
 
 
@@ -33,16 +34,16 @@ def plan(ctx, scene, config, photos, margin, **_):
     from clsplat.device import choose_device
     from clsplat.io.scenes import read_scene
     from clsplat.options import from_toml, resolve
+    from clsplat.partition import PartitionOptions
     from clsplat.plan.forecast import Planned
     from clsplat.plan.pace import load
     from clsplat.train.photos import size_note
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
-    if photos:
-        photos = _numbers(photos)
+    photos, margin = _numbers(photos), PartitionOptions(margin=margin).margin
     busy, progress = load(), Progress()
     with progress:
         progress.phase("reading the scene")
-        data = read_scene(scene)
+        data = read_scene(scene, options.images)
         device = choose_device(options.device, form=options.form)
         planned = Planned(data, options, device, progress)
     click.echo(f"{data.name}: {len(planned.views)} photos to train on, {len(planned.held_out)} "
@@ -62,13 +63,15 @@ def plan(ctx, scene, config, photos, margin, **_):
 
 
 def _numbers(text):
+    if not text:
+        return []
     try:
         numbers = [int(part) for part in text.split(",")]
-        if min(numbers) < 1:
+        if min(numbers) < 1 or max(numbers) > MOST_PHOTOS:
             raise ValueError
     except ValueError:
-        raise InputError(f"--photos {text}: wants whole numbers of at least 1, such as "
-                         "1000,10000,100000") from None
+        raise InputError(f"--photos {text[:80]}: wants whole numbers from 1 to {MOST_PHOTOS:,}, "
+                         "such as 1000,10000,100000") from None
     return numbers
 
 

@@ -75,7 +75,7 @@ def _train(scene, output, options, flags, overwrite, quiet):
     run = RunFolder.open(output) if resumes else RunFolder(output)
     if resumes:
         options = resumed_options(run.read_options(), flags)
-    data = read_scene(run.scene_path(scene) if resumes else scene)
+    data = read_scene(run.scene_path(scene) if resumes else scene, options.images)
     device = choose_device(options.device, form=options.form)
     with run.locked(), nullcontext() if quiet else _progress(options) as progress:
         if resumes:

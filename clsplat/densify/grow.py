@@ -45,7 +45,8 @@ class Candidates:
         limited = prunes_large and options.prune_size > 0
         self.limit = options.prune_size * extent if limited else np.finfo(float).max
         self.is_small = self.largest <= options.split_size * extent
-        opacity = 1 / (1 + np.exp(-rows["opacity_logits"].astype(np.float64)))
+        with np.errstate(over="ignore"):  # an infinity makes an opacity of 0, which is right
+            opacity = 1 / (1 + np.exp(-rows["opacity_logits"].astype(np.float64)))
         # written to drop what is not a number, too
         self.visible = opacity >= options.prune_opacity
         if "anchors" in rows:

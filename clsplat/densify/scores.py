@@ -26,7 +26,8 @@ def taming_scores(renderer, rows, views, degree, ssim_weight, gradient):
     the gradient magnitude of Sobel; a map that is the same everywhere weighs nothing; the distance
     from the mean is summed over the pixels.
     """
-    opacity = 1 / (1 + np.exp(-rows["opacity_logits"].download().astype(np.float64)))
+    with np.errstate(over="ignore"):  # an infinity makes an opacity of 0, which is right
+        opacity = 1 / (1 + np.exp(-rows["opacity_logits"].download().astype(np.float64)))
     volume = np.exp(rows["log_scales"].download().astype(np.float64).sum(axis=1))
     scores = np.zeros(len(gradient))
     for camera, photo in views:

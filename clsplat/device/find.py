@@ -9,8 +9,8 @@ from clsplat.device.device import Device
 from clsplat.errors import DeviceError
 
 NO_DEVICE = (
-    "no working OpenCL device; install one: `pip install 'clsplat[cpu]'` (any x86-64 CPU), "
-    "`apt-get install pocl-opencl-icd`, or your GPU vendor's OpenCL driver")
+    "no working OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
+    "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
 
 
 @dataclass
@@ -96,7 +96,8 @@ def _cure(entry):
         return ""
     if "Portable Computing" in entry.platform and "target CPU" in entry.reason:
         return ("PyPI's PoCL is too old for this CPU: `pip uninstall pocl-binary-distribution`, "
-                "then `apt-get install pocl-opencl-icd` or `pip install 'clsplat[cpu]'`")
+                "then `apt-get install pocl-opencl-icd` or "
+                "`pip install intel-opencl-rt intel-cmplr-lib-rt`")
     return "update or reinstall this device's driver"
 
 

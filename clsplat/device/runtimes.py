@@ -30,7 +30,7 @@ def register():
     library = intel_library()
     if library is None or "OCL_ICD_VENDORS" in os.environ:
         return
-    files = {icd.name: icd.read_text() for icd in sorted(SYSTEM_VENDORS.glob("*.icd"))}
+    files = {icd.name: icd.read_text("utf-8") for icd in sorted(SYSTEM_VENDORS.glob("*.icd"))}
     files["clsplat-intel-cpu.icd"] = f"{library}\n"
     name = hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest()[:16]
     os.environ["OCL_ICD_VENDORS"] = str(_folder_of(files, name))
@@ -39,8 +39,8 @@ def register():
 def _folder_of(files, name):
     """A folder with these files, {name: text}: the same in every process of this user, so that a
     killed one leaves nothing behind; a temporary one where the user has no cache."""
-    folder = Path.home() / ".cache" / "clsplat" / "vendors" / name
     try:
+        folder = Path.home() / ".cache" / "clsplat" / "vendors" / name
         if _is_whole(folder, files):
             return folder
         shutil.rmtree(folder, ignore_errors=True)
@@ -53,7 +53,7 @@ def _folder_of(files, name):
             shutil.rmtree(made, ignore_errors=True)
         if _is_whole(folder, files):
             return folder
-    except OSError:
+    except (OSError, RuntimeError):  # not writable; or a container's user who has no home
         pass
     folder = Path(tempfile.mkdtemp(prefix="clsplat-icd-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -67,7 +67,7 @@ def _is_whole(folder, files):
 
 def _write(folder, files):
     for name, text in files.items():
-        (folder / name).write_text(text)
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 register()

@@ -18,4 +18,4 @@ def kernel_folder():
 
 @cache
 def kernel_source(name):
-    return (kernel_folder() / name).read_text()
+    return (kernel_folder() / name).read_text(encoding="utf-8")

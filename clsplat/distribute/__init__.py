@@ -13,17 +13,27 @@ begun. Each child has a kernel cache of its own. Workers of a cluster declare th
         --resources device=1        # one a device; CLSPLAT_DEVICE as in `clsplat train --device`
 """
 
-from clsplat.distribute.cluster import Cluster
+from clsplat.distribute.cluster import Cluster, check_scheduler
 from clsplat.distribute.ledger import Ledger
 from clsplat.distribute.local import InProcess, Processes
 from clsplat.distribute.task import Outcome, Result, Task
 from clsplat.errors import InputError, Interrupted
 
-__all__ = ["Outcome", "Result", "Task", "run"]
+__all__ = ["Outcome", "Result", "Task", "check_scheduler", "check_workers", "run"]
+
+
+MOST_WORKERS = 1024  # children of one machine
+
+
+def check_workers(workers):
+    """InputError for a number of children that no machine can have."""
+    if not 1 <= workers <= MOST_WORKERS:
+        raise InputError(f"--workers {workers}: wants 1 to {MOST_WORKERS}, as many as this machine "
+                         "has devices or cores to spare")
 
 
 def run(tasks, workers=1, scheduler="", retries=2, progress=None, *, devices=(), call=None,
-        program="clsplat"):
+        program="clsplat", began=None):
     """The Outcome of each Task, in their order, whether it went well or not.
 
     workers: children at a time on this machine. scheduler: address of a Dask scheduler, in place of
@@ -31,13 +41,13 @@ def run(tasks, workers=1, scheduler="", retries=2, progress=None, *, devices=(),
     not. progress: called with each Outcome as it comes. devices: what CLSPLAT_DEVICE is in each
     child on this machine, in turn. call: with one worker, call(task) in place of a child; raises
     ClsplatError for bad input. program: the module that children run, with the task's command.
+    began: called with a task's name when a try of it begins, maybe in another thread.
 
     Raises Interrupted on Ctrl-C: children are told to save their state and end. InputError where
     the cluster cannot be used.
     """
-    if workers < 1:
-        raise InputError(f"--workers {workers}: wants at least 1")
-    ledger = Ledger(tasks, retries, progress)
+    check_workers(workers)
+    ledger = Ledger(tasks, retries, progress, began)
     if not ledger.waiting:
         return ledger.in_order()
     if scheduler:
@@ -45,7 +55,7 @@ def run(tasks, workers=1, scheduler="", retries=2, progress=None, *, devices=(),
     elif call and workers == 1:
         pool = InProcess(ledger.began, call)
     else:
-        pool = Processes(ledger.began, workers, devices, program)
+        pool = Processes(ledger.began, min(workers, len(ledger.waiting)), devices, program)
     try:
         _drive(ledger, pool)
     except KeyboardInterrupt:

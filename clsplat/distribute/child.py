@@ -17,6 +17,7 @@ from clsplat.distribute.task import (
     INTERRUPTED,
     LOST,
     REFUSED,
+    TERMINATED,
     Result,
 )
 
@@ -36,11 +37,13 @@ def in_child(task, program, device="", folder=None, stopping=lambda: False):
                   f"{' '.join(task.command)}\n".encode())
         log.flush()
         start = log.tell()
-        # a session of its own: Ctrl-C in the terminal is for the parent, who passes it on once
+        # a session of its own (on Windows: a group): Ctrl-C in the terminal is for the parent, who
+        # passes it on once
         child = subprocess.Popen(
             [sys.executable, "-m", "clsplat.distribute.guarded", str(task.done), program,
              *task.command], stdin=subprocess.PIPE, stdout=log, stderr=log, cwd=folder,
-            env=environment(device), start_new_session=True)
+            env=environment(device), start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0))
     try:
         code = _waited(child, stopping)
     finally:
@@ -76,7 +79,7 @@ def _verdict(task, code, start):
     """(ending, message) of a child's exit code."""
     if code == 0 and task.done.exists():
         return DONE, ""
-    if code == INTERRUPTED:
+    if code in (INTERRUPTED, TERMINATED):
         return LOST, "it was stopped"
     log = task.folder / LOG
     if code < 0:

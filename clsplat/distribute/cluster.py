@@ -75,18 +75,11 @@ class Cluster:
         self._client.close(CONNECT_SECONDS)
 
     def _connect(self, seconds):
-        distributed = _distributed()
         if self._client is not None:
             log.warning("%s: lost, waiting for it for up to %d s", self._address, seconds)
             with suppress(Exception):
                 self._client.close(1)
-        try:
-            self._client = distributed.Client(self._address, timeout=seconds)
-        except (OSError, ValueError, distributed.TimeoutError) as error:
-            raise InputError(
-                f"--scheduler {self._address}: no Dask scheduler answers ({_line(error)}); start "
-                "one with `dask scheduler`, or correct the address; finished tasks are kept"
-            ) from None
+        self._client = _connected(self._address, seconds)
         self._client.subscribe_topic(self._run, lambda event: self._began(event[1]))
 
     def _look(self):
@@ -136,6 +129,22 @@ class Cluster:
                 time.sleep(0.1)
 
 
+def check_scheduler(address):
+    """InputError where no Dask scheduler answers at this address."""
+    _connected(address, CONNECT_SECONDS).close(CONNECT_SECONDS)
+
+
+def _connected(address, seconds):
+    """A client of the scheduler at `address`; InputError where none answers in so many seconds."""
+    distributed = _distributed()
+    try:
+        return distributed.Client(address, timeout=seconds)
+    except (OSError, ValueError, TypeError, distributed.TimeoutError) as error:
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers ({_line(error)}); start one with "
+            "`dask scheduler`, or correct the address; finished tasks are kept") from None
+
+
 def work(task, program, folder, version, run):
     """Body of a task on a worker: the Result of one try, with the worker's address."""
     worker = _distributed().get_worker()
@@ -177,7 +186,7 @@ def _distributed():
     try:
         import distributed
     except ImportError:
-        raise InputError("--scheduler: needs Dask; `pip install 'clsplat[cluster]'`") from None
+        raise InputError("--scheduler: needs Dask; `pip install dask distributed`") from None
     return distributed
 
 

@@ -14,12 +14,12 @@ class Ledger:
     """tasks: of `run`, whose other arguments are the same. Those finished before have an Outcome of
     no tries at once, and no progress; the folders of the others are made."""
 
-    def __init__(self, tasks, retries, progress):
+    def __init__(self, tasks, retries, progress, begun=None):
         self.tasks = [replace(task, done=Path(task.done).absolute()) for task in tasks]
         names = Counter(task.name for task in self.tasks)
         if len(names) < len(self.tasks):
             raise ValueError(f"two tasks are named {names.most_common(1)[0][0]}")
-        self.retries, self.progress = retries, progress
+        self.retries, self.progress, self.begun = retries, progress, begun
         self.outcomes, self.waiting = {}, deque()
         self.tries, self.failures, self.losses, self.seconds = (Counter() for _ in range(4))
         for task in self.tasks:
@@ -36,6 +36,8 @@ class Ledger:
     def began(self, name):
         """Some worker began a try of the task."""
         self.tries[name] += 1
+        if self.begun:
+            self.begun(name)
 
     def settle(self, task, result):
         """A try ended: the task is finished, has failed for good, or waits again."""

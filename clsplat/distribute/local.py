@@ -15,6 +15,7 @@ from clsplat.distribute.child import in_child
 from clsplat.distribute.task import DONE, FAILED, REFUSED, Result
 from clsplat.errors import ClsplatError, Interrupted
 from clsplat.io.lock import exclusive
+from clsplat.train.interrupt import was_interrupted
 
 HERE = "this machine"
 
@@ -46,6 +47,8 @@ class InProcess:
         except ClsplatError as error:
             return REFUSED, str(error)
         except Exception as error:  # noqa: BLE001  (the other tasks shall have their turn)
+            if was_interrupted(error):
+                raise KeyboardInterrupt from None
             logging.getLogger(__name__).exception("%s failed", task.name)
             return FAILED, f"{type(error).__name__}: {error}"
         if not task.done.exists():

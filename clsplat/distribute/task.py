@@ -11,7 +11,7 @@ UNFIT = "unfit"  # the worker is at fault: another will do
 LOST = "lost"  # the worker is gone, or was stopped
 
 # exit codes of children
-INPUT, HELD, INTERRUPTED = 2, 75, 130
+INPUT, HELD, INTERRUPTED, TERMINATED = 2, 75, 130, 143
 GRACE_SECONDS = 120  # that an interrupted child has for saving its state
 
 

@@ -6,8 +6,10 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.evaluate.colour import fit_colour
+from clsplat.evaluate.error_map import error_map
 from clsplat.evaluate.floaters import floater_share, ground_truth
 from clsplat.evaluate.metrics import psnr, ssim
+from clsplat.evaluate.pictures import Pictures, chosen_views, shown_view
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_photo, write_image
 from clsplat.io.ply import read_ply
@@ -16,6 +18,8 @@ from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import TrainOptions, resolve
 from clsplat.render.slabs import open_model
 
+PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
+SAMPLED = 24  # training views to choose pictures from, where no view is held out
 SCORES = ("psnr", "ssim", "psnr_cc", "ssim_cc")
 
 
@@ -45,6 +49,24 @@ def evaluate_views(renderer, rows, degree, views, keep=None):
     return {"views": len(per_view), **means, "per_view": per_view}
 
 
+def pictures_of(renderer, rows, degree, test, train, per_view=None):
+    """The Pictures of a model: of `test`, the held-out views, or where there are none of at most
+    SAMPLED views of `train`, spread evenly.
+
+    per_view: the scores of `test` as `evaluate_views` lists them; None: they are made here. What is
+    chosen is rendered again, so that no more than one view is in memory at full size.
+    """
+    views = test or train[::-(-len(train) // SAMPLED)]
+    if not (test and per_view):
+        per_view = evaluate_views(renderer, rows, degree, views)["per_view"]
+    shown = []
+    for place, index in chosen_views(per_view):
+        def keep(_, image, fitted, photo, place=place, scores=per_view[index]):
+            shown.append(shown_view(place, scores, fitted, photo))
+        evaluate_views(renderer, rows, degree, [views[index]], keep)
+    return Pictures(shown, bool(test), len(views))
+
+
 def photo_of(view):
     """float32[H, W, 3] in 0..1: the view's photo at its camera's size."""
     return read_photo(view) / np.float32(255)
@@ -61,7 +83,7 @@ def read_scene_of(run, given=None):
     """The Scene that a run was trained on; given: where it is now, None: where the run has it.
     InputError where that is another scene."""
     path = run.scene_path(given)
-    scene = read_scene(path)
+    scene = read_scene(path, run_options(run).images)
     wanted = run.read_options().get("fingerprint")
     if wanted is not None and fingerprint(scene) != wanted:
         raise InputError(f"{path}: is not the scene that {run.path} was trained on; give that one "
@@ -69,11 +91,17 @@ def read_scene_of(run, given=None):
     return scene
 
 
+def read_cameras_for(run, given=None):
+    """The Scene whose cameras a run is rendered from: its own, or any other that is given."""
+    path, images = run.scene_path(given), run_options(run).images
+    return read_scene(path, images if given is None or (path / images).is_dir() else "")
+
+
 def evaluate_run(run, device, save_images, scene_path=None):
-    """`evaluate_views` of a run's finished model on its held-out views; `save_images` writes
-    render, colour-fitted render and photo side by side as PNG into the run. scene_path: where the
-    scene is now; None takes what the run has recorded. Where the scene has its ground truth, the
-    result also holds `floaters.floater_share`."""
+    """`evaluate_views` of a run's finished model on its held-out views, and their `pictures`;
+    `save_images` writes PANELS side by side as PNG into the run. scene_path: where the scene is
+    now; None takes what the run has recorded. Where the scene has its ground truth, the result
+    also holds `floaters.floater_share`."""
     options = run_options(run)
     scene = read_scene_of(run, scene_path)
     scene = scene.reduced(options.downscale, options.max_resolution)
@@ -85,7 +113,8 @@ def evaluate_run(run, device, save_images, scene_path=None):
     renderer, rows, degree = _opened(device, gaussians, scene, options)
 
     def keep(view, image, fitted, photo):
-        beside = np.concatenate([image, fitted, photo], axis=1)
+        error = error_map(fitted, photo) / np.float32(255)
+        beside = np.concatenate([photo, image, fitted, error], axis=1)
         write_image(run.render_path("test", view.name), beside)
 
     if save_images:
@@ -94,7 +123,16 @@ def evaluate_run(run, device, save_images, scene_path=None):
     if city:
         cameras = [view.camera for view in train]
         result.update(floater_share(city, gaussians, cameras, scene.offset))
+    result["pictures"] = pictures_of(renderer, rows, degree, views, train, result["per_view"])
     return result
+
+
+def training_pictures(run, device):
+    """The Pictures of a run's finished model where it holds out no view."""
+    options = run_options(run)
+    scene = read_scene_of(run)
+    scene = scene.reduced(options.downscale, options.max_resolution)
+    return pictures_of(*_opened(device, run.load_model(), scene, options), [], scene.views)
 
 
 def render_views(model, scene_path, folder, device, views="all", beside=False):
@@ -107,7 +145,7 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
     if model.is_dir():
         run = RunFolder.open(model)
         options = run_options(run)
-        scene = read_scene(run.scene_path(scene_path))  # another scene's cameras are welcome
+        scene = read_cameras_for(run, scene_path)
         gaussians = run.load_model()
     else:
         if scene_path is None:

@@ -7,12 +7,12 @@ import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.images import image_size
 from clsplat.scene import Scene, View
 
 ROTATION_TOLERANCE = 1e-3
 LARGEST = 1e15  # world units or pixels: squares and their sums stay far within float32
 LONGEST_NAME = 255  # bytes of a part of an image's name: what file systems take
+LONGEST_ENDING = 10  # bytes that pictures of a view add to its name: ".png", while written ".part"
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # what ends lines, and the like
 
 
@@ -55,8 +55,13 @@ def _checked_names(path, names):
         if not parts.parts or parts.is_absolute() or ".." in parts.parts:
             raise InputError(f"{path}: image name {name[:80]!r} leaves the scene's image folder; "
                              "names must be relative to it")
-        if CONTROL.search(name) or max(len(p.encode()) for p in parts.parts) > LONGEST_NAME:
-            raise InputError(f"{path}: image name {name[:80]!r} is too long or no text; "
+        if CONTROL.search(name):
+            raise InputError(f"{path}: image name {name[:80]!r} is no text; "
+                             "rename the photo, or reconstruct the scene again")
+        longest = max(len(part.encode()) for part in parts.parts)
+        if max(longest, len(parts.name.encode()) + LONGEST_ENDING) > LONGEST_NAME:
+            raise InputError(f"{path}: image name {name[:80]!r}... is too long: its pictures are "
+                             f"named after it, and a file system takes {LONGEST_NAME} bytes; "
                              "rename the photo, or reconstruct the scene again")
     if len(set(names)) != len(names):
         twice = next(n for n in names if names.count(n) > 1)
@@ -114,31 +119,3 @@ def _checked_observations(path, names, points, observations):
     place = np.argsort(np.argsort(names))
     rows = np.unique(observations[:, 0] * len(names) + place[observations[:, 1]])
     return np.stack(np.divmod(rows, len(names)), axis=1).astype(np.int32)
-
-
-def check_photos(views):
-    """InputError unless every photo is there and has its camera's size; reads headers only."""
-    missing = [v for v in views if isinstance(v.source, Path) and not v.source.is_file()]
-    if missing:
-        raise InputError(f"{missing[0].source}: no such image ({len(missing)} of {len(views)} "
-                         "images of the model are missing); put the photos there")
-    for view in views:
-        _check_size(view)
-
-
-def _check_size(view):
-    width, height = image_size(view.source)
-    camera = view.camera
-    if (width, height) == (camera.width, camera.height):
-        return
-    name = view.source if isinstance(view.source, Path) else view.name
-    scale_x, scale_y = width / camera.width, height / camera.height
-    # rounding of the shorter side may move the ratio by up to a pixel
-    if abs(scale_x - scale_y) <= 1.0 / min(camera.width, camera.height):
-        why = "it was rescaled: put the original back and use --downscale to train on smaller ones"
-    elif (width, height) == (camera.height, camera.width):
-        why = "it was rotated: put the original back, as it was when the scene was reconstructed"
-    else:
-        why = "it is another photo or was cropped: put back the one that was reconstructed"
-    raise InputError(f"{name}: the photo has {width}x{height} pixels but its camera "
-                     f"{camera.width}x{camera.height}; {why}")

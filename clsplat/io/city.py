@@ -22,6 +22,7 @@ from clsplat.io.packed import write_packed
 from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
+from clsplat.io.run import FILES, RunFolder
 from clsplat.region import Region
 
 CITY, PARTITION, BLOCK, REGION = "city.json", "partition.json", "block.json", "region.json"
@@ -62,10 +63,24 @@ class CityFolder:
         """Replace city.json: a dict for JSON, with at least `fingerprint`, of the whole scene."""
         _write(self.path / CITY, record)
 
-    def read(self):
-        """What `write` wrote."""
-        return _read(self.path / CITY, {"fingerprint": str},
+    def read(self, **kinds):
+        """What `write` wrote; kinds: the types of keys that are needed besides `fingerprint`."""
+        return _read(self.path / CITY, {"fingerprint": str, **kinds},
                      "give a folder that `clsplat city` wrote")
+
+    def check_there(self):
+        """InputError where the folder holds neither a city nor a coarse run, with which one begins.
+        """
+        if not (self.has_record or RunFolder(self.coarse).is_begun):
+            raise InputError(f"{self.path}: holds no city ({CITY} is missing); give a folder that "
+                             "`clsplat city` wrote")
+
+    def check_free(self):
+        """InputError where a city cannot begin here, as the folder holds a run or a block."""
+        found = [name for name in (*FILES, BLOCK, REGION) if os.path.lexists(self.path / name)]
+        if found:
+            raise InputError(f"{self.path}: holds {found[-1]}, but no city ({CITY} is missing); "
+                             "choose another --output")
 
     def write_partition(self, record):
         """Replace partition.json by a Partition's record, a dict for JSON."""
@@ -73,7 +88,15 @@ class CityFolder:
 
     def read_partition(self):
         """What `write_partition` wrote."""
-        return _read(self.path / PARTITION, {}, f"make it with `clsplat partition {self.path}`")
+        path, cure = self.path / PARTITION, f"make it with `clsplat partition {self.path}`"
+        record = _read(path, {}, cure)
+        replaces = record.get(REPLACES)
+        if replaces is not None and not (
+                isinstance(replaces, dict) and type(replaces.get("partition")) is str
+                and type(replaces.get("blocks")) is list):
+            raise InputError(f"{path}: damaged ({REPLACES} is {str(replaces)[:20]!r}); remove it, "
+                             f"and {cure}")
+        return record
 
     def identity(self):
         """What a block must be of to belong here: `city`, the scene's fingerprint, and `partition`,
@@ -170,21 +193,26 @@ class BlockFolder:
     def is_there(self):
         return (self.path / BLOCK).is_file()
 
-    def read(self):
-        """block.json: at least `number`, `city`, `partition` and `options`, a dict."""
-        return _read(self.path / BLOCK,
-                     {"number": int, "city": str, "partition": str, "options": dict},
+    def read(self, *counts):
+        """block.json: at least `number`, `city`, `partition` and `options`, a dict; counts: names
+        of more keys that are whole numbers."""
+        kinds = {"number": int, "city": str, "partition": str, "options": dict}
+        return _read(self.path / BLOCK, kinds | dict.fromkeys(counts, int),
                      "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
 
     def check(self):
-        """InputError where the block lies in a city that it is no block of."""
-        record, city = self.read(), CityFolder(self.path.resolve().parents[1])
-        if not city.has_record:  # a block by itself, on another machine
-            return
-        for key, value in city.identity().items():
-            if record[key] != value:
-                raise InputError(f"{self.path}: a block of another {key} than that of {city.path}; "
-                                 f"remove it, and run `clsplat partition {city.path}` again")
+        """InputError where the block lies in a city that it is no block of, be it by a link."""
+        record = self.read()
+        above = {path.parents[1] for path in (self.path.absolute(), self.path.resolve())
+                 if len(path.parents) > 1}
+        for city in map(CityFolder, sorted(above)):
+            if not city.has_record:  # a block by itself, on another machine
+                continue
+            for key, value in city.identity().items():
+                if record[key] != value:
+                    raise InputError(
+                        f"{self.path}: a block of another {key} than that of {city.path}; "
+                        f"remove it, and run `clsplat partition {city.path}` again")
 
 
 def attached(scene, folder):

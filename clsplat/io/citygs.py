@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.io.checks import check_photos, checked_scene
+from clsplat.io.checks import checked_scene
 from clsplat.io.colmap import read_model
+from clsplat.io.regular import native
+from clsplat.io.sources import checked_photos
 
 TRAIN, VAL = "train", "val"
 PHOTOS = ("images", "rgbs")
@@ -34,8 +36,7 @@ def read_citygs(folder):
     arrays = {key: np.concatenate([model[key] for model in models]) for key in PER_VIEW}
     arrays |= {key: models[0][key] for key in ("points", "colours", "observations")}
     sources = [source for model in models for source in model["sources"]]
-    scene = checked_scene(folder, folder.resolve().name, arrays, sources)
-    check_photos(scene.views)
+    scene = checked_photos(checked_scene(folder, folder.resolve().name, arrays, sources))
     return replace(scene, held_out=frozenset(map(str, models[1]["names"]))).recentred()
 
 
@@ -50,6 +51,6 @@ def _part(folder):
     photos = next((folder / name for name in PHOTOS if (folder / name).is_dir()),
                   folder / PHOTOS[0])
     # no name leads out of the folder, as one that begins with a slash would after a Path's slash
-    sources = [Path(f"{photos}/{name}") for name in arrays["names"]]
+    sources = [Path(f"{photos}/{native(name)}") for name in arrays["names"]]
     names = np.array([f"{folder.name}/{name}" for name in arrays["names"]])
     return {**arrays, "names": names, "sources": sources}

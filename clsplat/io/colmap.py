@@ -1,10 +1,10 @@
 """Reads a COLMAP reconstruction as a scene."""
 
-import os
+import io
+import json
 import signal
 import subprocess
 import sys
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,30 +12,35 @@ import numpy as np
 
 import clsplat
 from clsplat.errors import InputError
-from clsplat.io.checks import check_photos, checked_scene
-from clsplat.io.colmap_files import check_files, find_model
+from clsplat.io.checks import checked_scene
+from clsplat.io.colmap_files import check_files, find_model, model_notes
 from clsplat.io.reason import clean
+from clsplat.io.regular import native
+from clsplat.io.sources import IMAGES, checked_photos, photo_folder
 
 # far beyond what a healthy model takes: some 20 MB/s binary, 5 MB/s text
 SECONDS = 120
 BYTES_PER_SECOND = 1e6
 
 
-def read_colmap(folder):
+def read_colmap(folder, images=""):
     """The scene of a folder with `images/` and a COLMAP model, binary or text, recentred.
 
-    The model is looked for in sparse/0, sparse and the folder itself; only pinhole cameras are
-    accepted. Every photo must be there in its camera's size (headers are read, not pixels).
-    Raises InputError for whatever cannot be trained on.
+    The model is looked for in sparse/0, sparse, the folder itself and other sparse/N; only pinhole
+    cameras are accepted. images: the photos' folder, see `photo_folder`. Every photo must be there,
+    in its camera's size or, in another folder than images/, smaller by one factor for all (headers
+    are read, not pixels). Raises InputError for whatever cannot be trained on.
     """
     folder = Path(folder)
     model, arrays = read_model(folder)
+    photos = photo_folder(folder, images)
     if len(arrays["distorted"]):
-        raise InputError(_undistort(folder, model, arrays["distorted"]))
-    sources = [folder / "images" / name for name in arrays["names"]]
+        raise InputError(_undistort(folder, photos, model, arrays["distorted"]))
+    sources = [photos / native(name) for name in arrays["names"]]
     scene = checked_scene(model, folder.resolve().name, arrays, sources)
-    check_photos(scene.views)
-    return replace(scene, path=folder).recentred()
+    scene = replace(scene, path=folder, notes=tuple(model_notes(folder, model)))
+    may_be_smaller = bool(images) or photos.name != IMAGES
+    return checked_photos(scene, photos if may_be_smaller else None).recentred()
 
 
 def read_model(folder, may_be_empty=()):
@@ -46,9 +51,9 @@ def read_model(folder, may_be_empty=()):
     return model, _read_in_child(model)
 
 
-def _undistort(folder, model, names):
+def _undistort(folder, images, model, names):
     """Why a distorted model is refused, and two commands that undistort it."""
-    images, whole = folder / "images", folder.resolve()
+    whole = folder.resolve()
     target = whole.with_name(f"{whole.name}_undistorted")
     return (f"{model}: camera model {', '.join(names)} has lens distortion and clsplat wants "
             f"PINHOLE; undistort with `colmap image_undistorter --image_path '{images}' "
@@ -60,33 +65,39 @@ def _read_in_child(model):
     """The arrays of `colmap_child.model_arrays`; any way to fail becomes one InputError."""
     limit = SECONDS + sum(
         f.stat().st_size for f in model.iterdir() if f.is_file()) / BYTES_PER_SECOND
-    with tempfile.TemporaryDirectory(prefix="clsplat-") as temporary:
-        out = Path(temporary) / "model.npz"
-        try:
-            code, complaint = _run_child(model, out, limit)
-        except subprocess.TimeoutExpired:
-            raise InputError(f"{model}: pycolmap did not finish reading the model in {limit:.0f} "
-                             "seconds; it is damaged: copy it again") from None
-        if code != 0:
-            cause = clean(_cause(code, complaint.decode(errors="replace")))
-            if "No module named 'pycolmap'" in cause:
-                raise InputError(f"{model}: reading it needs pycolmap; install it, or pack the "
-                                 "scene into one .npz on a machine that has it")
-            raise InputError(f"{model}: pycolmap cannot read the model ({cause}); "
-                             "it is damaged: copy it again, or reconstruct the scene")
-        with np.load(out, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
+    try:
+        code, output, complaint = _run_child(model, limit)
+    except subprocess.TimeoutExpired:
+        raise InputError(f"{model}: pycolmap did not finish reading the model in {limit:.0f} "
+                         "seconds; it is damaged: copy it again") from None
+    if code != 0:
+        cause = clean(_cause(code, complaint.decode(errors="replace")))
+        if "No module named 'pycolmap'" in cause:
+            raise InputError(f"{model}: reading it needs pycolmap; install it, or pack the scene "
+                             "with `clsplat pack` on a machine that has it")
+        if "MemoryError" in cause or "bad_alloc" in cause:
+            raise InputError(f"{model}: the model needs more memory than there is ({cause}); "
+                             "free some")
+        raise InputError(f"{model}: pycolmap cannot read the model ({cause}); "
+                         "it is damaged: copy it again, or reconstruct the scene")
+    stream = io.BytesIO(output)
+    return {name: np.lib.format.read_array(stream, allow_pickle=False)
+            for name in json.loads(stream.readline())}
 
 
-def _run_child(model, out, limit):
-    """(exit code, what it said on stderr as bytes) of the child; ended after `limit` seconds."""
+def _run_child(model, limit):
+    """(exit code, standard output and error as bytes) of the child; ended after `limit` seconds.
+
+    It gets this process's search path: `python -m` would import what lies in the current folder,
+    which may be a scene from elsewhere. Results come through a pipe: no disk can be full.
+    """
     root = str(Path(clsplat.__file__).parents[1])
-    paths = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    code = ("import sys; sys.path[:] = sys.argv[2:]; "
+            "from clsplat.io.colmap_child import main; main(sys.argv[1])")
     done = subprocess.run(
-        [sys.executable, "-m", "clsplat.io.colmap_child", str(model), str(out)],
-        env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL,
-        check=False, capture_output=True, timeout=limit)
-    return done.returncode, done.stderr
+        [sys.executable, "-I", "-c", code, str(model.resolve()), root, *filter(None, sys.path)],
+        stdin=subprocess.DEVNULL, check=False, capture_output=True, timeout=limit)
+    return done.returncode, done.stdout, done.stderr
 
 
 def _cause(code, complaint):

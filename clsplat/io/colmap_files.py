@@ -10,6 +10,7 @@ import struct
 from pathlib import Path
 
 from clsplat.errors import InputError
+from clsplat.io.regular import open_regular, read_regular
 
 PARTS = ("cameras", "images", "points3D")
 CAMERA_BYTES = 24  # id, model, width, height
@@ -25,15 +26,58 @@ PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
 
 
 def find_model(folder):
-    """The folder of the sparse model of a scene folder: sparse/0, sparse, or the folder itself."""
+    """The folder of the sparse model of a scene folder: sparse/0, sparse, or the folder itself,
+    else the one of most images below sparse/."""
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give a scene folder with images and sparse/0")
     for model in (folder / "sparse" / "0", folder / "sparse", folder):
-        if any((model / f"{part}.{kind}").exists() for part in PARTS for kind in ("bin", "txt")):
+        if _is_model(model):
             return model
-    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; "
-                     "make one with `clsplat sfm` or COLMAP")
+    others = _numbered_models(folder)
+    if others:
+        return max(others, key=registered)
+    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make "
+                     "one with COLMAP or pycolmap (recipe: docs/photos.md), or give another folder")
+
+
+def model_notes(folder, model):
+    """Lines about the models of a scene folder that are not used."""
+    others = [other for other in _numbered_models(Path(folder)) if other != model]
+    largest = max(others, key=registered, default=None)
+    if model.parent.name != "sparse" or largest is None and model.name == "0":
+        return
+    used = f"the model sparse/{model.name} is used, with {registered(model)} images"
+    if largest is None:
+        yield f"{used}: there is no sparse/0"
+    elif registered(largest) > registered(model):
+        yield (f"{used}, and sparse/{largest.name} has {registered(largest)}: COLMAP has split the "
+               f"scene; to train the larger part, move it to sparse/0 of a folder of its own")
+    elif model.name != "0":
+        yield f"{used}: the largest of {len(others) + 1} below sparse/, where there is no sparse/0"
+
+
+def _is_model(folder):
+    return any((folder / f"{part}.{kind}").exists() for part in PARTS for kind in ("bin", "txt"))
+
+
+def _numbered_models(folder):
+    """The models sparse/N of a scene folder, by number."""
+    found = (path for path in (folder / "sparse").glob("*") if path.name.isdecimal())
+    return sorted((path for path in found if _is_model(path)), key=lambda path: int(path.name))
+
+
+def registered(model):
+    """How many images a model says it has; 0 where it is damaged."""
+    try:
+        if (model / "images.bin").exists():
+            with open_regular(model / "images.bin") as file:
+                return struct.unpack("<Q", file.read(8))[0]
+        lines = read_regular(model / "images.txt").splitlines()
+        # two a photo, of which the second may be empty
+        return -(-sum(not line.startswith(b"#") for line in lines) // 2)
+    except (OSError, struct.error):
+        return 0
 
 
 def check_files(model, may_be_empty=()):
@@ -43,7 +87,7 @@ def check_files(model, may_be_empty=()):
     kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
     for part, walk in WALKS.items():
         path = model / f"{part}.{kind}"
-        if not path.is_file():
+        if not path.exists():
             if part not in PARTS:
                 continue
             raise InputError(f"{path}: missing from the COLMAP model; copy the whole model")
@@ -61,7 +105,7 @@ def _check_binary(path, part, walk, may_be_empty):
     size = path.stat().st_size
     if size < 8:
         raise InputError(f"{path}: empty or cut short ({size} bytes); copy the model again")
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with open_regular(path) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         count = struct.unpack_from("<Q", data)[0]
         if count == 0 and not may_be_empty:
             raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
@@ -128,7 +172,7 @@ COUNT_FIELDS = {"rigs": 1, "frames": 9}
 def _check_text(path, part, may_be_empty):
     filled = made_by_colmap = False
     line = b""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         for line in file:
             if b"\0" in line:
                 raise InputError(f"{path}: not a text file; copy the model again")

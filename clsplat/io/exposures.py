@@ -8,6 +8,7 @@ from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
+from clsplat.io.regular import read_regular
 
 EXPOSURES = "exposures.json"
 
@@ -24,7 +25,7 @@ def write_exposures(path, exposures):
 def read_exposures(path):
     """What `write_exposures` wrote: a dict of name -> float64[3, 4]; InputError where it is not."""
     try:
-        record = object_of(path.read_bytes())
+        record = object_of(read_regular(path))
         for name, numbers in record.items():
             if not (isinstance(numbers, list) and len(numbers) == 12
                     and all(type(number) in (int, float) for number in numbers)):

@@ -3,20 +3,17 @@
 import os
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
+from clsplat.io.photo import opened, reason_of
+from clsplat.io.resample import resample_bands
 
 JPEG_QUALITY = 92
 STREAMED, PIPES = ("png", "jpeg"), "/dev/fd"  # formats written in one go; Linux and macOS
-# a header that claims more is damaged: no decoder may allocate for it
-LARGEST_PIXELS = 1 << 30
-PIXELS_PER_BYTE = 1 << 13  # deflate's limit, for samples of one bit
 
 
 def write_image(path, pixels, quality=JPEG_QUALITY):
@@ -70,7 +67,7 @@ def encode_image(pixels: np.ndarray, suffix: str, quality: int, name: object) ->
     def write(path):
         written = output.open(path, spec) and output.write_image(np.ascontiguousarray(pixels))
         if not (output.close() and written):
-            raise InputError(f"{name}: cannot be encoded ({_reason(output)})")
+            raise InputError(f"{name}: cannot be encoded ({reason_of(output)})")
 
     if output.format_name() in STREAMED and Path(PIPES).is_dir():
         return _piped(write)
@@ -92,25 +89,25 @@ def _piped(write):
         return content.result()
 
 
-def read_image(source, size=None):
+def read_image(source, size=None, window=None):
     """uint8[H, W, 3] of a photo: a Path, or the encoded bytes of one.
 
-    Grey is widened to three channels, alpha dropped, deeper samples rounded to 8 bits. size:
-    (width, height), pixels; the photo is resampled to it by area. Raises InputError for a file
-    that is missing, cut short or no image.
+    Grey is widened to three channels, alpha dropped, deeper samples rounded to 8 bits, linear light
+    brought to sRGB. window: (left, top, right, bottom), pixels, the part to read; None: all; size:
+    (width, height), pixels, to which that is resampled by area. Raises InputError for a file that
+    is missing, cut short or no image, or whose colours cannot be read.
     """
-    with _opened(source) as (image, name):
-        channels = image.spec().nchannels
-        pixels = image.read_image(0, 0, 0, channels, "uint8")
-        # a JPEG cut short is filled with grey and only leaves a message behind
-        reason = _reason(image)
-    if pixels is None or reason:
-        raise InputError(f"{name}: the image is damaged or cut short ({reason}); copy it again")
-    pixels = pixels.reshape(*pixels.shape[:2], -1)
-    pixels = pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
-    if size is not None and size != (pixels.shape[1], pixels.shape[0]):
-        pixels = resample(pixels, size)
-    return np.ascontiguousarray(pixels)
+    with opened(source) as photo:
+        left, top, right, bottom = window or (0, 0, photo.width, photo.height)
+        old = right - left, bottom - top
+        bands = (band[:, left:right] for band in photo.bands(top, bottom))
+        if size is not None and size != old:
+            return resample_bands(bands, old, size)
+        pixels, row = np.empty((old[1], old[0], 3), np.uint8), 0
+        for band in bands:
+            pixels[row:row + len(band)] = band
+            row += len(band)
+        return pixels
 
 
 def read_photo(view):
@@ -120,81 +117,13 @@ def read_photo(view):
     size = camera.width, camera.height
     if camera.whole is None:
         return read_image(view.source, size)
-    pixels = read_image(view.source)
     low, high = np.reshape(camera.whole, (2, 2))
-    scale = (pixels.shape[1], pixels.shape[0]) / (high - low)
-    (left, top), (right, bottom) = (np.rint((end - low) * scale).astype(int)
-                                    for end in (np.zeros(2), np.array(size)))
-    return resample(pixels[top:bottom, left:right], size)
+    scale = image_size(view.source) / (high - low)
+    window = [np.rint((end - low) * scale).astype(int) for end in (np.zeros(2), np.array(size))]
+    return read_image(view.source, size, np.concatenate(window).tolist())
 
 
 def image_size(source):
     """(width, height) in pixels of a photo, from its header only; errors as `read_image`."""
-    with _opened(source) as (image, _):
-        return image.spec().width, image.spec().height
-
-
-def resample(pixels, size):
-    """`pixels`, uint8[H, W, 3], as uint8[height, width, 3]: each is the mean of the area it covers.
-
-    size: (width, height). OpenImageIO's box filter is the same where the ratio is whole, but
-    weighs every touched pixel fully where it is not, which shifts edges by a quarter pixel.
-    """
-    height, width = pixels.shape[:2]
-    rows = _coverage(height, size[1]) @ pixels.reshape(height, -1).astype(np.float32)
-    columns = rows.reshape(size[1], width, 3).transpose(1, 0, 2).reshape(width, -1)
-    mean = (_coverage(width, size[0]) @ columns).reshape(size[0], size[1], 3)
-    return (mean.transpose(1, 0, 2) + 0.5).astype(np.uint8)
-
-
-def _coverage(old, new):
-    """Sparse float32[new, old]: the share of new pixel i that old pixel j covers; rows sum to 1."""
-    # in units of 1 / (old * new) every border is whole, so no rounding moves one
-    borders = np.union1d(np.arange(old + 1) * new, np.arange(new + 1) * old)
-    begins, lengths = borders[:-1], np.diff(borders)
-    return csr_matrix(((lengths / old).astype(np.float32), (begins // old, begins // new)),
-                      shape=(new, old))
-
-
-@contextmanager
-def _opened(source):
-    """(ImageInput, name for messages) of an image; closed afterwards."""
-    if not isinstance(source, bytes):
-        with _opened_file(source, source) as image:
-            yield image, source
-        return
-    # OpenImageIO reads memory in C++ only
-    with tempfile.NamedTemporaryFile(prefix="clsplat-", suffix=".image") as file:
-        file.write(source)
-        file.flush()
-        name = f"packed image of {len(source)} bytes"
-        with _opened_file(file.name, name) as image:
-            yield image, name
-
-
-@contextmanager
-def _opened_file(path, name):
-    import OpenImageIO as oiio
-
-    if not Path(path).is_file():
-        raise InputError(f"{name}: no such image; check the path")
-    config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)  # keep colours as stored, whatever their alpha
-    image = oiio.ImageInput.open(str(path), config)
-    reason = _reason(oiio)
-    if image is None:
-        raise InputError(f"{name}: not an image that can be read ({reason}); "
-                         "copy it again, or convert it to JPEG or PNG")
-    try:
-        pixels = image.spec().width * image.spec().height
-        if not 0 < pixels <= min(LARGEST_PIXELS, PIXELS_PER_BYTE * Path(path).stat().st_size):
-            raise InputError(f"{name}: damaged: its header claims {image.spec().width}x"
-                             f"{image.spec().height} pixels; copy it again")
-        yield image
-    finally:
-        image.close()
-
-
-def _reason(library):
-    """The first line of what OpenImageIO last complained about, or an empty string."""
-    return next(iter(library.geterror().splitlines()), "")
+    with opened(source) as photo:
+        return photo.width, photo.height

@@ -17,6 +17,7 @@ from clsplat.io.checks import LARGEST
 from clsplat.io.cloud import read_cloud
 from clsplat.io.posed import Shot, posed_scene
 from clsplat.io.reason import clean
+from clsplat.io.regular import read_regular
 from clsplat.io.torch_archive import read_torch
 
 TRAIN, VAL = "train", "val"
@@ -59,7 +60,7 @@ def _shot(path, part, origin, scale):
     size = tuple(int(_array(path, table, key, ())) for key in "WH")
     rgbs = path.parents[1] / "rgbs"
     photo = next((rgbs / (path.stem + suffix) for suffix in SUFFIXES
-                  if (rgbs / (path.stem + suffix)).is_file()), rgbs / f"{path.stem}.jpg")
+                  if (rgbs / (path.stem + suffix)).exists()), rgbs / f"{path.stem}.jpg")
     return Shot(f"{part}/{photo.name}", photo, size, (fx, fy), (cx, cy), pose, part == VAL)
 
 
@@ -90,7 +91,7 @@ def _check_mappings(path, stems):
     if not path.exists():
         return
     try:
-        lines = [line for line in path.read_text().splitlines() if line.strip()]
+        lines = [line for line in read_regular(path).decode().splitlines() if line.strip()]
     except (OSError, ValueError):
         raise InputError(f"{path}: cannot be read as text; {AGAIN}") from None
     names = [line.rpartition(",")[2].strip() for line in lines]

@@ -12,6 +12,7 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.reason import reason
+from clsplat.io.regular import open_regular
 
 # a compressed file may hold so many times its size, beyond a floor for small ones: a zip bomb more
 EXPANSION = 100
@@ -27,7 +28,7 @@ def read_npz(path, what, cure, wanted=None):
     (the reason); `cure`", for whatever is not a whole .npz of arrays.
     """
     try:
-        with _Bounded(io.FileIO(path)) as file, zipfile.ZipFile(file) as archive:
+        with _Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:
             members = {member.filename.removesuffix(".npy"): member
                        for member in archive.infolist()}
             members = {name: member for name, member in members.items()

@@ -3,24 +3,27 @@
 Keys: names[V]; V float64[V, 4, 4] world to camera; K float64[V, 3, 3] and wh int[V, 2], pixels;
 xyz float64[N, 3] and rgb uint8[N, 3]; offset float64[3], what was subtracted from the original
 world coordinates; sizes int[V], the bytes of each encoded photo, and jpeg uint8[...], all photos
-one after the other. observations int[M, 2], rows (point, view), may be missing.
+one after the other. observations int[M, 2], rows (point, view), and held_out bool[V], which views
+are for testing, may be missing.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.checks import check_photos, checked_scene
+from clsplat.io.checks import checked_scene
 from clsplat.io.images import encode_jpeg, read_image
 from clsplat.io.npz import read_npz
+from clsplat.io.sources import checked_photos
 
 PACKED_QUALITY = 96
 # key -> (kinds of dtype, shape after the first axis)
 LAYOUT = {"names": ("U", ()), "V": ("f", (4, 4)), "K": ("f", (3, 3)), "wh": ("iu", (2,)),
           "xyz": ("f", (3,)), "rgb": ("u", (3,)), "sizes": ("iu", ()), "jpeg": ("u", ())}
-OPTIONAL = {"offset": ("f", ()), "observations": ("iu", (2,))}
+OPTIONAL = {"offset": ("f", ()), "observations": ("iu", (2,)), "held_out": ("b", ())}
 
 
 def write_packed(scene, path, downscale=1):
@@ -42,6 +45,8 @@ def write_packed(scene, path, downscale=1):
         cameras.append(camera)
         photos.append(photo)
     known = {} if scene.observations is None else {"observations": scene.observations}
+    if scene.held_out is not None:
+        known["held_out"] = np.array([view.name in scene.held_out for view in scene.views])
     with replacing(path) as file:
         np.savez(
             file, names=np.array([view.name for view in scene.views]),
@@ -65,14 +70,16 @@ def read_packed(path):
     photos = [arrays["jpeg"][end - size:end].tobytes()
               for end, size in zip(ends, arrays["sizes"], strict=True)]
     poses, calibrations = arrays["V"], arrays["K"]
-    scene = checked_scene(path, path.stem, {
+    scene = checked_photos(checked_scene(path, path.stem, {
         "names": arrays["names"],
         "rotations": poses[:, :3, :3], "translations": poses[:, :3, 3],
         "focals": calibrations[:, (0, 1), (0, 1)], "centres": calibrations[:, :2, 2],
         "sizes": arrays["wh"], "points": arrays["xyz"], "colours": arrays["rgb"],
         "observations": arrays.get("observations"),
-    }, photos, arrays.get("offset"))
-    check_photos(scene.views)
+    }, photos, arrays.get("offset")))
+    if "held_out" in arrays:
+        held_out = frozenset(map(str, arrays["names"][arrays["held_out"]]))
+        scene = replace(scene, held_out=held_out or None)
     return scene if "offset" in arrays else scene.recentred()
 
 
@@ -107,6 +114,7 @@ def _check_lengths(path, arrays):
     whole = (len(set(views.values())) == 1 and len(arrays["xyz"]) == len(arrays["rgb"])
              and (sizes >= 0).all() and int(sizes.sum()) == len(arrays["jpeg"])
              and arrays["rgb"].dtype == arrays["jpeg"].dtype == np.uint8
+             and len(arrays.get("held_out", sizes)) == len(sizes)
              and offset.shape == (3,) and offset.dtype.kind == "f" and np.isfinite(offset).all())
     if not whole:
         raise InputError(f"{path}: the arrays of the packed scene do not fit each other; "

@@ -1,5 +1,6 @@
 """Gaussians as PLY, in the layout of Kerbl et al.'s release, which every viewer reads."""
 
+import io
 import re
 
 import numpy as np
@@ -9,11 +10,14 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, SPHERE, Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
+from clsplat.io.regular import open_regular
 
 ROWS_AT_A_TIME = 1 << 16
 # positions become double where float would move one by more than this share of the median scale
 TOLERANCE = 1e-3
-LONGEST_LINE = 1 << 16  # bytes, of a header
+LONGEST_HEADER = 1 << 20  # bytes
+TEXT = re.compile(rb"[\r\n]format\s+ascii\b")
+END_HEADER = re.compile(rb"[\r\n]end_header(?=[\r\n]|$)")
 PLACES = ("positions", "anchors")  # fields in world units that the offset moves
 OFFSET = re.compile(r"offset\s+(\S+)\s+(\S+)\s+(\S+)\s*$")
 
@@ -147,42 +151,58 @@ def _needs_double(positions, log_scales):
 def read_vertices(path):
     """(plyfile's element of the vertices, comments) of a PLY; InputError where there is none."""
     try:
-        _check_claims(path)
-        with np.errstate(over="ignore"):  # text beyond float: infinite, and refused as such
-            ply = plyfile.PlyData.read(str(path))
+        with open_regular(path) as file:
+            checked = _checked(file)
+            with np.errstate(over="ignore"):  # text beyond float: infinite, and refused as such
+                ply = plyfile.PlyData.read(checked)
         return ply["vertex"], (*ply.comments, *ply["vertex"].comments)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
     except KeyError:
         raise InputError(f"{path}: not a PLY of gaussians: it has no vertices; "
                          "give one that a gaussian splatting program wrote") from None
-    except (plyfile.PlyParseError, OSError, ValueError, OverflowError, MemoryError,
-            UnicodeDecodeError) as error:
+    except MemoryError:
+        raise InputError(f"{path}: needs more memory than there is; free some, or give a smaller "
+                         "model") from None
+    except (plyfile.PlyParseError, OSError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: not a PLY, damaged or cut short ({reason(error)}); "
                          "export or copy it again") from None
 
 
-def _check_claims(path):
-    """ValueError where the header claims more rows than the file can hold: plyfile would allocate
-    them first."""
-    with open(path, "rb") as file:
-        element = claimed = 0
-        text = False
-        for line in iter(lambda: file.readline(LONGEST_LINE), b""):
-            match line.split():
-                case [b"format", kind, *_]:
-                    text = kind == b"ascii"
-                case [b"element", _, count]:
-                    element = int(count)
-                case [b"property", _, *_]:
-                    # as text a digit and a blank; else at least a byte
-                    claimed += element * (2 if text else 1)
-                case [b"end_header"]:
-                    break
-        size = file.seek(0, 2)
+def _checked(file):
+    """A file for plyfile, from its start: `file`, or a copy where its rows are text, which plyfile
+    would leave open, or where the header has other bytes than ASCII, as comments may: "?" there."""
+    header = _header(file)
+    file.seek(0)
+    if header.isascii() and not TEXT.search(header):
+        return file
+    file.seek(len(header))
+    return io.BytesIO(bytes(byte if byte < 128 else ord("?") for byte in header) + file.read())
+
+
+def _header(file):
+    """The bytes up to end_header; ValueError where there is none, or where it claims more rows than
+    the file can hold: plyfile would allocate them first."""
+    begin = file.read(LONGEST_HEADER)
+    end = END_HEADER.search(begin)
+    if not begin.startswith(b"ply") or not end:
+        raise ValueError("it has no header of a PLY, from ply to end_header")
+    element = claimed = 0
+    text = False
+    for line in begin[:end.start()].splitlines():
+        match line.split():
+            case [b"format", kind, *_]:
+                text = kind == b"ascii"
+            case [b"element", _, count]:
+                element = int(count)
+            case [b"property", _, *_]:
+                # as text a digit and a blank; else at least a byte
+                claimed += element * (2 if text else 1)
+    size = file.seek(0, 2)
     # the last digit needs no blank
     if claimed > size + 1:
         raise ValueError(f"its {size} bytes are too few for the rows in its header")
+    return begin[:end.end()]
 
 
 def _sh_degree(path, names):

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from clsplat.io.checks import ROTATION_TOLERANCE, check_photos, checked_scene
+from clsplat.io.checks import ROTATION_TOLERANCE, checked_scene
 from clsplat.io.cloud import draw_points, mean_colour
+from clsplat.io.sources import checked_photos
 
 # stand for the points until the cameras they are drawn from are known to be right
 UNKNOWN = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
@@ -46,7 +47,7 @@ def posed_scene(path, folder, shots, cloud):
         "centres": np.array([shot.centre for shot in shots]),
         "sizes": np.array([shot.size for shot in shots]), "points": points, "colours": colours,
     }, [shot.source for shot in shots])
-    check_photos(scene.views)
+    scene = checked_photos(scene)
     if cloud is None:
         scene = replace(scene, points=draw_points(path, scene.views))
         logging.getLogger(__name__).warning(

@@ -5,6 +5,8 @@ LONGEST = 200  # characters
 
 def reason(error):
     """The first line of an exception, clean; its type where it says nothing."""
+    if isinstance(error, OSError) and error.strerror:  # the number and the file say nothing more
+        return clean(error.strerror)
     return clean(next(iter(str(error).splitlines()), "")) or type(error).__name__
 
 

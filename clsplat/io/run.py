@@ -202,6 +202,10 @@ class RunFolder:
         """The metrics as a list of dicts, in order; a last line cut short is left out."""
         return [record for record, _ in self._lines()]
 
+    def past_records(self):
+        """`records`, none where there are no metrics yet."""
+        return self.records() if self.has_metrics else []
+
     def _lines(self):
         path = self.path / METRICS
         lines = []
@@ -291,6 +295,13 @@ class RunFolder:
         with replacing(self.path / REPORT) as file:
             file.write(html.encode("utf-8", "backslashreplace"))
         return self.path / REPORT
+
+    def read_report(self):
+        """The page that `write_report` wrote, or None where there is none that can be read."""
+        try:
+            return (self.path / REPORT).read_bytes().decode()
+        except (OSError, ValueError):
+            return None
 
     def load_model(self):
         """The finished model's Gaussians, in the scene's local coordinates."""

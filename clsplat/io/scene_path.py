@@ -24,14 +24,16 @@ def recorded_scene(record: dict, folder: Path, given: Path | None = None) -> Pat
     """The path of a scene by what `scene_record` wrote, or `given`; InputError where it is gone."""
     if given is not None:
         return Path(given)
-    named = [record[key] for key in ("scene", "scene_absolute") if record.get(key)]
+    named = [record[key] for key in ("scene", "scene_absolute")
+             if record.get(key) and isinstance(record[key], str)]
     places = [Path(os.path.normpath(os.path.join(os.path.realpath(folder), _path_of(name))))
               for name in named]
     for place in places:
         if place.exists():
             return place
     where = f"its scene {places[-1]} is not there any more" if places else "it names no scene"
-    raise InputError(f"{folder}: {where}; say where it is with --scene")
+    raise InputError(f"{folder}: {where}; say where it is, as SCENE to `clsplat train` and "
+                     "with --scene to other commands")
 
 
 def _text_of(path: str) -> str:

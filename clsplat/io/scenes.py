@@ -1,6 +1,7 @@
 """Reads a scene, whatever its format, and names its content."""
 
 import hashlib
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,27 +20,41 @@ LAYOUTS = ((has_metadata, read_meganerf), (has_parts, read_citygs),
            (has_transforms, read_transforms))
 
 
-def read_scene(path):
+def read_scene(path, images=""):
     """The Scene of a folder with a COLMAP model, transforms.json, or the layout of Mega-NeRF or
-    CityGS, or of a packed .npz; else InputError."""
+    CityGS, or of a packed .npz; else InputError.
+
+    images: the folder of its photos, from the scene's folder; "": images/, see `photo_folder`.
+    """
     path = Path(path)
-    if path.is_dir():
-        return attached(_read_folder(path), path)
-    if not path.exists():
+    if os.path.isdir(path):
+        return attached(_read_folder(path, images), path)
+    if not os.path.exists(path):
         raise InputError(f"{path}: no such scene; give a folder with images and sparse/0, or a "
                          "packed .npz")
     if path.suffix == ".npz":
+        _no_images(path, images, "a packed scene")
         return read_packed(path)
     raise InputError(f"{path}: not a scene; give a folder with images and sparse/0, or a packed "
                      ".npz")
 
 
-def _read_folder(path):
+def _read_folder(path, images):
     packed = path / PACKED
     if packed.is_file():  # a block of a packed scene
+        _no_images(path, images, "a packed scene")
         return replace(read_packed(packed), name=path.resolve().name, path=path)
-    read = next((read for found, read in LAYOUTS if found(path)), read_colmap)
-    return read(path)
+    for found, read in LAYOUTS:
+        if found(path):
+            _no_images(path, images, "a scene that names its photos itself")
+            return read(path)
+    return read_colmap(path, images)
+
+
+def _no_images(path, images, what):
+    if images:
+        raise InputError(f"--images {images}: {path} is {what}; leave it out (it is for folders "
+                         "with a COLMAP model)")
 
 
 def fingerprint(scene):

@@ -17,6 +17,7 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.reason import clean, reason
+from clsplat.io.regular import open_regular
 
 LARGEST_BYTES = 1 << 24  # of a file: what belongs to a photo takes a few kilobytes
 MOST_AXES = 8
@@ -42,7 +43,7 @@ def read_torch(path):
     tensors as arrays float16, float32, float64, int32 or int64. Else InputError."""
     path = Path(path)
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             content = file.read(LARGEST_BYTES + 1)
         if len(content) > LARGEST_BYTES:
             raise ValueError(f"more than {LARGEST_BYTES >> 20} MB")

@@ -8,6 +8,7 @@ clouds fit (authors' answer in city-super/MatrixCity, issue 9). Keys that are no
 aabb_scale, describe no camera.
 """
 
+from os.path import isfile
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -19,6 +20,7 @@ from clsplat.io.images import image_size
 from clsplat.io.posed import Shot, posed_scene
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
+from clsplat.io.regular import native, read_regular
 
 WHOLE, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
 SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")  # tried where file_path has none
@@ -55,7 +57,7 @@ def read_transforms(folder):
 
 def _table(path):
     try:
-        table = object_of(path.read_bytes())
+        table = object_of(read_regular(path))
         if not isinstance(table.get("frames"), list) or not table["frames"]:
             raise ValueError("it has no frames")
         return table
@@ -110,12 +112,11 @@ def _matrix(table, key):
 def _photo(folder, photo):
     """(name of the view, path) of a photo that may lack its suffix."""
     photo = _text(photo, "file_path").replace("\\", "/")
-    source = folder / photo
-    if not source.is_file():
-        found = (suffix for suffix in SUFFIXES if (folder / (photo + suffix)).is_file())
+    if not isfile(folder / native(photo)):
+        found = (suffix for suffix in SUFFIXES if isfile(folder / native(photo + suffix)))
         photo += next(found, "")
     parts = [part for part in PurePosixPath(photo).parts if part not in ("..", "/")]
-    return "/".join(parts), folder / photo
+    return "/".join(parts), folder / native(photo)
 
 
 def _text(value, key):
@@ -167,7 +168,7 @@ def _cloud(path, table):
     """`read_cloud`, in the coordinates of the poses."""
     named = table.get("ply_file_path")
     try:
-        ply = None if named is None else path.parent / _text(named, "ply_file_path")
+        ply = None if named is None else path.parent / native(_text(named, "ply_file_path"))
         # nerfstudio turns COLMAP's world so before it writes poses and PLY
         turn = _matrix(table, "applied_transform") if "applied_transform" in table else np.eye(3, 4)
         turn = turn * _number(table, "applied_scale", 1)

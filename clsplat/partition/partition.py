@@ -60,6 +60,12 @@ class Partition:
         if (self.cells.table < 0).any():
             raise ValueError("the blocks leave a gap")
 
+    def check_views(self, count):
+        """ValueError where a view is none of `count`."""
+        for index in (*self.dropped, *(int(i) for views in self.views for i in views)):
+            if not 0 <= index < count:
+                raise ValueError(f"view {index} of {count}")
+
     @property
     def space(self):
         return self.regions[0].space

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsplat.io.images import resample
+from clsplat.io.resample import resample
 from clsplat.train.photos import decoded
 
 PHOTOS = 8  # that stand for all

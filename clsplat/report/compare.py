@@ -7,12 +7,15 @@ from pathlib import Path
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.report.curves import curve, reached, spread, value_at
+from clsplat.report.drawing import as_png, drawn
 from clsplat.report.figures import comparison_figure, cost_figure
-from clsplat.report.groups import KEYS, differing, grouped, read_runs, title, warnings
-from clsplat.report.page import Table, folded, page, picture, warning
+from clsplat.report.groups import differing, equal, grouped, read_runs, title, warnings
+from clsplat.report.page import Table, as_utf8, folded, headed, page, warning
 
 SCORES = ("psnr_cc", "psnr", "ssim_cc", "ssim")
 COSTS = ("pixel_pairs", "kernel_bytes")
+NO_CURVE = ("No curve: every run has a single evaluation at most. Train with --eval-every STEPS, "
+            "an eighth of -n or less, to see the error over time.")
 STEP = 0.5  # dB: levels chosen from the data are multiples of it
 
 
@@ -27,10 +30,10 @@ def write_comparison(paths, folder=None, levels=()):
     groups = grouped(runs)
     result = compare(groups, levels)
     if empty:
-        result["warnings"].append(f"Left out, no metrics yet: {', '.join(empty)}.")
+        result["warnings"].append("Left out, since nothing is recorded of them yet: "
+                                  f"{', '.join(empty)}.")
     final, time = final_table(result), time_table(result)
-    different, equal = equality_tables(groups)
-    figure, costs = comparison_figure(groups, result["levels"]), cost_figure(groups)
+    different, same = equality_tables(groups)
     folder = Path(folder or parent)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -39,25 +42,42 @@ def write_comparison(paths, folder=None, levels=()):
                          ) from None
     with replacing(folder / "compare.json") as file:
         file.write((json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
-    with replacing(folder / "compare.png") as file:
-        figure.savefig(file, format="png", dpi=150)
+    curves = drawn("PSNR, SSIM and number of gaussians over training time, by group",
+                   comparison_figure, groups, result["levels"])
+    _write_picture(folder / "compare.png", groups, result["levels"])
     count = len(runs)
     html = page(
         f"Comparison: {', '.join(groups)}",
         f"{count} run{'s' if count > 1 else ''} of {parent.name}. Training time leaves out "
         "evaluations and checkpoints; colour-corrected scores come after a quadratic fit of each "
         "render's colours to its photo.",
-        *map(warning, result["warnings"]),
-        picture(figure, "PSNR, SSIM and number of gaussians over training time, by group"),
-        final.html(), time.html(),
-        picture(costs, "PSNR over pairs of gaussian and pixel, and over bytes") if costs else "",
-        different.html(), folded(equal.title, equal.html()))
-    with replacing(folder / "compare.html") as file:
+        curves or f"<p class=note>{NO_CURVE}</p>\n",
+        *map(warning, result["warnings"]), final.html(), time.html(),
+        headed("Against what it costs on any machine", drawn(
+            "PSNR over pairs of gaussian and pixel, and over bytes", cost_figure, groups)),
+        different.html(), folded(same.title, same.html()))
+    written = folder / "compare.html"
+    with replacing(written) as file:
         file.write(html.encode())
     # what matters most comes last: a terminal shows the end
-    text = "\n\n".join([equal.text(), different.text(), final.text(), time.text(),
-                        *(f"warning: {found}" for found in result["warnings"])])
-    return text, folder / "compare.html"
+    text = "\n\n".join([
+        f"{same.title}: {len(same.rows)} options and facts, at the end of {written.name}",
+        different.text(), final.text(), time.text(), *([] if curves else [NO_CURVE]),
+        *(f"warning: {found}" for found in result["warnings"])])
+    return as_utf8(text), written
+
+
+def _write_picture(path, groups, levels):
+    """The curves as PNG; where there are none, no picture of another comparison stays there."""
+    try:
+        data = as_png(comparison_figure, groups, levels)
+    except Exception:  # noqa: BLE001  (the page says why)
+        data = None
+    if data is None:
+        path.unlink(missing_ok=True)
+        return
+    with replacing(path) as file:
+        file.write(data)
 
 
 def compare(groups, levels=()):
@@ -85,9 +105,10 @@ def compare(groups, levels=()):
     found = warnings(groups)
     missing = [run.name for run in runs if run.name not in lines]
     if missing:
-        found.append(f"Without an evaluation (--test-every 0?): {', '.join(missing)}.")
+        found.append(f"Not evaluated, so without scores: {', '.join(missing)}. Runs with "
+                     "--test-every 0 hold out no view.")
     return {"levels": levels, "equal_seconds": shortest, "warnings": found,
-            "equal": {key: runs[0].options.get(key) for key in KEYS if key not in different},
+            "equal": {key: runs[0].options.get(key) for key in equal(runs)},
             "different": different, "groups": compared}
 
 
@@ -168,9 +189,10 @@ def equality_tables(groups):
         Table("What differs", ("", *groups),
               [(title(key), *(run.text(key) for run in runs)) for key in different] or
               [("nothing", *("" for _ in runs))],
-              notes=("Seeds, and options that change neither model nor time, are left out.",)),
+              notes=("Seeds, and options that change neither model nor time, are left out; -: the "
+                     "schedule does not use it.",)),
         Table("What is equal", ("", "all runs"),
-              [(title(key), runs[0].text(key)) for key in KEYS if key not in different]))
+              [(title(key), runs[0].text(key)) for key in equal(runs)]))
 
 
 def _psnr(run):

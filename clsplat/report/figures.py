@@ -1,75 +1,160 @@
-"""The drawings of the reports: matplotlib figures, without a window system."""
+"""The drawings of the reports: matplotlib figures, without a window system.
 
-import matplotlib
+Each is drawn within `drawing.clean_look`. narrow: for a telephone, panels one below the other.
+"""
+
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
 from clsplat.report.curves import band, curve, frequency_curves
+from clsplat.report.drawing import SMALL
 
 # Okabe and Ito (2008), apart for the colour-blind; yellow left out, it does not show on white
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 DASHES = ("-", "--", ":", "-.")
-SMALL = "#5c6166"
-LOOK = {
-    "font.size": 10, "axes.titlesize": 10.5, "axes.titleweight": "bold",
-    "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
-    "axes.edgecolor": "#8b9095", "axes.grid": True, "axes.axisbelow": True,
-    "grid.color": "#e8e9ea", "xtick.color": SMALL, "ytick.color": SMALL, "axes.labelcolor": SMALL,
-    "axes.linewidth": 0.8, "lines.linewidth": 1.6, "legend.frameon": False,
-}
+WIDE, NARROW = 10, 4.4  # inches
 
 
-def comparison_figure(groups, levels):
+def comparison_figure(groups, levels, narrow=False):
     """Colour-corrected PSNR, its SSIM and the gaussians over training time: a line at the mean of
     each group's runs, a band from the lowest to the highest, a dot at every evaluation.
 
-    groups: {name: list of Trained}; levels: PSNR, dB, to mark.
+    groups: {name: list of Trained}; levels: PSNR, dB, to mark. None where no run was evaluated
+    twice: there is no curve then.
     """
-    with matplotlib.rc_context(LOOK):
-        figure = Figure(figsize=(10, 9.6), layout="constrained")
-        panels = figure.subplots(3, 1, sharex=True, height_ratios=(1.6, 1, 1))
-        for number, (name, runs) in enumerate(groups.items()):
-            for axes, key, event in zip(panels, ("psnr_cc", "ssim_cc", "gaussians"),
-                                        ("eval", "eval", None)):
-                lines = [curve(run.records, "train_seconds", key, event) for run in runs]
-                _draw_band(axes, lines, name, number, dots=event)
-        titles = ("PSNR after the colour fit, dB", "SSIM after the colour fit", "gaussians")
-        for axes, title in zip(panels, titles):
-            axes.set_title(title)
-        for level in levels:
-            panels[0].axhline(level, color="#b9bdc1", linewidth=0.8, linestyle=(0, (4, 4)),
-                              zorder=0.5)
-        panels[2].yaxis.set_major_formatter(EngFormatter(sep=" "))
-        panels[2].set_ylim(bottom=0)
-        panels[2].set_xlim(left=0)
-        panels[2].set_xlabel("training time, s")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left",
-                      ncols=min(len(groups), 4))
+    if not any(_is_curve(curve(run.records, "train_seconds", "psnr_cc", "eval"))
+               for runs in groups.values() for run in runs):
+        return None
+    rows = len(groups) if narrow else -(-len(groups) // 4)  # of the legend
+    figure = Figure(figsize=(NARROW if narrow else WIDE, 9.6 + 0.17 * rows), layout="constrained")
+    panels = figure.subplots(3, 1, sharex=True, height_ratios=(1.6, 1, 1))
+    for number, (name, runs) in enumerate(groups.items()):
+        for axes, key, event in zip(panels, ("psnr_cc", "ssim_cc", "gaussians"),
+                                    ("eval", "eval", None)):
+            lines = [curve(run.records, "train_seconds", key, event) for run in runs]
+            _draw_band(axes, lines, name, number, dots=event)
+    titles = ("PSNR after the colour fit, dB", "SSIM after the colour fit", "gaussians")
+    for axes, title in zip(panels, titles):
+        axes.set_title(title)
+    for level in levels:
+        panels[0].axhline(level, color="#b9bdc1", linewidth=0.8, linestyle=(0, (4, 4)),
+                          zorder=0.5)
+    panels[2].yaxis.set_major_formatter(EngFormatter(sep=" "))
+    panels[2].set_ylim(bottom=0)
+    panels[2].set_xlim(left=0)
+    panels[2].set_xlabel("training time, s")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left",
+                  ncols=1 if narrow else min(len(groups), 4))
     return figure
 
 
-def cost_figure(groups):
+def cost_figure(groups, narrow=False):
     """Colour-corrected PSNR over what no machine's noise touches, drawn as in `comparison_figure`:
-    pairs of gaussian and pixel, and bytes; None where no run has counted them."""
+    pairs of gaussian and pixel, and bytes; None where no run has counted them twice."""
     axes_of = (("pixel_pairs", "pairs of gaussian and pixel"),
                ("kernel_bytes", "bytes of the arrays given to kernels"))
     lines = {key: {name: [curve(run.records, key, "psnr_cc", "eval") for run in runs]
                    for name, runs in groups.items()} for key, _ in axes_of}
-    if not any(len(x) for by_name in lines.values() for group in by_name.values()
-               for x, _ in group):
+    if not any(_is_curve(line) for by_name in lines.values() for group in by_name.values()
+               for line in group):
         return None
-    with matplotlib.rc_context(LOOK):
-        figure = Figure(figsize=(10, 4), layout="constrained")
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, (key, label) in zip(panels, axes_of):
-            for number, (name, group) in enumerate(lines[key].items()):
-                _draw_band(axes, group, name, number, dots=True)
-            axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
-            axes.set_xlim(left=0)
-            axes.set_xlabel(label)
-        panels[0].set_title("PSNR after the colour fit, dB")
-        panels[1].legend(loc="lower right")
+    figure, panels = _two_panels(narrow, 4, sharey=True)
+    for axes, (key, label) in zip(panels, axes_of):
+        for number, (name, group) in enumerate(lines[key].items()):
+            _draw_band(axes, group, name, number, dots=True)
+        axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.set_xlim(left=0)
+        axes.set_xlabel(label)
+    for axes in panels if narrow else panels[:1]:
+        axes.set_title("PSNR after the colour fit, dB")
+    panels[1].legend(loc="lower right")
     return figure
+
+
+def score_figure(records, narrow=False):
+    """PSNR and SSIM over training time, plain and after the colour fit; None with fewer than two
+    evaluations: there is no curve then."""
+    if not any(_is_curve(curve(records, "train_seconds", key, "eval")) for key in ("psnr", "ssim")):
+        return None
+    figure, panels = _two_panels(narrow, 3.3)
+    for axes, key, title in zip(panels, ("psnr", "ssim"), ("PSNR, dB", "SSIM")):
+        for suffix, label, colour in (("_cc", "after the colour fit", COLOURS[0]),
+                                      ("", "plain", COLOURS[1])):
+            axes.plot(*curve(records, "train_seconds", key + suffix, "eval"), ".-",
+                      color=colour, label=label)
+        axes.set_title(title)
+        axes.set_xlim(left=0)
+        axes.set_xlabel("training time, s")
+    panels[0].legend(loc="best")
+    return figure
+
+
+def step_figure(records, narrow=False):
+    """Gaussians, loss and, where it changes, level over iterations; None without a curve."""
+    gaussians, loss, level = (curve(records, "iteration", key)
+                              for key in ("gaussians", "loss", "level"))
+    if not _is_curve(loss):  # a city takes no steps itself
+        return None
+    changes = len(set(level[1])) > 1
+    figure = Figure(figsize=(NARROW if narrow else WIDE, 7 if changes else 5),
+                    layout="constrained")
+    panels = figure.subplots(2 + changes, 1, sharex=True,
+                             height_ratios=(1.3, 1.3, 0.8)[:2 + changes])
+    panels[0].plot(*gaussians, color=COLOURS[0], drawstyle="steps-post")
+    panels[0].set_title("gaussians")
+    panels[0].yaxis.set_major_formatter(EngFormatter(sep=" "))
+    panels[0].set_ylim(bottom=0)
+    panels[1].plot(*loss, color=COLOURS[0])
+    panels[1].set_title("loss")
+    _logarithmic(panels[1])
+    if changes:
+        panels[2].plot(*level, color=COLOURS[0], drawstyle="steps-post")
+        panels[2].set_title("level: how many times smaller the images are")
+        panels[2].set_ylim(0, max(level[1]) * 1.15)
+        panels[2].yaxis.set_major_locator(MaxNLocator(5, integer=True))
+    for axes in panels:
+        _mark_changes(axes, records, named=axes is panels[0])
+    panels[-1].set_xlim(left=0)
+    panels[-1].set_xlabel("iteration")
+    return figure
+
+
+def frequency_figure(records, narrow=False):
+    """The scene frequency over iterations, a panel a variant, level changes marked; None without
+    a curve."""
+    variants = {variant: lines for variant, lines in frequency_curves(records).items()
+                if any(map(_is_curve, lines.values()))}
+    if not variants:
+        return None
+    figure = Figure(figsize=(NARROW if narrow else WIDE, 0.6 + 2.3 * len(variants)),
+                    layout="constrained")
+    panels = figure.subplots(len(variants), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (variant, lines) in zip(panels, variants.items()):
+        for colour, (axis, line) in zip(COLOURS, lines.items()):
+            axes.plot(*line, color=colour, label=axis, linewidth=1.3)
+        axes.set_title(f"{variant} frequency, 1 / world unit")
+        _logarithmic(axes)
+        _mark_changes(axes, records, named=axes is panels[0])
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3,
+                  title="over the three axes of a gaussian", alignment="left")
+    panels[-1].set_xlim(left=0)
+    panels[-1].set_xlabel("iteration")
+    return figure
+
+
+def _is_curve(line):
+    """Whether a curve has more than one place."""
+    return len(set(line[0])) > 1
+
+
+def _two_panels(narrow, height, sharey=False):
+    """(Figure, two axes beside each other, or below each other where it is narrow)."""
+    if narrow:
+        figure = Figure(figsize=(NARROW, 1.75 * height), layout="constrained")
+        return figure, figure.subplots(2, 1)
+    figure = Figure(figsize=(WIDE, height), layout="constrained")
+    return figure, figure.subplots(1, 2, sharey=sharey)
 
 
 def _draw_band(axes, lines, name, number, dots):
@@ -84,77 +169,6 @@ def _draw_band(axes, lines, name, number, dots):
         axes.plot(*line, ".", color=style["color"], markersize=4, alpha=0.6)
 
 
-def score_figure(records):
-    """PSNR and SSIM over training time, plain and after the colour fit; None without any."""
-    if not any(len(curve(records, "train_seconds", key, "eval")[0]) for key in ("psnr", "ssim")):
-        return None
-    with matplotlib.rc_context(LOOK):
-        figure = Figure(figsize=(10, 3.3), layout="constrained")
-        panels = figure.subplots(1, 2)
-        for axes, key, title in zip(panels, ("psnr", "ssim"), ("PSNR, dB", "SSIM")):
-            for suffix, label, colour in (("_cc", "after the colour fit", COLOURS[0]),
-                                          ("", "plain", COLOURS[1])):
-                axes.plot(*curve(records, "train_seconds", key + suffix, "eval"), ".-",
-                          color=colour, label=label)
-            axes.set_title(title)
-            axes.set_xlim(left=0)
-            axes.set_xlabel("training time, s")
-        panels[0].legend(loc="best")
-    return figure
-
-
-def step_figure(records):
-    """Gaussians, loss and, where it changes, level over iterations; None without any."""
-    gaussians, loss, level = (curve(records, "iteration", key)
-                              for key in ("gaussians", "loss", "level"))
-    if not len(loss[0]):  # a city takes no steps itself
-        return None
-    changes = len(set(level[1])) > 1
-    with matplotlib.rc_context(LOOK):
-        figure = Figure(figsize=(10, 7 if changes else 5), layout="constrained")
-        panels = figure.subplots(2 + changes, 1, sharex=True,
-                                 height_ratios=(1.3, 1.3, 0.8)[:2 + changes])
-        panels[0].plot(*gaussians, color=COLOURS[0], drawstyle="steps-post")
-        panels[0].set_title("gaussians")
-        panels[0].yaxis.set_major_formatter(EngFormatter(sep=" "))
-        panels[0].set_ylim(bottom=0)
-        panels[1].plot(*loss, color=COLOURS[0])
-        panels[1].set_title("loss")
-        _logarithmic(panels[1])
-        if changes:
-            panels[2].plot(*level, color=COLOURS[0], drawstyle="steps-post")
-            panels[2].set_title("level: how many times smaller the images are")
-            panels[2].set_ylim(0, max(level[1]) * 1.15)
-            panels[2].yaxis.set_major_locator(MaxNLocator(5, integer=True))
-        for axes in panels:
-            _mark_changes(axes, records)
-        panels[-1].set_xlim(left=0)
-        panels[-1].set_xlabel("iteration")
-    return figure
-
-
-def frequency_figure(records):
-    """The scene frequency over iterations, a panel a variant, level changes marked; None without
-    any sample."""
-    variants = frequency_curves(records)
-    if not variants:
-        return None
-    with matplotlib.rc_context(LOOK):
-        figure = Figure(figsize=(10, 0.6 + 2.3 * len(variants)), layout="constrained")
-        panels = figure.subplots(len(variants), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, (variant, lines) in zip(panels, variants.items()):
-            for colour, (axis, line) in zip(COLOURS, lines.items()):
-                axes.plot(*line, color=colour, label=axis, linewidth=1.3)
-            axes.set_title(f"{variant} frequency, 1 / world unit")
-            _logarithmic(axes)
-            _mark_changes(axes, records)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3,
-                      title="over the three axes of a gaussian", alignment="left")
-        panels[-1].set_xlim(left=0)
-        panels[-1].set_xlabel("iteration")
-    return figure
-
-
 def _logarithmic(axes):
     """A logarithmic y axis that has numbers also where it spans less than a decade."""
     axes.set_yscale("log")
@@ -163,10 +177,11 @@ def _logarithmic(axes):
     axes.yaxis.set_minor_formatter("")
 
 
-def _mark_changes(axes, records):
-    """A vertical line at each level change, with the new level above it."""
+def _mark_changes(axes, records, named):
+    """A vertical line at each level change, with the new level above it where it is named."""
     for iteration, level in zip(*curve(records, "iteration", "level", "level")):
         axes.axvline(iteration, color="#8b9095", linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
-        axes.annotate(f"level {level:g}", (iteration, 1), xycoords=("data", "axes fraction"),
-                      xytext=(3, -2), textcoords="offset points", va="top", fontsize=9,
-                      color=SMALL)
+        if named:
+            axes.annotate(f"level {level:g}", (iteration, 1), xycoords=("data", "axes fraction"),
+                          xytext=(3, -2), textcoords="offset points", va="top", fontsize=9,
+                          color=SMALL)

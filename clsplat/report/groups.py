@@ -16,6 +16,9 @@ IMMATERIAL = ("seed", "stop_at", "checkpoint_every", "eval_at", "eval_every", "d
 FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
 KEYS = (*sorted((option.name for option in dataclasses.fields(TrainOptions)
                  if option.name not in IMMATERIAL), key=lambda name: name != "schedule"), *FACTS)
+# schedules that use an option; options that are not here serve all of them
+ONLY = {option.name: option.metadata["only"] for option in dataclasses.fields(TrainOptions)
+        if option.metadata["only"]}
 TITLES = {"fingerprint": "scene", "opencl_device": "OpenCL device"}
 
 
@@ -29,11 +32,17 @@ class Trained:
     records: list
     finished: bool
 
+    def uses(self, key):
+        """Whether one of KEYS means something to the run's schedule."""
+        return self.options.get("schedule") in ONLY.get(key, (self.options.get("schedule"),))
+
     def text(self, key):
         """What the run has of one of KEYS, in words."""
         value = self.options.get(key)
         if key == "fingerprint":
-            return f"{Path(self.options.get('scene') or '?').name} ({(value or '?')[:8]})"
+            return f"{scene_name(self.options)} ({(value or '?')[:8]})"
+        if not self.uses(key):
+            return "-"
         if value is None:
             return "not recorded"
         if isinstance(value, bool):
@@ -57,9 +66,20 @@ def read_runs(paths):
     return read, parent, [names[path] for path, run in runs.items() if not run.has_metrics]
 
 
+def scene_name(options):
+    """The name of the scene that options.json records, without a suffix."""
+    return Path(options.get("scene_absolute") or options.get("scene") or "?").stem or "?"
+
+
 def differing(runs):
-    """Those of KEYS in which not all runs are equal."""
-    return [key for key in KEYS if len({_plain(run, key) for run in runs}) > 1]
+    """Those of KEYS in which not all runs are equal, of those whose schedules use them."""
+    return [key for key in KEYS if len({_plain(run, key) for run in runs if run.uses(key)}) > 1]
+
+
+def equal(runs):
+    """Those of KEYS that all runs use, and in which they are equal."""
+    different = differing(runs)
+    return [key for key in KEYS if key not in different and all(run.uses(key) for run in runs)]
 
 
 def grouped(runs):
@@ -87,30 +107,36 @@ def warnings(groups):
     runs = [run for group in groups.values() for run in group]
     found = []
     for meaning, keys in (
-            ("Not fair: the scenes differ", ("fingerprint",)),
-            ("Not fair: the test views differ", ("test_every", "downscale", "max_resolution")),
-            ("Not fair in time: the devices differ", ("opencl_device", "kernel_form")),
-            ("The code differs", ("version", "commit"))):
+            ("The runs have different scenes, so that no score says which is better",
+             ("fingerprint",)),
+            ("The runs are scored on different photos or sizes, so that scores do not compare",
+             ("test_every", "downscale", "max_resolution")),
+            ("The runs used different devices: scores compare, times do not",
+             ("opencl_device", "kernel_form")),
+            ("The runs were made by different versions of clsplat", ("version", "commit"))):
         for key in keys:
             texts = sorted({run.text(key) for run in runs})
             if len({_plain(run, key) for run in runs}) > 1:
-                found.append(f"{meaning} ({title(key)} {' / '.join(texts)}).")
+                found.append(f"{meaning} ({title(key)}: {' / '.join(texts)}).")
     views = sorted({record["views"] for run in runs for record in run.records
                     if record.get("event") == "eval" and record.get("views") is not None})
     if len(views) > 1:
-        found.append("Not fair: the numbers of test views differ "
-                     f"({' / '.join(map(str, views))}).")
+        found.append("The runs have different numbers of held-out views, so that scores do not "
+                     f"compare ({' / '.join(map(str, views))}).")
     if any(str(run.options.get("commit")).endswith("-dirty") for run in runs):
-        found.append("Code with uncommitted changes was used: equal commits may still differ.")
+        found.append("clsplat's code had changes that were not committed: runs of the same commit "
+                     "may still differ in code.")
     unfinished = [f"{run.name} (step {steps(run):,})" for run in runs if not run.finished]
     if unfinished:
-        found.append(f"Not finished: {', '.join(unfinished)}.")
+        found.append(f"Not finished yet: {', '.join(unfinished)}.")
     seeds = {name: [run.options.get("seed") for run in group] for name, group in groups.items()}
     if len({tuple(of_group) for of_group in seeds.values()}) > 1:
-        found.append("The groups have different seeds; single runs vary with theirs.")
+        found.append("The groups have different seeds: part of what differs between them may be "
+                     "chance.")
     twice = [name for name, of_group in seeds.items() if len(set(of_group)) < len(of_group)]
     if twice:
-        found.append(f"A seed occurs twice in {', '.join(twice)}: its spread is too small.")
+        found.append(f"{', '.join(twice)}: a seed occurs twice, so that the spread shown is "
+                     "smaller than the true one.")
     return found
 
 
@@ -125,7 +151,8 @@ def steps(run):
 
 
 def _plain(run, key):
-    return json.dumps(run.options.get(key), sort_keys=True)
+    """The value of one of KEYS as text, None where the run does not use it."""
+    return json.dumps(run.options.get(key), sort_keys=True) if run.uses(key) else None
 
 
 def _part(run, key):

@@ -10,12 +10,19 @@ from matplotlib.ticker import MaxNLocator
 
 from clsplat.partition.outline import centroid, extent, outline
 from clsplat.partition.site import world_of
-from clsplat.report.figures import COLOURS, LOOK
+from clsplat.report.drawing import clean_look
+from clsplat.report.figures import COLOURS
 
 POINTS = 60_000  # drawn
 PALE = 0.55  # share of white in their colours
 LABELLED = 16  # blocks; of more, only the numbers are written
 WIDTH, HEIGHT = 10, (4, 14)  # inches; the height follows the map within these
+
+
+def write_map(file, partition, scene, counts=None):
+    """Write `partition_map` as PNG to a binary file."""
+    with clean_look():
+        partition_map(partition, scene, counts).savefig(file, format="png", dpi=110)
 
 
 def partition_map(partition, scene, counts=None):
@@ -30,7 +37,7 @@ def partition_map(partition, scene, counts=None):
     rings = [outline(region, *ends) for region in partition.regions]
     corners = np.concatenate(rings)
     wide, high = np.ptp(corners, axis=0)
-    with matplotlib.rc_context(LOOK | {"axes.grid": False}):
+    with clean_look(**{"axes.grid": False}):
         figure = Figure(figsize=(WIDTH, np.clip(0.9 * WIDTH * high / wide, *HEIGHT)),
                         layout="constrained")
         axes = figure.subplots()

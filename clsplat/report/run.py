@@ -1,40 +1,72 @@
-"""The page of one run: scores, growth, loss, frequency and why the level changed."""
+"""The page of one run: pictures, scores, growth, loss, why the level changed, and frequency."""
 
 import dataclasses
-from pathlib import Path
 
 from clsplat.options import TrainOptions
+from clsplat.report.drawing import drawn
 from clsplat.report.figures import frequency_figure, score_figure, step_figure
-from clsplat.report.page import Table, folded, page, picture
+from clsplat.report.groups import scene_name
+from clsplat.report.page import Table, folded, headed, html_of, page
+from clsplat.report.pictures import pictures_html, with_pictures
 
-FACTS = ("scene", "fingerprint", "extent", "offset", "opencl_device", "kernel_form", "version",
-         "commit")
+FACTS = ("scene", "scene_absolute", "fingerprint", "extent", "offset", "opencl_device",
+         "kernel_form", "version", "commit")
+FREQUENCY = (
+    "<p class=note>The scene frequency is the mean of 1 / size over the gaussians, weighted by how "
+    "much each of them shows: it rises as they become finer. The sig schedule goes on to finer "
+    "images when it has stopped rising. It is of use to understand the method, not to judge the "
+    "model.</p>\n")
 
 
-def write_report(run, *more):
+def write_report(run, *more, pictures=None):
     """Write the report of a RunFolder from its options and metrics; returns the page's path.
 
     Parts without records, such as the levels of a schedule that has none, are left out. more:
-    Tables and HTML that follow the scores.
+    Tables and HTML that follow the scores; pictures: Pictures of evaluate/pictures.py, with which
+    the page begins.
     """
     options, records = run.read_options(), run.records()
-    scores, steps, frequency = (draw(records) for draw in
-                                (score_figure, step_figure, frequency_figure))
+    frequency = drawn("Scene frequency over iterations", frequency_figure, records)
+    scores = drawn("PSNR and SSIM over training time", score_figure, records)
     parts = (
-        scores and _drawn("Held-out views", scores), score_table(records), *more,
-        plan_table(records),
-        steps and _drawn("Growth and loss", steps), level_table(records),
-        frequency and _drawn("Scene frequency", frequency))
-    lead = (f"{options.get('schedule', '?')} schedule, seed {options.get('seed', '?')}, "
-            f"{options.get('opencl_device', 'unknown device')}")
-    if records:
-        last = records[-1]
-        lead += (f", {last.get('iteration') or 0:,} steps in {last.get('train_seconds') or 0:,.1f} "
-                 f"s of training, {last.get('gaussians') or 0:,} gaussians")
-    html = [part if isinstance(part, str) else part.html() for part in parts if part]
-    scene = Path(options.get("scene") or "?").stem
-    return run.write_report(page(f"{run.path.resolve().name}: training of {scene}", lead + ".",
-                                 *html, folded("Options", option_table(options).html())))
+        pictures_html(pictures),
+        headed("Scores over training time" if scores else "Scores", scores, score_table(records)),
+        *more,
+        headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
+                                         step_figure, records)),
+        plan_table(records), level_table(records),
+        folded("Options", option_table(options).html()),
+        frequency and folded("Scene frequency", FREQUENCY + frequency))
+    return run.write_report(page(
+        f"{scene_name(options)}: run {run.path.resolve().name}", lead(options, records),
+        *map(html_of, filter(None, parts))))
+
+
+def renew_pictures(run, pictures):
+    """Put Pictures into the report of a run, which is written if there is none that has room for
+    them; returns its path."""
+    html = run.read_report()
+    html = html and with_pictures(html, pictures)
+    return run.write_report(html) if html else write_report(run, pictures=pictures)
+
+
+def lead(options, records):
+    """What was trained, how well and how long, in a sentence or two."""
+    device = options.get("opencl_device") or "a device that is not recorded"
+    if not records:
+        return f"Nothing is recorded of this training on {device}."
+    last = records[-1]
+    text = (f"A model of {last.get('gaussians') or 0:,} gaussians, trained in "
+            f"{_duration(last.get('train_seconds') or 0)} ({last.get('iteration') or 0:,} steps) "
+            f"on {device}.")
+    scores = [record for record in records if record.get("event") == "eval"
+              and record.get("psnr_cc") is not None]
+    if scores:
+        views, plain = scores[-1].get("views"), scores[-1].get("psnr")
+        seen = "held-out views" if views is None else f"{views} held-out view{'s' * (views != 1)}"
+        text += (f" PSNR on {seen}: {scores[-1]['psnr_cc']:.2f} dB after the colour fit"
+                 f"{'' if plain is None else f', {plain:.2f} dB plain'}.")
+    return f"{text} Schedule {options.get('schedule', '?')}, seed {options.get('seed', '?')}."
 
 
 def score_table(records):
@@ -89,8 +121,13 @@ def option_table(options):
                  [(name.replace("_", " "), str(options[name])) for name in names])
 
 
-def _drawn(heading, figure):
-    return f"<h2>{heading}</h2>\n{picture(figure, f'{heading}, as curves')}"
+def _duration(seconds):
+    """Seconds in words: of the units that matter."""
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    minutes, seconds = divmod(round(seconds), 60)
+    return (f"{minutes} min {seconds} s" if minutes < 100
+            else f"{minutes // 60} h {minutes % 60} min")
 
 
 def _number(record, key, form):

@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from clsplat.options import MOST_STEPS
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -120,7 +122,9 @@ WHOLE = 7000  # steps from which on step counts are as given
 
 def laid_over(options, iterations):
     """TrainOptions, as of `scaled_steps`, for a run of another length: the end of growth keeps its
-    share of it, and step counts shrink with a run of fewer than WHOLE steps."""
+    share of it, and step counts shrink with a run of fewer than WHOLE steps. No run has more than
+    MOST_STEPS."""
+    iterations = min(iterations, MOST_STEPS)
     shrink = min(1.0, iterations / min(WHOLE, options.iterations))
     counts = {name: max(1, round(getattr(options, name) * shrink)) if getattr(options, name) else 0
               for name in STEP_COUNTS}

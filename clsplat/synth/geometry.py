@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsplat.errors import InputError
+from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
 
 BLOCK = 20.0  # distance between the centre lines of neighbouring streets
@@ -111,9 +112,9 @@ def save(city, path):
                   for kind, (low, high) in zip(city.kinds, city.boxes)],
         "spheres": [{"centre": row[:3].tolist(), "radius": row[3]} for row in city.spheres],
     }
-    with open(path, "w", encoding="utf-8", newline="\n") as file:
-        rows = json.dumps(table).replace('{"kind"', '\n{"kind"').replace('{"centre"', '\n{"centre"')
-        file.write(rows + "\n")
+    rows = json.dumps(table).replace('{"kind"', '\n{"kind"').replace('{"centre"', '\n{"centre"')
+    with replacing(path) as file:
+        file.write((rows + "\n").encode())
 
 
 def load(path):

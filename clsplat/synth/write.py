@@ -1,12 +1,16 @@
 """The scene folder of a synthetic city: images, COLMAP model and ground truth."""
 
-import shutil
+import os
+import re
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from clsplat.errors import InputError
+from clsplat.io.atomic import PARTIAL
 from clsplat.io.colmap_write import Tracks, write_colmap
+from clsplat.io.folders import make_folder, remove_files
 from clsplat.io.images import write_image
 from clsplat.scene import View
 from clsplat.synth import geometry
@@ -17,35 +21,42 @@ from clsplat.synth.texture import Texture
 from clsplat.synth.tracks import observe
 
 GEOMETRY = "geometry.json"
+# what a call writes, and what it leaves where it is killed
+WRITTEN = re.compile(r"(geometry\.json|images/\d+\.jpg|sparse/0/(cameras|images|points3D)\.bin)"
+                     r"(\.part)?")
 
 
 def synthesise(folder, blocks=(2, 2), views=32, width=320, height=240, seed=0, progress=None,
                overwrite=False):
     """Make a city, photograph it, and write the scene; the same arguments give the same bytes.
 
-    folder gets images/NNN.jpg, sparse/0 (COLMAP, binary) and geometry.json. blocks: along x and y;
+    folder gets images/NNN.jpg, sparse/0 (COLMAP, binary) and geometry.json; it appears whole, when
+    all is written. blocks: along x and y;
     views: photos in all; width, height: pixels; progress: called as progress(done, views) after
     each photo. Returns (views, points, observations) written. Raises InputError for numbers out of
     range and for a folder that holds something else, or an older scene without `overwrite`.
     """
     _check(blocks, views, width, height, seed)
     folder = Path(folder)
-    _make_room(folder, overwrite)
+    _check_room(folder, overwrite)
     city = lay_out(blocks, seed)
     cameras = survey(city, views, width, height, seed)
     points, point, view, pixels = observe(city, cameras, seed)
     if not len(points):
         raise InputError(f"{folder}: no point is seen in two of {views} views; ask for more views")
 
-    geometry.save(city, folder / GEOMETRY)
+    partial = folder.with_name(folder.name + PARTIAL)
+    _remove(partial)  # what an interrupted call left
+    make_folder(partial / "images")
+    geometry.save(city, partial / GEOMETRY)
     texture = Texture(city)
     colours = np.zeros((len(points), 3))
     digits = max(3, len(str(views - 1)))
     photos = []
     for number, camera in enumerate(cameras):
         image = render(texture, camera)
-        photos.append(View(f"{number:0{digits}d}.jpg", camera,
-                           folder / "images" / f"{number:0{digits}d}.jpg"))
+        name = f"{number:0{digits}d}.jpg"
+        photos.append(View(name, camera, partial / "images" / name))
         write_image(photos[-1].source, image)
         rows = view == number
         column, row = pixels[rows].astype(int).T
@@ -53,8 +64,14 @@ def synthesise(folder, blocks=(2, 2), views=32, width=320, height=240, seed=0, p
         if progress:
             progress(number + 1, views)
     colours /= np.bincount(point)[:, None]
-    write_colmap(folder / "sparse" / "0", photos, points, np.round(colours).astype(np.uint8),
+    write_colmap(partial / "sparse" / "0", photos, points, np.round(colours).astype(np.uint8),
                  Tracks(point, view, pixels))
+    _remove(folder)
+    try:
+        os.rename(partial, folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot take the place of the earlier scene ({error.strerror});"
+                         f" the new one is {partial}") from None
     return len(photos), len(points), len(point)
 
 
@@ -67,8 +84,8 @@ def _check(blocks, views, width, height, seed):
             raise InputError(f"synthetic city: {name} must be from {low} to {high}, got {value}")
 
 
-def _make_room(folder, overwrite):
-    """Leave `folder` with an empty images/; only what an earlier call wrote is ever removed."""
+def _check_room(folder, overwrite):
+    """InputError where a scene cannot be written to `folder`."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder for the scene")
     if folder.is_dir() and any(folder.iterdir()):
@@ -77,9 +94,28 @@ def _make_room(folder, overwrite):
         if not (folder / GEOMETRY).is_file():
             raise InputError(f"{folder}: holds no synthetic scene, so it is not overwritten; "
                              "name another folder")
-        for name in ("images", "sparse"):
-            shutil.rmtree(folder / name, ignore_errors=True)
-    try:
-        (folder / "images").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); name another") from None
+        others = sorted(set(_files(folder)) - set(_written(folder)))
+        if others:
+            raise InputError(f"{others[0]}: is not of the synthetic scene, so nothing is "
+                             "overwritten; move it, or name another folder")
+
+
+def _files(folder):
+    return [Path(path, name) for path, folders, names in os.walk(folder)
+            for name in (*names, *folders) if not os.path.isdir(os.path.join(path, name))
+            or os.path.islink(os.path.join(path, name))]
+
+
+def _written(folder):
+    """The files below `folder` that this module wrote: no links, which may lead anywhere."""
+    return [path for path in _files(folder) if not path.is_symlink()
+            and WRITTEN.fullmatch(path.relative_to(folder).as_posix())]
+
+
+def _remove(folder):
+    """Remove an earlier scene, and the folder if nothing else is in it."""
+    if folder.is_dir():
+        remove_files(_written(folder), folder)
+        for path in ("images", "sparse/0", "sparse", "."):
+            with suppress(OSError):
+                os.rmdir(folder / path)

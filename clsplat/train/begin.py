@@ -1,6 +1,6 @@
 """What a training starts from."""
 
-from pathlib import Path
+import os
 
 import numpy as np
 
@@ -9,6 +9,8 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.loss.exposure import IDENTITY
+
+FEWEST = 2  # gaussians: the distance between them sizes what grows
 
 
 def initial_gaussians(scene, options):
@@ -26,10 +28,16 @@ def initial_gaussians(scene, options):
         colours = rng.integers(0, 256, scene.points.shape)
         gaussians = Gaussians.from_points(points, colours, options.sh_degree)
     else:
-        if not Path(options.init).is_file():
+        if not os.path.exists(options.init):
             raise InputError(
                 f"{options.init}: no such file; --init wants sfm, random or a PLY file")
+        if os.path.isdir(options.init):
+            raise InputError(f"{options.init}: a folder; --init wants sfm, random or a PLY file, "
+                             "such as the point_cloud.ply of a run")
         given = read_ply(options.init, scene.offset).scaled(1 / scene.unit)
+        if given.count < FEWEST:
+            raise InputError(f"{options.init}: has {given.count} gaussians, and a training starts "
+                             f"from at least {FEWEST}; give another PLY to --init, or leave it out")
         gaussians = of_degree(given, options.sh_degree)
     constrained = options.sphere and options.schedule == "sig"
     if constrained and "anchors" not in gaussians.rows:

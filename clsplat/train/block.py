@@ -5,7 +5,7 @@ import json
 
 from clsplat.device import choose_device
 from clsplat.errors import InputError
-from clsplat.io.run import RunFolder
+from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import checked, resolve
 from clsplat.train.loop import resume, train
@@ -15,14 +15,23 @@ DECIDED = ("exposure", "sh_degree")
 MAY_DIFFER = ("init", "device", "checkpoint_every", "stop_at")  # from what a run began with
 
 
-def options_of_blocks(given, coarse):
+def decided_by(coarse):
+    """{option: value} that the needs of a coarse run, a RunFolder, have decided for all blocks."""
+    needs, path = coarse.read_options().get("needs"), coarse.path / OPTIONS
+    if not isinstance(needs, dict) or not set(DECIDED) <= set(needs):
+        raise InputError(f"{path}: damaged (needs is {str(needs)[:20]!r}); remove "
+                         f"{coarse.path}, and train it again")
+    return {name: checked(str(path), name, needs[name]) for name in DECIDED}
+
+
+def options_of_blocks(given, decided):
     """{option: value} of every block, for CityFolder.write_block.
 
-    given: what the user asks of blocks; coarse: the coarse run's options.json, whose needs decide
-    what must be equal in all. Blocks hold out nothing: they are given training views only. The
-    gaussians have their harmonics already, so these are not switched on one by one.
+    given: what the user asks of blocks; decided: see `decided_by`. Blocks hold out nothing: they
+    are given training views only. The gaussians have their harmonics already, so these are not
+    switched on one by one.
     """
-    decided = {name: coarse["needs"][name] for name in DECIDED}
+    given = {name: value for name, value in given.items() if name != "images"}  # links to them
     return {"sh_every": 1, **given, **decided, "coarse": False, "test_every": 0}
 
 

@@ -3,6 +3,7 @@
 import logging
 
 from clsplat.errors import ClsplatError
+from clsplat.evaluate.views import pictures_of
 from clsplat.io.reason import reason
 from clsplat.report.run import write_report
 from clsplat.train.interrupt import was_interrupted
@@ -33,7 +34,9 @@ def comments(training):
 def draw_report(training):
     """Write the page of a run. A page that cannot be drawn is a warning: the model is complete."""
     try:
-        write_report(training.run)
+        write_report(training.run, pictures=pictures_of(
+            training.renderer, training.step.model.rows, training.options.sh_degree,
+            training.test_views, training.train_views, training.per_view))
     except ClsplatError:
         raise
     except Exception as error:  # noqa: BLE001  (fonts, locales, settings of matplotlib)

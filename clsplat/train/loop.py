@@ -31,7 +31,7 @@ from clsplat.train.interrupt import deferred_interrupt, was_interrupted
 from clsplat.train.model import Model
 from clsplat.train.needs import find_needs, smallest_size
 from clsplat.train.photos import Photos, decoded, size_note
-from clsplat.train.silent import Silent
+from clsplat.train.silent import WARNING, Silent
 from clsplat.train.skipped import TOO_MANY
 from clsplat.train.snapshots import save_snapshot
 from clsplat.train.step import Shot, Step
@@ -90,7 +90,7 @@ def resume(scene, options, device, run, progress=None):
                          "start again with --overwrite") from None
     run.rewind(training.iteration)
     run.note_scene(scene.path)
-    training.evaluated_at = max((record["iteration"] for record in run.records()
+    training.evaluated_at = max((record["iteration"] for record in run.past_records()
                                  if record.get("event") == "eval"), default=None)
     with training.resumable():
         training.run_to_end()
@@ -112,7 +112,7 @@ class Training(Clock):
         super().__init__(device)
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.iteration = 0
-        self.evaluated_at = self.level = self.losses = None
+        self.evaluated_at = self.per_view = self.level = self.losses = None
         self.fingerprint = fingerprint(scene)
         self.run, self.progress = run, progress or Silent()
         note = size_note(scene.views, options)
@@ -187,7 +187,7 @@ class Training(Clock):
         for text in found:
             self.log("warning", text=text)
             if self.progress:
-                self.progress.message(f"warning: {text}")
+                self.progress.message(f"{WARNING}{text}")
 
     def run_to_end(self):
         """Steps until done, `stop_at` or Ctrl-C, which waits for its step; then saves the state.
@@ -254,6 +254,10 @@ class Training(Clock):
         self.progress.phase(f"training level {plan.level:g}")
         event = self.step.follow(iteration, plan, self.schedule, self.look)
         self.iteration = iteration
+        if not self.step.model.count:
+            raise self.broken(f"all gaussians were pruned after step {iteration}",
+                              "lower --prune-opacity, or allow larger --prune-size or "
+                              "--sphere-reach")
         if event:
             self.log("grow", **event)
         self.observe()
@@ -349,12 +353,11 @@ class Training(Clock):
                                   "skipped_rows")
         return values
 
-    def broken(self, what):
+    def broken(self, what, cure="lower the learning rates or check the scene"):
         """The InputError for a training that cannot go on."""
         kept = ("the last checkpoint is kept" if self.run.has_checkpoint
                 else "there is no checkpoint yet")
-        return InputError(f"{self.run.path}: {what}; {kept}: lower the learning rates or check "
-                          "the scene")
+        return InputError(f"{self.run.path}: {what}; {kept}: {cure}")
 
     def evaluate(self):
         """Metrics of the held-out views, outside of training time."""
@@ -367,7 +370,7 @@ class Training(Clock):
                                 self.test_views)
         self.unpause()
         self.note_evaluation(time.perf_counter() - begin)
-        self.evaluated_at = self.iteration
+        self.evaluated_at, self.per_view = self.iteration, result["per_view"]
         means = {key: value for key, value in result.items() if key != "per_view"}
         self.log("eval", **means)
         if self.progress:

@@ -27,8 +27,10 @@ def find_warnings(scene, views, opacity_logits):
     float[N], of the initial gaussians.
     """
     chosen = views[::-(-len(views) // LOOKED_AT)]
-    found = (_few(len(views), len(opacity_logits)), _faint(opacity_logits), _parallax(scene),
-             _cover(scene.points, chosen), _photos(chosen))
+    # of a block its city's coarse run has said so
+    found = (scene.notes if scene.region is None else (), _few(len(views), len(opacity_logits)),
+             _faint(opacity_logits), _parallax(scene), _cover(scene.points, chosen),
+             _photos(chosen))
     return [text for texts in found for text in texts]
 
 

@@ -13,6 +13,7 @@ import random
 import resource
 import shutil
 import signal
+import struct
 import tempfile
 import time
 import traceback
@@ -31,6 +32,7 @@ SECONDS = 10  # a case that takes longer hangs
 MEMORY_BYTES = 512 << 20  # a reader may take so much more than its process had
 POLL_SECONDS = 0.02
 LONGEST = 1000  # characters of a message
+HEAD = struct.Struct("<BQ")  # of a child's answer: exit code, length
 CASE, STARTED, ACCEPTED, REFUSED, WORST, PEAK, END = range(7)  # a worker's row in shared memory
 
 
@@ -193,21 +195,22 @@ class Child:
     def __init__(self, complaints):
         self.complaints, self.process = complaints, None
 
-    def __call__(self, model, out, limit):
+    def __call__(self, model, limit):
         if self.process is None:
             self._start()
-        os.write(self.tasks, json.dumps([str(model), str(out)]).encode() + b"\n")
-        code = os.read(self.answers, 1)
-        if code:
-            return code[0], self._complaint()
-        return self.close(), self._complaint()
+        os.write(self.tasks, json.dumps(str(model)).encode() + b"\n")
+        head = self.answers.read(HEAD.size)
+        if len(head) < HEAD.size:
+            return self.close(), b"", self._complaint()
+        code, length = HEAD.unpack(head)
+        return code, self.answers.read(length), self._complaint()
 
     def close(self):
         """The exit code of the child, which ends when nobody can ask any more."""
         if self.process is None:
             return 0
         os.close(self.tasks)
-        os.close(self.answers)
+        self.answers.close()
         _, status = os.waitpid(self.process, 0)
         self.process = None
         return os.waitstatus_to_exitcode(status)
@@ -220,21 +223,25 @@ class Child:
 
     def _start(self):
         tasks, self.tasks = os.pipe()
-        self.answers, answers = os.pipe()
+        receiver, answers = os.pipe()
+        self.answers = os.fdopen(receiver, "rb")
         self.process = os.fork()
         if self.process:
             os.close(tasks)
             os.close(answers)
             return
         os.close(self.tasks)
-        os.close(self.answers)
+        self.answers.close()
         os.dup2(os.open(self.complaints, os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
+        out = os.fdopen(answers, "wb")
         for line in os.fdopen(tasks, "rb"):
-            code = b"\0"
+            code, content = 0, b""
             try:
-                colmap_child.main(*json.loads(line))
+                content = colmap_child.encoded(colmap_child.model_arrays(json.loads(line)))
             except Exception:
                 os.write(2, traceback.format_exc().encode(errors="replace"))
-                code = b"\1"
-            os.write(answers, code)
+                code = 1
+            out.write(HEAD.pack(code, len(content)))
+            out.write(content)
+            out.flush()
         os._exit(0)

@@ -22,8 +22,8 @@ STORAGES = {"float32": "Float", "float64": "Double", "int64": "Long"}
 
 def read_models_here(monkeypatch):
     """Healthy models need no child process each, which takes a second."""
-    monkeypatch.setattr(colmap, "_run_child", lambda model, out, limit: (
-        colmap_child.main(model, out) or 0, b""))
+    monkeypatch.setattr(colmap, "_run_child", lambda model, limit: (
+        0, colmap_child.encoded(colmap_child.model_arrays(model)), b""))
 
 
 def every_fourth(scene):

@@ -23,7 +23,7 @@ from clsplat.region import Region, Space
 from clsplat.scene import Scene, View
 from clsplat.schedule.constant import Constant
 from clsplat.train import step
-from clsplat.train.block import options_of_blocks
+from clsplat.train.block import decided_by, options_of_blocks
 from tests.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
 
 SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}
@@ -284,18 +284,18 @@ def test_a_run_without_exposures_leaves_none(item_device, city, tmp_path):
 def test_a_coarse_run_has_smaller_photos(schedule):
     chosen = resolve({}, {"schedule": schedule, "coarse": True})
     same = resolve({}, {"schedule": schedule})
-    assert chosen == replace(same, coarse=True, downscale=2.0)
+    assert chosen == replace(same, coarse=True, downscale=2.0, max_resolution=800)
     assert resolve({}, {"coarse": True, "downscale": 8.0}).downscale == 8
 
 
-def test_blocks_follow_the_coarse_run():
-    coarse = {"needs": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}}
-    values = options_of_blocks({"exposure": "auto", "coarse": True, "iterations": 9}, coarse)
-    options = resolve({}, values)
+def test_blocks_follow_the_coarse_run(tmp_path):
+    coarse, given = RunFolder(tmp_path), {"exposure": "auto", "coarse": True, "iterations": 9}
+    coarse.write_options({"needs": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}})
+    options = resolve({}, options_of_blocks(given, decided_by(coarse)))
     assert (options.exposure, options.sh_degree, options.test_every) == ("on", 2, 0)
     assert (options.coarse, options.downscale, options.iterations) == (False, 1, 9)
-    assert options.sh_every == 1 and resolve({}, options_of_blocks(
-        {"sh_every": 50}, coarse)).sh_every == 50
+    assert options.sh_every == 1
+    assert options_of_blocks({"sh_every": 50}, {})["sh_every"] == 50
 
 
 # --- the command

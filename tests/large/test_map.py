@@ -3,13 +3,14 @@
 import io
 from dataclasses import replace
 
+import matplotlib
 import numpy as np
 import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
 from clsplat.partition import METHODS
 from clsplat.partition.outline import centroid
-from clsplat.report.map import partition_map
+from clsplat.report.map import partition_map, write_map
 from tests.large.fields import cut, field, moved, world
 
 
@@ -73,3 +74,12 @@ def test_a_map_can_be_saved():
     png = io.BytesIO()
     drawn()[2].savefig(png, format="png", dpi=40)
     assert png.getvalue().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", ["sc$\\frac{$", "a$b", "日本", "x\ny", "_^{}%#&~", " "])
+def test_a_scene_of_any_name_has_a_map(name, recwarn):
+    scene, partition, _ = drawn()
+    file = io.BytesIO()
+    with matplotlib.rc_context({"text.usetex": True, "font.size": 30}):  # a user's settings
+        write_map(file, partition, replace(scene, name=name))
+    assert file.getvalue().startswith(b"\x89PNG") and not len(recwarn)

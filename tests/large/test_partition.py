@@ -154,9 +154,8 @@ def test_a_chosen_grid_joins_what_it_starves():
     ({"bounds": (500, 500, 600, 600)}, r"field: no points within the bounds 500 500 600 600"),
 ])
 def test_bad_input_is_one_line(changes, cause):
-    options = replace(PartitionOptions(grid=(2, 2)), **changes)
     with pytest.raises(InputError, match=f"^{cause}") as error:
-        make_partition(field(), options)
+        make_partition(field(), PartitionOptions(**{"grid": (2, 2), **changes}))
     assert "\n" not in str(error.value)
 
 

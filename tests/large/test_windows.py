@@ -11,7 +11,8 @@ from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
-from clsplat.io.images import read_image, read_photo, resample, write_image
+from clsplat.io.images import read_image, read_photo, write_image
+from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.region import Region, Space
 from clsplat.render.slabs import Parts, SlabRenderer

@@ -53,6 +53,7 @@ def test_twice_the_same_bytes(float_device, city, tmp_path):
     assert sum(record["split"] + record["cloned"] for record in records(runs[0], "grow")) > 1000
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_run(item_device, city, tmp_path, whole):
     other = trained(tmp_path / "run", city, item_device, seed=1)
     assert model_digest(other) != model_digest(whole)
@@ -67,11 +68,13 @@ def test_group_sizes_do_not_matter(item_device, city, tmp_path, whole, size):
     assert model_digest(trained(tmp_path / "run", city, device)) == model_digest(whole)
 
 
+@pytest.mark.slow
 def test_evaluations_and_checkpoints_change_nothing(item_device, city, tmp_path, whole):
     busy = trained(tmp_path / "run", city, item_device, eval_every=7, checkpoint_every=9)
     assert model_digest(busy) == model_digest(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stops", [(1,), (40, 41, 51), (150,)], ids=str)
 def test_stopped_and_resumed(item_device, city, tmp_path, whole, stops):
     """Between rounds of growth, right before and after one and a reset, and at the end."""
@@ -96,6 +99,7 @@ def test_batches_stopped_and_resumed(item_device, city, tmp_path):
     assert history(run) == history(whole)
 
 
+@pytest.mark.slow
 def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
     """Steps after the last checkpoint are taken again, and recorded once."""
     take = Step.take
@@ -153,6 +157,7 @@ def test_other_ways_to_train_resume_as_well(item_device, city, tmp_path, options
     assert model_digest(run) == model_digest(whole)
 
 
+@pytest.mark.slow
 def test_a_resumed_run_needs_no_initial_file(item_device, city, tmp_path, whole):
     start = tmp_path / "start.ply"
     shutil.copy(whole.path / "point_cloud.ply", start)
@@ -161,6 +166,7 @@ def test_a_resumed_run_needs_no_initial_file(item_device, city, tmp_path, whole)
     resumed(run, city, item_device, init=str(start), stop_at=6)
 
 
+@pytest.mark.slow
 def test_time_goes_on(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, stop_at=110)
     before = records(run, "step")[-1]
@@ -172,6 +178,7 @@ def test_time_goes_on(item_device, city, tmp_path):
 
 # --- schedules that look at what they train
 
+@pytest.mark.slow
 def test_the_levelled_run_is_eventful(levelled):
     """Or the stops below would meet nothing."""
     level, = records(levelled, "level")
@@ -182,6 +189,7 @@ def test_the_levelled_run_is_eventful(levelled):
     assert sum(record["pruned"] for record in records(levelled, "grow")) > 0
 
 
+@pytest.mark.slow
 def test_levels_stopped_and_resumed(item_device, city, tmp_path, levelled):
     """Growth follows a step; a level is decided after one step and begins with the next."""
     level = records(levelled, "level")[0]["iteration"]

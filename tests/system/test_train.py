@@ -101,6 +101,7 @@ def test_engines_and_optimizers_learn_alike(item_device, city, tmp_path):
     assert min(scores.values()) > 19.5, scores
 
 
+@pytest.mark.slow
 def test_antialiased(item_device, city, tmp_path):
     runs = [trained(tmp_path / str(mip), city, item_device, **STILL, iterations=100,
                     antialiased=mip) for mip in (False, True)]
@@ -110,6 +111,7 @@ def test_antialiased(item_device, city, tmp_path):
         assert f"comment SplatRenderMode: {mode}\n".encode() in header
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [0, 1])
 def test_lower_degrees(item_device, city, tmp_path, degree):
     run = trained(tmp_path / "run", city, item_device, sh_degree=degree, sh_every=10)
@@ -132,6 +134,7 @@ def test_a_trained_model_is_a_good_start(item_device, city, tmp_path):
     assert records(again, "step")[0]["loss"] < 0.5 * records(first, "step")[0]["loss"]
 
 
+@pytest.mark.slow
 def test_large_coordinates_cost_nothing(item_device, city, tmp_path):
     """The same scene with its origin 5000 km away: same losses, and the model lies out there."""
     far_away = np.array([5.123456e6, -4.9e6, 3e5])
@@ -244,6 +247,7 @@ def test_records_carry_what_reports_read(item_device, city, tmp_path):
     assert step["loss"] == pytest.approx(0.8 * step["l1"] + 0.2 * (1 - step["ssim"]))
 
 
+@pytest.mark.slow
 def test_levels_and_frequencies_are_recorded(levelled):
     plan, = records(levelled, "plan")
     assert levelled.records()[0] == plan and plan["iteration"] == 0
@@ -262,6 +266,7 @@ def test_levels_and_frequencies_are_recorded(levelled):
     assert later["convergence"] is None  # at the finest level nothing is judged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", ["constant", "sig"])
 def test_frequencies_are_recorded_every_hundred_steps(item_device, city, tmp_path, schedule):
     run = trained(tmp_path / "run", city, item_device, **STILL, schedule=schedule, iterations=210)

@@ -95,3 +95,16 @@ def test_spheres_are_there_where_the_options_want_them(scene):
     assert (few.max_offsets < many.max_offsets).all()
     for options in ({"sphere": False}, {"schedule": "dash"}):
         assert "anchors" not in initial_gaussians(scene, TrainOptions(**options)).rows
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_file_of_too_few_gaussians_is_blamed(scene, tmp_path, count):
+    rows = {field.name: values[:count] for field, values in zip(LEARNED, made(0).rows.values())}
+    write_ply(tmp_path / "few.ply", Gaussians(rows, 0))
+    with pytest.raises(InputError, match=f"few.ply: has {count} gaussians.*--init"):
+        initial_gaussians(scene, TrainOptions(init=str(tmp_path / "few.ply")))
+
+
+def test_a_folder_to_start_from_is_called_one(scene, tmp_path):
+    with pytest.raises(InputError, match="a folder; --init wants"):
+        initial_gaussians(scene, TrainOptions(init=str(tmp_path)))

@@ -130,7 +130,8 @@ def test_pages_of_the_records_of_several_machines(tmp_path):
     precision.main(["--records", str(tmp_path / "one"), str(tmp_path / "two"),
                     "--html", str(tmp_path / "page.html"), "--markdown", str(tmp_path / "page.md")])
     page, text = (tmp_path / "page.html").read_text(), (tmp_path / "page.md").read_text()
-    assert page.count("data:image/svg+xml") == 1 and "<script" not in page
+    assert page.count("<picture>") == 1 and page.count("data:image/svg+xml") == 2
+    assert "<script" not in page
     assert "<h2>Exponential</h2>" in page and text.count("| Made item 2k | one |") == 1
     assert text.count("| Made item 2k | two |") == 1
     assert "| exp | Made item 2k | 40.0 | 1.00 |" in text  # beside its own machine's default

@@ -246,6 +246,18 @@ def test_photos(tmp_path):
     refused(folder, "photo_1.png", "2 of 4 images")
 
 
+@pytest.mark.slow
+def test_the_recipe_of_the_docs_makes_a_scene(tmp_path):
+    root = Path(__file__).resolve().parents[2]
+    script, = re.findall(r"```python\n(.*?)```", (root / "docs/photos.md").read_text(), re.DOTALL)
+    (tmp_path / "photos").mkdir()
+    for photo in sorted((root / "data_samples/city/images").iterdir())[:8]:
+        shutil.copy(photo, tmp_path / "photos")
+    subprocess.run([sys.executable, "-c", script, "photos", "scene"], cwd=tmp_path, check=True,
+                   capture_output=True, timeout=300)
+    assert len(read_scene(tmp_path / "scene").views) == 8
+
+
 def test_no_model(tmp_path):
     refused(tmp_path, str(tmp_path), "no COLMAP model")
     refused(tmp_path / "nowhere", "nowhere", "no such scene")

@@ -1,6 +1,7 @@
 """Comparisons: which runs belong together, the numbers, what is unfair; and campaigns."""
 
 import json
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -11,14 +12,15 @@ from clsplat.errors import DeviceError, InputError, Interrupted
 from clsplat.io.run import RunFolder, find_runs
 from clsplat.report.compare import (
     compare,
+    equality_tables,
     final_table,
     levels_from,
     time_table,
     write_comparison,
 )
 from clsplat.report.curves import curve
-from clsplat.report.figures import cost_figure
-from clsplat.report.groups import Trained, grouped, read_runs, warnings
+from clsplat.report.figures import comparison_figure, cost_figure
+from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, warnings
 from tests.made_runs import METHODS, made_run
 from tests.unit.test_report import Balanced
 
@@ -72,19 +74,35 @@ def test_names_take_as_many_words_as_needed():
     assert list(grouped(runs)) == ["sig, size S", "sig, size L", "dash, size S"]
 
 
+def test_options_that_a_schedule_does_not_use_are_left_out():
+    runs = [trained("a", schedule="sig", sphere=True, rounds=12, near=0.5, taming_budget=15.0),
+            trained("b", schedule="constant", sphere=True, rounds=99, near=0.5, taming_budget=15.0),
+            trained("c", schedule="constant", sphere=False, rounds=12, near=0.5, seed=1)]
+    groups = grouped(runs)
+    assert [len(group) for group in groups.values()] == [1, 2]  # b and c differ in nothing used
+    assert differing(runs) == ["schedule"]
+    assert "near" in equal(runs) and not {"sphere", "rounds", "taming_budget"} & set(equal(runs))
+    assert "sphere" in equal(runs[:1]) and "taming_budget" not in equal(runs[:1])
+    longer = grouped([*runs, trained("d", schedule="sig", sphere=False, rounds=12, near=0.5,
+                                     taming_budget=15.0)])
+    different = equality_tables(longer)[0]
+    assert ("sphere", "yes", "-", "no") in different.rows
+
+
 # --- fairness
 
 @pytest.mark.parametrize("change, words", [
-    ({"fingerprint": "cd" * 32, "scene": "/data/barn"}, "scenes differ (scene barn (cdcdcdcd) /"),
-    ({"test_every": 9}, "Not fair: the test views differ (test every"),
-    ({"downscale": 2.0}, "Not fair: the test views differ (downscale"),
-    ({"opencl_device": "MI300"}, "Not fair in time: the devices differ (OpenCL device H100 / MI30"),
-    ({"version": "9"}, "The code differs (version"),
-    ({"commit": "ab-dirty"}, "uncommitted"),
-    ({"views": 9}, "numbers of test views differ (8 / 9)"),
-    ({"finished": False}, "Not finished: b (step 200)"),
-    ({"seed": 3, "size": "L"}, "different seeds"),
-    ({}, "A seed occurs twice"),
+    ({"fingerprint": "cd" * 32, "scene": "/data/barn"},
+     "different scenes, so that no score says which is better (scene: barn (cdcdcdcd) / city"),
+    ({"test_every": 9}, "so that scores do not compare (test every: 9 / not recorded)"),
+    ({"downscale": 2.0}, "so that scores do not compare (downscale:"),
+    ({"opencl_device": "MI300"}, "scores compare, times do not (OpenCL device: H100 / MI300)"),
+    ({"version": "9"}, "different versions of clsplat (version"),
+    ({"commit": "ab-dirty"}, "changes that were not committed"),
+    ({"views": 9}, "different numbers of held-out views, so that scores do not compare (8 / 9)"),
+    ({"finished": False}, "Not finished yet: b (step 200)"),
+    ({"seed": 3, "size": "L"}, "The groups have different seeds"),
+    ({}, "a seed occurs twice"),
 ])
 def test_what_is_unfair_is_said(change, words):
     found = warnings(grouped([trained("a"), trained("b", **change)]))
@@ -129,6 +147,7 @@ def test_costs():
     groups = grouped([counted, trained("b", schedule="dash")])
     assert [row[-2:] for row in final_table(compare(groups)).rows] == [
         ("2e+09", "2e+12"), ("-", "-")]
+    assert cost_figure(grouped([Trained("a", {"schedule": "sig"}, costs[:1], True)])) is None
     panels = cost_figure(groups).axes
     assert [axes.lines[0].get_xdata().tolist() for axes in panels] == [
         [1e9, 2e9], [1e12, 2e12]]
@@ -138,7 +157,7 @@ def test_costs():
 def test_a_run_without_evaluations():
     groups = grouped([trained("a", schedule="sig"), trained("b", (), schedule="dash")])
     result = compare(groups, [21.0])
-    assert any("Without an evaluation" in found and "b" in found for found in result["warnings"])
+    assert any("Not evaluated" in found and "b" in found for found in result["warnings"])
     assert result["equal_seconds"] == 20
     time = time_table(result)
     assert time.rows[1] == ("dash", "-", "-")
@@ -181,13 +200,23 @@ def test_the_command(folder):
     done = CliRunner().invoke(main, ["compare", str(folder), "--psnr", "27", "--psnr", "40"])
     assert done.exit_code == 0, done.output
     assert "to 27 dB, s  to 40 dB, s" in done.output
-    assert "no metrics yet: sig.2" in done.output
+    assert "nothing is recorded of them yet: sig.2" in done.output
+    # what is equal is one line, what matters most comes last
+    said = [line for line in done.output.splitlines() if line]
+    assert said[0].startswith("What is equal: ") and said[0].endswith("at the end of compare.html")
+    assert said[1] == "What differs" and len(said) < 40 and "sphere" not in done.output
+    assert done.output.index("At the end\n") < done.output.index("Against training time")
     assert done.output.rstrip().endswith(f"page: {folder / 'compare.html'}")
     html = (folder / "compare.html").read_text()
     assert Balanced(html).pictures == 2
     for words in ("At the end", "Against training time", "What differs", "What is equal",
                   "taming, 40 dB: not reached by 2 of 2 runs", "class=warning"):
         assert words in html
+    # curves first; what is equal comes last, folded
+    order = [html.index(words) for words in (
+        "<picture>", "class=warning", "At the end", "Against training time", "What differs",
+        "<summary>What is equal")]
+    assert order == sorted(order)
     assert (folder / "compare.png").read_bytes().startswith(b"\x89PNG")
     numbers = json.loads((folder / "compare.json").read_text())
     assert [group["name"] for group in numbers["groups"]] == sorted(METHODS)
@@ -195,6 +224,41 @@ def test_the_command(folder):
                if run["folder"] == "sig.1")
     last = RunFolder.open(folder / "sig.1").records()[-1]
     assert run["psnr_cc"] == last["psnr_cc"] and run["train_seconds"] == last["train_seconds"]
+
+
+def test_no_curve_is_drawn_of_single_evaluations(tmp_path):
+    once = [trained("a", ((10, 20.0),), schedule="sig"),
+            trained("b", ((9, 21.0),), schedule="dash")]
+    assert comparison_figure(grouped(once), [20.0]) is None
+    assert comparison_figure(grouped([*once, trained("c", schedule="taming")]), [20.0])
+    for run in once:
+        folder = RunFolder.create(tmp_path / run.name)
+        folder.write_options(run.options)
+        folder.log(run.records[0])
+    (tmp_path / "compare.png").write_bytes(b"of another comparison")
+    text, page = write_comparison([tmp_path])
+    html = page.read_text()
+    assert Balanced(html).pictures == 0
+    for said in (text, html):
+        assert said.count("No curve") == 1 and "--eval-every" in said
+    assert not (tmp_path / "compare.png").exists()
+
+
+def test_a_comparison_survives_names_and_figures(folder, tmp_path, monkeypatch):
+    def fails(*_, narrow):
+        raise ValueError("no figure")
+
+    chosen = tmp_path / "out_\udcff"
+    try:
+        chosen.mkdir()
+    except OSError:
+        pytest.skip("this file system wants names in UTF-8")
+    (folder / "dash.0").rename(chosen / "run_\udcfe")
+    monkeypatch.setattr("clsplat.report.compare.comparison_figure", fails)
+    text, page = write_comparison([chosen])
+    assert "could not be drawn (no figure)" in page.read_text() and text.encode()
+    done = CliRunner().invoke(main, ["compare", str(chosen)])
+    assert done.exit_code == 0, done.output
 
 
 def test_where_the_output_goes(folder, tmp_path):
@@ -262,7 +326,7 @@ def test_a_campaign_trains_all_and_compares(tmp_path, wanted, capsys):
     assert (tmp_path / "cmp" / "compare.html").exists()
 
 
-def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted):
+def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted, scenes):
     made_run(tmp_path / "sig.0", "sig", 0)
     started = made_run(tmp_path / "dash.0", "dash", 0, finished=False, checkpoint_every=7)
     started.save_checkpoint({}, {})
@@ -270,6 +334,7 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted):
 
     def train(options, folder, resume):
         calls.append((folder.name, resume))
+        folder.mkdir(exist_ok=True)
         (folder / "point_cloud.ply").write_text("ply")
         if folder.name == "dash.1":
             made_run(tmp_path / "x", "dash", 1).path.joinpath("options.json").rename(
@@ -281,10 +346,18 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted):
     assert calls == [("dash.0", True), ("sig.1", False), ("dash.1", False)]
 
 
+@pytest.fixture
+def scenes(monkeypatch):
+    """The made-up scenes of the runs: city and barn."""
+    monkeypatch.setattr("clsplat.io.scenes.read_scene", Path)
+    monkeypatch.setattr("clsplat.io.scenes.fingerprint",
+                        lambda scene: ("ab" if scene.name == "city" else "cd") * 32)
+
+
 @pytest.mark.parametrize("scene, options, words", [
     ("/data/barn", {}, "another scene"), ("/data/city", {"max_gaussians": 5}, "max_gaussians 5"),
     ("/data/city", {"eval_at": (7,)}, "eval_at (7,)")])
-def test_a_campaign_leaves_other_runs_alone(tmp_path, wanted, scene, options, words):
+def test_a_campaign_leaves_other_runs_alone(tmp_path, wanted, scenes, scene, options, words):
     made_run(tmp_path / "dash.1", "dash", 1, **options)
     trainer = Trainer()
     refused(lambda: run_campaign(trainer, wanted, tmp_path, scene), "dash.1", words, "-o")

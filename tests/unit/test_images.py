@@ -5,7 +5,8 @@ import OpenImageIO as oiio
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.images import image_size, read_image, resample, write_image
+from clsplat.io.images import image_size, read_image, write_image
+from clsplat.io.resample import resample
 
 
 def smooth(height, width):

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.images import image_size, read_image, resample
+from clsplat.io.images import image_size, read_image
 from clsplat.io.packed import read_packed, write_packed
+from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
 from tests.tiny_model import write_scene
 

@@ -240,3 +240,38 @@ def test_the_command_overwrites_only_when_told(tmp_path):
     assert not (folder / "images" / "999.jpg").exists()
     bad = CliRunner().invoke(synth, [*arguments, "--size", "big"])
     assert isinstance(bad.exception, InputError)
+
+
+def test_a_scene_appears_whole_or_not_at_all(tmp_path, monkeypatch):
+    folder = tmp_path / "scene"
+
+    def stop(done, total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(folder, **TINY, progress=stop)
+    assert not folder.exists() and (tmp_path / "scene.part").is_dir()
+    synthesise(folder, **TINY)  # the same command again, without --overwrite
+    assert folder.is_dir() and not (tmp_path / "scene.part").exists()
+
+
+@pytest.mark.parametrize("mine", ["images/mine.jpg", "notes.txt", "sparse/0/project.ini"])
+def test_a_scene_with_files_of_the_user_is_not_overwritten(tmp_path, mine):
+    folder = tmp_path / "scene"
+    synthesise(folder, **TINY)
+    (folder / mine).write_text("mine")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match="not of the synthetic scene"):
+        synthesise(folder, **TINY, overwrite=True)
+    assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_photos_behind_a_link_are_not_removed(tmp_path):
+    folder = tmp_path / "scene"
+    synthesise(folder, **TINY)
+    (folder / "images").rename(tmp_path / "theirs")
+    (folder / "images").symlink_to(tmp_path / "theirs")
+    with pytest.raises(InputError, match="not of the synthetic scene"):
+        synthesise(folder, **TINY, overwrite=True)
+    assert len(list((tmp_path / "theirs").iterdir())) == TINY["views"]

@@ -13,4 +13,4 @@ from pathlib import Path
 def families():
     """Names of the modules that can be run: those with a `main`."""
     return sorted(path.stem for path in Path(__file__).parent.glob("*.py")
-                  if not path.stem.startswith("_") and "\ndef main(" in path.read_text())
+                  if not path.stem.startswith("_") and "\ndef main(" in path.read_text("utf-8"))

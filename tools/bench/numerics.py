@@ -6,17 +6,17 @@ Both hold the same sections, made from the records alone.
 from dataclasses import dataclass
 from html import escape
 
-import matplotlib
 from matplotlib.figure import Figure
 
-from clsplat.report.figures import COLOURS, LOOK
-from clsplat.report.page import Table, page, picture
+from clsplat.report.drawing import drawn
+from clsplat.report.figures import COLOURS
+from clsplat.report.page import Table, page
 
 from .variants import KNOBS
 
 TITLE = "Numerics: error against run time"
 LEAD = (
-    "Made by `python -m tools.bench precision`; do not edit. A frame of the aerial city, "
+    "Made by `clsplat bench precision --markdown`; do not edit. A frame of the aerial city, "
     "rendered and differentiated under every approximation that the kernels could take. Times "
     "are of forward and adjoint without a loss. Image errors are in units of its range, 0 to 1. "
     "A gradient's error is relative: the L2 norm of the difference over that of the reference; "
@@ -164,45 +164,44 @@ def markdown(records):
 def html(records):
     """The page as self-contained HTML."""
     parts = ["<p>The largest L2 error of a gradient over time; a ring is the default.</p>\n",
-             picture(error_figure(records), "error of the gradients over time, a panel a choice")]
+             drawn("error of the gradients over time, a panel a choice", error_figure, records)]
     for section in sections(records):
         text = escape(section.text.replace("`", ""), quote=False)
         parts.append(f"<h2>{section.title}</h2>\n<p>{text}</p>\n{section.table.html()}")
     return page(TITLE, LEAD.replace("`", ""), *parts)
 
 
-def error_figure(records):
+def error_figure(records, narrow=False):
     """The largest L2 error of a gradient over the time relative to the default's, a panel a knob; a
     ring is the default, a colour a device."""
     knobs = [knob for knob in KNOBS
              if any(r["knob"] == knob and "median_ms" in r for r in records)]
-    colours = {}
-    with matplotlib.rc_context(LOOK):
-        figure = Figure(figsize=(10, 3.2 * -(-len(knobs) // 2)), layout="constrained")
-        panels = figure.subplots(-(-len(knobs) // 2), 2, squeeze=False).flat
-        for knob, axes in zip(knobs, panels):
-            kind = KNOBS[knob][1]
-            for record in records:
-                if record["knob"] not in (knob, "default") or "median_ms" not in record:
-                    continue
-                default = default_of(records, record)
-                label = _label(record)
-                colour = colours.setdefault(label, COLOURS[len(colours) % len(COLOURS)])
-                # double is its own reference: an error of 0 has no place on this axis
-                at = (record["median_ms"] / default["median_ms"],
-                      max(gradient_error(record, kind), 1e-8))
-                axes.plot(*at, "o", color=colour, markersize=9 if record is default else 5,
-                          fillstyle="none" if record is default else "full", label=label)
-                if record is not default:
-                    axes.annotate(record["variant"], at, xytext=(3, 3), fontsize=8, rotation=35,
-                                  textcoords="offset points", annotation_clip=False)
-            axes.set_title(f"{knob} ({KINDS[kind]})")
-            axes.set_yscale("log")
-            low, high = axes.get_ylim()
-            axes.set_ylim(low / 2, high * 5)  # room for names, and no axis of a hair's width
-            axes.set_xlabel("time, default = 1")
-        for axes in list(panels):
-            axes.set_visible(False)
-        handles = dict(zip(*reversed(figure.axes[0].get_legend_handles_labels())))
-        figure.legend(handles.values(), handles.keys(), loc="outside upper left", ncols=4)
+    colours, columns = {}, 1 if narrow else 2
+    figure = Figure(figsize=(5 * columns, 3.2 * -(-len(knobs) // columns)), layout="constrained")
+    panels = figure.subplots(-(-len(knobs) // columns), columns, squeeze=False).flat
+    for knob, axes in zip(knobs, panels):
+        kind = KNOBS[knob][1]
+        for record in records:
+            if record["knob"] not in (knob, "default") or "median_ms" not in record:
+                continue
+            default = default_of(records, record)
+            label = _label(record)
+            colour = colours.setdefault(label, COLOURS[len(colours) % len(COLOURS)])
+            # double is its own reference: an error of 0 has no place on this axis
+            at = (record["median_ms"] / default["median_ms"],
+                  max(gradient_error(record, kind), 1e-8))
+            axes.plot(*at, "o", color=colour, markersize=9 if record is default else 5,
+                      fillstyle="none" if record is default else "full", label=label)
+            if record is not default:
+                axes.annotate(record["variant"], at, xytext=(3, 3), fontsize=8, rotation=35,
+                              textcoords="offset points", annotation_clip=False)
+        axes.set_title(f"{knob} ({KINDS[kind]})")
+        axes.set_yscale("log")
+        low, high = axes.get_ylim()
+        axes.set_ylim(low / 2, high * 5)  # room for names, and no axis of a hair's width
+        axes.set_xlabel("time, default = 1")
+    for axes in list(panels):
+        axes.set_visible(False)
+    handles = dict(zip(*reversed(figure.axes[0].get_legend_handles_labels())))
+    figure.legend(handles.values(), handles.keys(), loc="outside upper left", ncols=4)
     return figure

@@ -42,18 +42,18 @@ def main(argv):
     records = []
     if any(options.records):
         for path in options.records:
-            records += [json.loads(line) for line in Path(path).read_text().splitlines()]
+            records += [json.loads(line) for line in Path(path).read_text("utf-8").splitlines()]
     else:
         for spec in options.device.split(","):
             for count in options.gaussians:
                 for record in measured(spec, options.form, city(count, tuple(options.size)),
                                        options.repeats):
-                    record["command"] = f"python -m tools.bench precision {' '.join(argv)}".strip()
+                    record["command"] = f"clsplat bench precision {' '.join(argv)}".strip()
                     records.append(record)
                     print(json.dumps(record) if options.json else line(record), flush=True)
     for path, write in ((options.html, html), (options.markdown, markdown)):
         if path:
-            Path(path).write_text(write(records))
+            Path(path).write_text(write(records), "utf-8")
 
 
 def measured(spec, form, scene, repeats):

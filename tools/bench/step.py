@@ -7,7 +7,12 @@ read it.
 """
 
 import itertools
-import resource
+import sys
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
 
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
@@ -46,11 +51,10 @@ def main(argv):
             step.take(number, PLAN, [Shot(index, cameras[index], photos[index])])
 
         times = milliseconds(device, one, len(views), warm_up=len(views))
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         width, height = views[0].camera.width, views[0].camera.height
         bench.report("step", f"{scene.name} {options.optimizer}", times,
                      {"gaussians": model.count, "width": width, "height": height,
-                      "peak_mib": int(peak), "device_mib": device.memory_bytes >> 20})
+                      "peak_mib": peak_mib(), "device_mib": device.memory_bytes >> 20})
         if options.profile:
             with device.profile() as times_by_kernel:
                 for _ in views:
@@ -58,3 +62,11 @@ def main(argv):
             for kernel, seconds in sorted(times_by_kernel.items(), key=lambda kv: -sum(kv[1])):
                 mean = sum(seconds) / len(views) * 1e3
                 print(f"  {kernel:20} {mean:8.3f} ms in {len(seconds) // len(views)} launches")
+
+
+def peak_mib():
+    """The most memory that this process has held, in MiB; None where Python cannot tell."""
+    if resource is None:
+        return None
+    unit = 1 << 20 if sys.platform == "darwin" else 1 << 10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // unit

@@ -1,0 +1,96 @@
+"""What a training leaves when its end goes wrong: what cannot be made again comes first."""
+
+import shutil
+
+import pytest
+
+from clsplat.errors import InputError, Interrupted
+from clsplat.io.run import RunFolder
+from clsplat.train import finish, loop
+from tests.tiny_training import STILL, model_digest, records, resumed, trained
+
+OPTIONS = {**STILL, "iterations": 12, "test_every": 16}
+
+
+@pytest.fixture(scope="module")
+def whole(item_device, city, tmp_path_factory):
+    """A run that nothing disturbed; not to be changed."""
+    return trained(tmp_path_factory.mktemp("whole") / "run", city, item_device, **OPTIONS)
+
+
+def broken(error):
+    def call(*_, **__):
+        raise error
+    return call
+
+
+def test_a_report_that_cannot_be_drawn_costs_nothing_else(
+        whole, item_device, city, tmp_path, monkeypatch, caplog):
+    """Faults C5a and C5b of the hostile trial: an encoding, a font, a user's matplotlibrc."""
+    monkeypatch.setattr(finish, "write_report", broken(UnicodeEncodeError("utf-8", "x", 0, 1, "")))
+    run = trained(tmp_path / "run", city, item_device, **OPTIONS)
+    assert model_digest(run) == model_digest(whole)
+    assert len(records(run, "eval")) == 1
+    assert "the report could not be drawn (UnicodeEncodeError" in caplog.text
+    assert not run.is_finished  # the same command draws it
+    monkeypatch.undo()
+    assert resumed(run, city, item_device, **OPTIONS).is_finished
+    assert len(records(run, "eval")) == 1
+
+
+def test_a_report_that_finds_the_disk_full_is_an_error_and_the_model_is_there(
+        whole, item_device, city, tmp_path, monkeypatch):
+    monkeypatch.setattr(finish, "write_report", broken(InputError("report.html: disk full")))
+    with pytest.raises(InputError, match="disk full"):
+        trained(tmp_path / "run", city, item_device, **OPTIONS)
+    assert model_digest(RunFolder(tmp_path / "run")) == model_digest(whole)
+
+
+@pytest.mark.parametrize("moment", ["evaluate_views", "draw_report", "save_model"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("a photo is gone")], ids=repr)
+def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monkeypatch, moment,
+                                       error):
+    """Fault C6: Ctrl-C in the final evaluation came before the final checkpoint."""
+    monkeypatch.setattr(loop, moment, broken(error))
+    with pytest.raises(Interrupted if isinstance(error, KeyboardInterrupt) else InputError):
+        trained(tmp_path / "run", city, item_device, **OPTIONS)
+    run = RunFolder(tmp_path / "run")
+    assert run.load_checkpoint()[1]["iteration"] == 12
+    assert run.has_model is (moment != "save_model")
+    monkeypatch.undo()
+    resumed(run, city, item_device, **OPTIONS)
+    assert model_digest(run) == model_digest(whole) and run.is_finished
+    assert len(records(run, "eval")) == 1
+
+
+def test_ctrl_c_before_the_first_step_says_how_to_go_on(
+        whole, item_device, city, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop.Training, "begin", broken(KeyboardInterrupt()))
+    with pytest.raises(Interrupted, match="^stopped after step 0; go on with: clsplat train --res"):
+        trained(tmp_path / "run", city, item_device, **OPTIONS)
+    monkeypatch.undo()
+    run = resumed(RunFolder(tmp_path / "run"), city, item_device, **OPTIONS)
+    assert model_digest(run) == model_digest(whole)
+
+
+def test_an_interrupt_that_became_another_error_can_go_on(
+        item_device, city, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "evaluate_views", broken(SystemError("no exception set")))
+    monkeypatch.setattr(loop, "was_interrupted", lambda error: True)
+    with pytest.raises(Interrupted):
+        trained(tmp_path / "run", city, item_device, **OPTIONS)
+
+
+def test_a_run_that_moved_with_its_scene(whole, city, tmp_path):
+    """Paths are relative where they can be."""
+    (tmp_path / "before").mkdir()
+    shutil.copytree(city.path, tmp_path / "before" / "town")
+    shutil.copytree(whole.path, tmp_path / "before" / "run")
+    RunFolder(tmp_path / "before" / "run").note_scene(tmp_path / "before" / "town")
+    (tmp_path / "before").rename(tmp_path / "after")
+    run = RunFolder.open(tmp_path / "after" / "run")
+    assert run.scene_path() == tmp_path / "after" / "town"
+    (tmp_path / "after" / "town").rename(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="not there any more.*--scene"):
+        run.scene_path()
+    assert run.scene_path(tmp_path / "elsewhere") == tmp_path / "elsewhere"
