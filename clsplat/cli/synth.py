@@ -32,7 +32,6 @@ def synth(output, blocks, views, size, seed, overwrite):
     from clsplat.cli.progress import Progress
     from clsplat.synth.write import synthesise
     with Progress() as progress:
-        progress.phase("laying out the city")
         photos, points, observations = synthesise(
             output, blocks, views, *size, seed=seed, overwrite=overwrite,
             progress=lambda done, total: progress.count("photo", done, total))

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from clsplat.camera import Camera
 from clsplat.cli.main import main
+from clsplat.cli.plan import duration
 from clsplat.device import choose_device
 from clsplat.device.device import Held
 from clsplat.gaussians import Gaussians
@@ -23,13 +24,14 @@ from clsplat.plan.detail import photo_detail
 from clsplat.plan.dry import DryDevice, block_bytes
 from clsplat.plan.forecast import Planned
 from clsplat.plan.memory import Memory
-from clsplat.plan.pace import fitted, foretold, pixels
+from clsplat.plan.pace import MOST_PIXELS, fitted, foretold, load, pixels, stepped_with
 from clsplat.plan.rehearsal import Rehearsal, strewn
 from clsplat.render.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.schedule.course import Stretch, course, largest
 from clsplat.train.needs import find_needs
+from clsplat.train.photos import size_note
 from tests.tiny_training import CITY, options_of, records, trained
 
 
@@ -246,6 +248,62 @@ def test_strewn_gaussians_are_about_the_points(city, count):
     assert (away > 1e-3).sum() == pytest.approx(max(0, count - len(city.points)), rel=0.01)
 
 
+def sized_views(width, height):
+    camera = Camera(width, height, (width, width), (width / 2, height / 2), np.eye(3), np.zeros(3))
+    return (View("a.jpg", camera, "a.jpg"),)
+
+
+@pytest.mark.parametrize("levels", [(1.0,), (5.0, 1.0)], ids=str)
+def test_large_photos_are_timed_at_two_smaller_sizes(levels):
+    stretches = [Stretch(10, level, 50_000, False) for level in levels]
+    for views in (sized_views(5472, 4088), sized_views(54720, 40880)):
+        sizes = stepped_with(views, 1000, stretches)
+        images = {round(pixels(views, level)) for level, _ in sizes}
+        assert max(images) < 1.001 * MOST_PIXELS and len(images) == 2
+        assert min(images) < 0.26 * max(images)  # far enough apart to extrapolate from
+    small = stepped_with(sized_views(1600, 1195), 1000, stretches)
+    assert {level for level, _ in small} == set(levels)
+
+
+def test_pairs_are_counted_as_rendering_finds_them(float_device, city):
+    renderer, camera = Renderer(float_device, 0, city.near_plane), city.views[3].camera
+    gaussians = strewn(city, 3000, 0)
+    rows = {name: float_device.upload(values) for name, values in gaussians.rows.items()}
+    packed = renderer.pack(camera)
+    frame = renderer.render(rows, packed, camera.width, camera.height, 0)
+    expected = len(frame.visible), frame.pair_count
+    assert renderer.count(rows, packed, camera.width, camera.height) == expected
+    assert renderer.count_splats(rows, packed) == expected[0] and min(expected) > 100
+
+
+@pytest.mark.parametrize("average, cores, busy", [(0.9, 2, None), (1.1, 2, (1.1, 2)),
+                                                  (3.0, 64, None)])
+def test_a_busy_machine_is_named(monkeypatch, average, cores, busy):
+    monkeypatch.setattr(os, "getloadavg", lambda: (average, 9, 9), raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    assert load() == busy
+    monkeypatch.delattr(os, "getloadavg")  # as on Windows
+    assert load() is None
+
+
+@pytest.mark.parametrize("seconds, text", [
+    (44.6, "45 s"), (725, "12 min 05 s"), (3599.7, "1 h 00 min"), (23821, "6 h 37 min"),
+    (154_320, "42 h 52 min")])
+def test_long_times_are_hours(seconds, text):
+    assert duration(seconds) == text
+
+
+def test_photos_that_are_reduced_are_named():
+    options = resolve({}, {})
+    assert options.max_resolution == 1600
+    large, small = sized_views(5472, 4088), sized_views(1600, 1200)
+    assert size_note((*small, *large), options) == (
+        "photos of 5472x4088 are reduced to 1600x1195; --max-resolution 0 keeps their size")
+    assert size_note(small, options) is None
+    assert size_note(large, resolve({}, {"max_resolution": 0})) is None
+    assert size_note(large, resolve({}, {"downscale": 4.0})) is None  # -r does it already
+
+
 # --- the command
 
 
@@ -258,8 +316,9 @@ def test_the_command_says_it_all(monkeypatch, item_device):
     result = clsplat_("plan", CITY, "-r", 8, "-n", 60, "--schedule", "constant", "--sh-degree",
                       "auto")
     assert result.exit_code == 0, result.output
-    lines = [line.split() for line in result.output.splitlines()]
-    assert result.output.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
+    lines = [line.split() for line in result.stdout.splitlines()]
+    assert result.stderr.startswith("reading the scene\nplanning: looking at the photos\n")
+    assert result.stdout.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
     assert " ".join(line[0] for line in lines[1:]) == (
         "levels sh antialiased exposure reproject engine photos memory time")
     assert "exposure      off: asked for\n" in result.output
@@ -275,7 +334,9 @@ def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
     monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: None)
     result = clsplat_("plan", *words)
     assert result.exit_code == 2 and complaint in result.stderr
-    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    said = [line for line in result.stderr.splitlines() if line not in (
+        "reading the scene", "planning: looking at the photos")]
+    assert len(said) == 1 and said[0].startswith("error: ")
 
 
 def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):

@@ -148,4 +148,4 @@ def test_synth_says_which_photo(tmp_path):
          "--views", "4", "--size", "32x24"], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
-    assert lines[0] == "laying out the city" and lines[-1].startswith("photo 4 of 4")
+    assert lines[0] == "photo 1 of 4" and lines[-1].startswith("photo 4 of 4")
