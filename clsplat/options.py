@@ -6,6 +6,7 @@ format, and the run folder stores the resolved values.
 
 import dataclasses
 import math
+import os
 from dataclasses import dataclass, field
 from typing import get_args
 
@@ -230,6 +231,8 @@ def seconds_of(text):
 def from_toml(path):
     """The values a TOML file sets, as a dict; unknown keys and wrong types raise InputError."""
     try:
+        if os.path.exists(path) and not os.path.isfile(path):
+            raise InputError(f"{path}: is not a file; give a TOML file of options")
         with open(path, "rb") as file:
             data = file.read(LARGEST_FILE + 1)
         if len(data) > LARGEST_FILE:

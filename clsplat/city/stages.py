@@ -22,7 +22,12 @@ from clsplat.options import checked, resolve
 from clsplat.partition import geojson, make_partition
 from clsplat.partition.site import world_of
 from clsplat.report.map import write_map
-from clsplat.train.block import block_options, decided_by, options_of_blocks, train_block
+from clsplat.train.block import (
+    block_options,
+    decided_by,
+    options_of_blocks,
+    train_block,
+)
 from clsplat.train.loop import resume, train
 
 COARSE_FACTOR = 2  # by which the coarse run's photos are smaller

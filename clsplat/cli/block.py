@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import DEVICE
+from clsplat.cli.flags import DEVICE, FiniteRange
 from clsplat.errors import Interrupted
 
 
@@ -14,7 +14,7 @@ from clsplat.errors import Interrupted
 @click.option("--device", envvar=DEVICE,
               help="As for `clsplat train`, instead of what the city was given.")
 @click.option("--stop-at", type=click.IntRange(min=1), help="Stop after this step.")
-@click.option("--wait", type=click.FloatRange(0, 86400), default=0, show_default=True,
+@click.option("--wait", type=FiniteRange(0, 86400), default=0, show_default=True,
               help="Seconds to wait for another process that trains this block.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress line.")
 def block(folder, device, stop_at, wait, quiet):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from clsplat.cli.flags import FiniteRange
 from clsplat.errors import InputError
 
 
@@ -12,7 +13,7 @@ from clsplat.errors import InputError
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path),
               help="Folder for compare.html, .png and .json; default: what RUNS have in common.")
-@click.option("--psnr", "levels", multiple=True, type=float,
+@click.option("--psnr", "levels", multiple=True, type=FiniteRange(),
               help="Colour-corrected PSNR, dB, whose training times to list; repeatable; default: "
               "three chosen from the data.")
 def compare(runs, output, levels):

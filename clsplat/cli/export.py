@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from clsplat.cli.flags import FiniteRange
 from clsplat.errors import InputError
 
 FORMATS = {".ply": "the format of Kerbl et al. 2023, which splat viewers open"}
@@ -17,7 +18,7 @@ FORMATS = {".ply": "the format of Kerbl et al. 2023, which splat viewers open"}
 @click.option("--sh-degree", type=click.Choice(("all", "auto", "0", "1", "2", "3")), default="all",
               show_default=True, help="Highest degree of the harmonics to write; auto: the lowest "
               "that costs the held-out views less than --sh-cost.")
-@click.option("--sh-cost", type=click.FloatRange(min=0), default=0.05, show_default=True,
+@click.option("--sh-cost", type=FiniteRange(min=0), default=0.05, show_default=True,
               help="PSNR that --sh-degree auto may cost, dB.")
 @click.option("--device", default="auto", show_default=True,
               help="For --sh-degree auto: as for `clsplat eval`.")
@@ -44,6 +45,9 @@ def export(run, output, sh_degree, sh_cost, device, scene):
         degree = _measured_degree(folder, device, sh_cost, scene)
     elif sh_degree != "all":
         degree = int(sh_degree)
+    if not keep.any():
+        raise InputError(f"{folder.path}: all {len(keep):,} gaussians are too faint to be seen, so "
+                         "nothing is left to write; train longer, or look at its report")
     if keep.all() and degree == gaussians.sh_degree:
         with open(folder.path / MODEL, "rb") as model, replacing(output) as copy:
             shutil.copyfileobj(model, copy)

@@ -1,6 +1,7 @@
 """The flags of `clsplat train`, derived from the table of options."""
 
 import dataclasses
+import math
 from typing import get_args
 
 import click
@@ -19,6 +20,16 @@ class GivenPath(click.Path):
         if str(value) == "":
             self.fail("is empty; give a path, or . for the current folder", param, ctx)
         return super().convert(value, param, ctx)
+
+
+class FiniteRange(click.FloatRange):
+    """A finite number within limits, which `nan` would slip through."""
+
+    def convert(self, value, param, ctx):
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
 
 
 class Numbers(click.ParamType):

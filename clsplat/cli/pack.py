@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from clsplat.cli.flags import FiniteRange
 from clsplat.errors import InputError
 
 
@@ -11,7 +12,7 @@ from clsplat.errors import InputError
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="The file, .npz.")
-@click.option("-r", "--downscale", type=click.FloatRange(min=1), default=1.0, show_default=True,
+@click.option("-r", "--downscale", type=FiniteRange(min=1), default=1.0, show_default=True,
               help="Divide width and height of the photos by this; at 1 they keep their bytes.")
 @click.option("--images", default="", help="Folder of the photos, from SCENE's own (none: images).")
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")

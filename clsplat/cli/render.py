@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from clsplat.cli.flags import FiniteRange
 from clsplat.errors import InputError
 
 
@@ -19,12 +20,12 @@ from clsplat.errors import InputError
               "beside the full model's render and what both are compared with.")
 @click.option("--lod", is_flag=True, help="Draw what is far away from the levels of detail of "
               "a run trained with --snapshots, and compare with the full model.")
-@click.option("--lod-bias", type=click.FloatRange(min=0, min_open=True), default=1.0,
+@click.option("--lod-bias", type=FiniteRange(0, 1e6, min_open=True), default=1.0,
               show_default=True, help="With --lod: levels as coarse as if all were so many "
               "times as far away.")
-@click.option("-r", "--downscale", type=click.FloatRange(min=1), default=1.0, show_default=True,
+@click.option("-r", "--downscale", type=FiniteRange(min=1), default=1.0, show_default=True,
               help="With --lod: pictures so many times smaller, as if seen from as far.")
-@click.option("--away", type=click.FloatRange(min=0), default=0.0, show_default=True,
+@click.option("--away", type=FiniteRange(0, 1e6), default=0.0, show_default=True,
               help="With --lod: move each camera back by so many times its distance to the scene.")
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")

@@ -202,6 +202,10 @@ class RunFolder:
         """The metrics as a list of dicts, in order; a last line cut short is left out."""
         return [record for record, _ in self._lines()]
 
+    def past_records(self):
+        """`records`, none where there are no metrics yet."""
+        return self.records() if self.has_metrics else []
+
     def _lines(self):
         path = self.path / METRICS
         lines = []

@@ -8,6 +8,7 @@ import numpy as np
 
 from clsplat.device import Array, Device
 from clsplat.device.device import Held
+from clsplat.primitives.gather import gather
 
 
 class DryDevice(Device):
@@ -80,6 +81,25 @@ class DryArray(Array):
         pass
 
     def fill(self, value=0):
+        pass
+
+
+class DryAdam:
+    """What `optimise.adam.NumpyAdam` asks of the device, without its moments and its arithmetic,
+    which take the host gigabytes and minutes where the model is large."""
+
+    def __init__(self, device, dense):
+        self.device, self.dense, self.m, self.v = device, dense, {}, {}
+
+    def step(self, rows, gradients, step, rates, used, held=None):
+        count = len(rows["positions"]) if self.dense else len(gradients.rows)
+        touched = self.device.hold((count,), np.uint32)
+        latest = [None]  # lives until there is the next
+        for name, floats in used.items():
+            if floats and count:
+                latest[0] = gather(self.device, rows[name], touched)
+
+    def regrow(self, source, kept, capacity):
         pass
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from clsplat.densify.grow import Growth
 from clsplat.gaussians import Gaussians
 from clsplat.loss.exposure import Exposures
+from clsplat.plan.dry import DryAdam, DryDevice
 from clsplat.render.pipeline import Renderer
 from clsplat.schedule import Plan
 from clsplat.train.adjacent import Adjacent
@@ -32,6 +33,8 @@ class Rehearsal:
         renderer = Renderer(device, options.sh_degree, options.near or scene.near_plane,
                             options.antialiased, options.background)
         model = Model(device, gaussians, options.engine, options.optimizer == "dense")
+        if options.engine == "numpy" and isinstance(device, DryDevice):
+            model.adam = DryAdam(device, model.adam.dense)
         exposures = Exposures(device, len(views)) if options.exposure == "on" else None
         self.step = Step(renderer, model, scene.extent, options, exposures)
         self.adjacent = needs.neighbours and Adjacent(device, needs.neighbours, exposures,

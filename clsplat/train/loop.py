@@ -90,7 +90,7 @@ def resume(scene, options, device, run, progress=None):
                          "start again with --overwrite") from None
     run.rewind(training.iteration)
     run.note_scene(scene.path)
-    training.evaluated_at = max((record["iteration"] for record in run.records()
+    training.evaluated_at = max((record["iteration"] for record in run.past_records()
                                  if record.get("event") == "eval"), default=None)
     with training.resumable():
         training.run_to_end()

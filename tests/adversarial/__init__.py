@@ -1,0 +1,1 @@
+"""Hostile cases, two processes at once, full disks and interrupts: see README.md here."""

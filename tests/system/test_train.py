@@ -16,7 +16,7 @@ from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
 from clsplat.options import resolve
 from clsplat.scene import Scene, View
-from clsplat.train import loop
+from clsplat.train import budget, clock, loop
 from clsplat.train.begin import initial_gaussians
 from clsplat.train.step import Step
 from tests.tiny_training import (
@@ -338,8 +338,49 @@ def test_progress_is_told(item_device, city, tmp_path):
     assert [values["iteration"] for values in Progress.told] == [1, 50]
     assert list(dict.fromkeys(Progress.phases)) == [
         "planning", "reading photos", "reading photos of level 1", "compiling kernels",
-        "training level 1", "evaluating", "writing the checkpoint"]
+        "training level 1", "writing the checkpoint", "evaluating"]
     assert set(Progress.told[0]) == {"iteration", "total", "loss", "gaussians", "memory_bytes",
                                      "level"}
     assert {values["total"] for values in Progress.told} == {60}
     assert len(Progress.messages) == 1 and "PSNR" in Progress.messages[0]
+
+
+# --- time budgets and default evaluations
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [
+    {"schedule": "constant", "reset_every": 60}, {"schedule": "sig", "levels": (2.0, 1.0)}],
+    ids=["constant", "sig"])
+@pytest.mark.parametrize("seconds", [9, 13])
+def test_a_budget_leaves_the_best_model(item_device, city, tmp_path, monkeypatch, options, seconds):
+    """However the time is cut, the last score is not below the one before but for noise."""
+    monkeypatch.setattr(budget, "REPORT_SECONDS", 0.2)
+    run = trained(tmp_path / "run", city, item_device, **{
+        "time_budget": f"{seconds}s", "iterations": 30000, "downscale": 2.0, "densify_until": 0,
+        "eval_every": "auto", "reset_every": 0, **options})
+    scores = [record["psnr"] for record in records(run, "eval")]
+    assert len(scores) >= 2 and scores[-1] > max(scores[:-1]) - 1
+
+
+def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, monkeypatch):
+    """The clock jumps to the end of the budget two steps after opacities were lowered."""
+    class Jumping(loop.Training):
+        def elapsed(self):
+            return 0.0 if self.iteration < 52 else 1e6
+
+    monkeypatch.setattr(loop, "Training", Jumping)
+    run = trained(tmp_path / "run", city, item_device, time_budget="100s", iterations=30000,
+                  eval_at=(50,), **{**STILL, "reset_every": 50})
+    assert records(run, "restored")[0]["since"] == 50
+    before, after = (record["psnr"] for record in records(run, "eval"))
+    assert after == pytest.approx(before, abs=1e-3)
+
+
+def test_eight_evaluations_by_default(item_device, city, tmp_path, monkeypatch):
+    monkeypatch.setattr(clock, "EVALUATION_SHARE", 1e9)
+    run = trained(tmp_path / "all", city, item_device, **STILL, iterations=30, eval_every="auto")
+    assert evaluated(run) == [4, 8, 12, 15, 19, 23, 27, 30]
+    monkeypatch.setattr(clock, "EVALUATION_SHARE", 0.0)
+    run = trained(tmp_path / "few", city, item_device, **STILL, iterations=30, eval_every="auto")
+    assert evaluated(run) == [4, 30]  # what the first takes is not known before

@@ -85,7 +85,8 @@ def calls(monkeypatch):
         return call
 
     module(monkeypatch, "clsplat.io.run", RunFolder=FakeRun)
-    module(monkeypatch, "clsplat.io.scenes", read_scene=lambda path, images: f"scene {path}{images}")
+    module(monkeypatch, "clsplat.io.scenes",
+           read_scene=lambda path, images: f"scene {path}{images}")
     module(monkeypatch, "clsplat.device", choose_device=lambda spec, **_: f"device {spec}")
     train = module(monkeypatch, "clsplat.train")
     train.loop = module(monkeypatch, "clsplat.train.loop", train=trainer("train"),

@@ -1,0 +1,40 @@
+"""A little of each sweep; `python -m tests.adversarial.pairs` and its like run all."""
+
+import pytest
+
+from tests.adversarial import disk_full, interrupts, pairs
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("name", ["train, train", "eval, eval", "block, block"])
+def test_two_at_once(name):
+    pair = next(pair for pair in pairs.PAIRS if pair.name == name)
+    record = pairs.try_pair(pair, 0)
+    assert not record["faults"], record
+
+
+@pytest.mark.skipif(disk_full.can_mount() is not None, reason=str(disk_full.can_mount()))
+@pytest.mark.parametrize("name, coarser", [("train", 4), ("eval", 4)])
+def test_full_disk(name, coarser):
+    target = next(target for target in disk_full.TARGETS if target.name == name)
+    target = disk_full.Target(**{**vars(target), "step": coarser * target.step})
+    with disk_full.Workplace() as place:
+        records = list(disk_full.sweep(place, target))
+    assert len(records) > 1 and not [each for each in records if each["faults"]], records
+
+
+@pytest.mark.parametrize("name", ["train", "eval"])
+def test_interrupted(name):
+    target = next(target for target in interrupts.TARGETS if target.name == name)
+    target = interrupts.Target(**{**vars(target), "moments": 2})
+    records = list(interrupts.moments(target, 0))
+    assert len(records) == 6 and not [each for each in records if each["faults"]], records
+
+
+def test_the_line_that_goes_on_is_found():
+    said = "stopped after step 8; go on with: clsplat train --resume -o 'a b/run'\n"
+    assert interrupts.goes_on(said, "x") == "clsplat train --resume -o 'a b/run'"
+    assert interrupts.goes_on("out: stopped; the same command goes on\n", "clsplat city") == (
+        "clsplat city")
+    assert interrupts.goes_on("interrupted\n", "x") is None
