@@ -9,7 +9,8 @@ from clsplat.io.images import encode_jpeg
 QUALITY = 85  # of JPEG
 # comments around the pictures in a page, where `renew` finds them again
 BEGIN, END = "<!-- pictures -->\n", "<!-- end of pictures -->\n"
-PANELS = (("photo", "photo"), ("render", "render"), ("error", "error"))  # attribute, caption
+# attribute of a ShownView, caption
+PANELS = (("photo", "photo"), ("render", "render after the colour fit"), ("error", "its error"))
 
 
 def pictures_html(pictures):
@@ -46,16 +47,16 @@ def _section(pictures):
             "</p>\n<div class=scale><b>error: none</b> "
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
             f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"
-            "<p class=note>Renders and errors are shown after the colour fit, a quadratic fit of "
-            "each render's colours to its photo; the error is the mean difference of red, green "
-            "and blue.</p>\n")
+            "<p class=note>The colour fit is a quadratic fit of each render's colours to its photo; "
+            "the error is the mean difference of red, green and blue. The PNG files of `clsplat "
+            "eval` have the renders without the fit, too.</p>\n")
 
 
 def _view(view):
     name, scores = escape(view.scores["name"]), view.scores
     title = {"only": name}.get(view.place, f"{view.place.capitalize()}: {name}")
     panels = "\n".join(
-        f"<figure>{_jpeg(getattr(view, panel), f'{caption} of {name}')}"
+        f"<figure>{_jpeg(getattr(view, panel), f'{panel} of {name}')}"
         f"<figcaption>{caption}</figcaption></figure>" for panel, caption in PANELS)
     return (f"<div class=view>\n<h3>{title}</h3>\n"
             f"<p>PSNR {scores['psnr_cc']:.2f} dB, SSIM {scores['ssim_cc']:.3f} after the colour "

@@ -107,7 +107,8 @@ def test_a_report_begins_with_pictures(run):
     assert headings(html)[:2] == ["Held-out views", "Scores"]
     assert "Worst: a&lt;b.jpg" in html and "Best: c.jpg" in html
     assert "PSNR 18.00 dB, SSIM 0.800 after the colour fit (17.00 dB, 0.700 plain)" in html
-    assert re.findall("<figcaption>(.*?)</figcaption>", html) == ["photo", "render", "error"] * 3
+    assert re.findall("<figcaption>(.*?)</figcaption>", html) == [
+        "photo", "render after the colour fit", "its error"] * 3
     assert f"{LARGEST_ERROR:.0%} of full brightness" in html
     data = re.search(r'alt="error of c.jpg".*?base64,([^"]+)"', html)[1]
     seen = read_image(base64.b64decode(data)).reshape(-1, 3).mean(0)
