@@ -20,7 +20,7 @@ from tests.tiny_training import CITY, LEVELLED, options_of, records, trained
 
 SCHEDULES = {"constant": {"reset_every": 0}, "sig": {**LEVELLED, "reproject": "auto"}}
 STEPS = 200
-QUICK = {("equal_views", "constant"), ("black", "sig")}
+QUICK = {("black", "sig")}
 SLOW = pytest.mark.slow
 # where 600 steps take two levels and settle: rounding alone moves 0.01 dB at most
 SETTLED = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 600, "downscale": 4.0,

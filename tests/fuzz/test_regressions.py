@@ -109,7 +109,10 @@ def test_a_zip_that_claims_gigabytes(tmp_path, packed):
     struct.pack_into("<L", data, data.rindex(b"PK\1\2") + 20, 2**31 - 1)
     path.write_bytes(data)
     tracemalloc.start()
-    read_scene(path)  # what matters is whole
+    try:
+        read_scene(path)  # what matters is whole
+    except InputError as error:  # later Pythons see themselves that members overlap
+        assert "zip bomb" in str(error)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < MOST_BYTES

@@ -153,6 +153,7 @@ def test_spoilt_scene(tmp_path, case):
     assert not content(tmp_path / "run"), "nothing half written"
 
 
+@pytest.mark.slow
 def test_a_sphere_wants_neighbours(tmp_path):
     """Its radius is a mean over 15 others, or as many as are asked for."""
     folder = write_scene(tmp_path / "town", left(15, reconstruction()))
@@ -163,6 +164,7 @@ def test_a_sphere_wants_neighbours(tmp_path):
     assert clsplat(*words, "--sphere-neighbours", "14").exit_code == 0
 
 
+@pytest.mark.slow
 def test_grey_photos_are_widened(tmp_path):
     folder = write_scene(tmp_path / "town")
     write_image(folder / "images/photo_2.png", NOISE[..., :1])

@@ -169,6 +169,7 @@ def evaluated(run):
     ({"test_every": 0, "eval_every": 10}, []),
     ({"stop_at": 12}, []),
 ])
+@pytest.mark.slow
 def test_evaluations(item_device, city, tmp_path, options, expected):
     assert evaluated(trained(tmp_path / "run", city, item_device, **STILL, iterations=30,
                              **options)) == expected
@@ -183,6 +184,7 @@ def test_all_views_are_trained_on_where_none_is_held_out(item_device, city):
     assert epoch != [made.view_of(i) for i in range(33, 65)] != list(range(32))
 
 
+@pytest.mark.slow
 def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path, monkeypatch):
     """Each view as often as any other, and recentred once an epoch: 28 steps of 3 on 28 views. The
     loss is that of all three."""
@@ -314,6 +316,7 @@ def test_the_run_knows_how_it_was_made(item_device, city, tmp_path):
     assert {"version", "commit", "extent", "offset"} <= set(options)
 
 
+@pytest.mark.slow
 def test_steps_are_scaled(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, steps_scale=0.5)
     assert [record["iteration"] for record in records(run, "grow")] == [21, 31, 41, 51]

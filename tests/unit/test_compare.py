@@ -261,6 +261,7 @@ def test_a_comparison_survives_names_and_figures(folder, tmp_path, monkeypatch):
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.slow
 def test_where_the_output_goes(folder, tmp_path):
     chosen = tmp_path / "new" / "place"
     _, page = write_comparison([folder / "sig.0", folder / "dash.0"], chosen)
