@@ -78,14 +78,26 @@ def encode_image(pixels: np.ndarray, suffix: str, quality: int, name: object) ->
 
 
 def _piped(write):
-    """All bytes that write(path) writes into the path that it is given."""
+    """All bytes that write(path) writes into the path that it is given.
+
+    Both ends are in threads, which Ctrl-C does not reach: a reader that went away would make
+    libjpeg end the process.
+    """
     receiver, sender = os.pipe()
-    with ThreadPoolExecutor(1) as thread, open(receiver, "rb") as file:
-        content = thread.submit(file.read)
+
+    def fill():
         try:
             write(f"{PIPES}/{sender}")
         finally:
-            os.close(sender)  # or the thread would read for ever
+            os.close(sender)  # or the other end would read for ever
+
+    def drain():
+        with open(receiver, "rb") as file:
+            return file.read()
+
+    with ThreadPoolExecutor(2) as threads:
+        content, filled = threads.submit(drain), threads.submit(fill)
+        filled.result()
         return content.result()
 
 

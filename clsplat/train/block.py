@@ -46,10 +46,13 @@ def train_block(block, options, progress=None, patience=0.0):
     """Train a BlockFolder to its end: from the start, or on from the last checkpoint of its run.
 
     options: those of `block_options`; patience: seconds to wait for another process that trains it.
-    Returns whether there was anything to do: a finished run is
-    left alone. InputError where it was begun with other options.
+    Returns whether there was anything to do: a finished run is left alone. InputError where it was
+    begun with other options.
     """
     run = RunFolder(block.run)
+    if run.is_finished:  # also on a disk that may not be written
+        _check_same(run, options)
+        return False
     with run.locked(patience):
         begun = run.is_begun
         if begun:
