@@ -232,7 +232,8 @@ def from_toml(path):
     """The values a TOML file sets, as a dict; unknown keys and wrong types raise InputError."""
     try:
         if os.path.exists(path) and not os.path.isfile(path):
-            raise InputError(f"{path}: is not a file; give a TOML file of options")
+            raise InputError(f"{path}: cannot be read (it is not a file); give a TOML file of "
+                             "options")
         with open(path, "rb") as file:
             data = file.read(LARGEST_FILE + 1)
         if len(data) > LARGEST_FILE:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from clsplat.frequency import AXES, VARIANTS
 from clsplat.io.atomic import replacing
 from clsplat.report.curves import frequency_curves, value_at
-from clsplat.report.figures import LOOK
+from clsplat.report.drawing import clean_look
 from clsplat.report.page import Table
 from tools.evidence import outermost, parsed, parser, refuse, write
 from tools.runs import trained, wanted
@@ -101,7 +101,7 @@ def _of(count, total):
 def drawn(scene, lines, grows):
     """The figure of a scene; lines: {factor: {variant: {axis: curve}}}."""
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(FACTORS)))
-    with matplotlib.rc_context(LOOK):
+    with clean_look():
         figure = Figure(figsize=(11, 9), layout="constrained")
         panels = figure.subplots(len(VARIANTS), len(AXES), sharex=True)
         for row, variant in zip(panels, VARIANTS):

@@ -1,12 +1,10 @@
 """`clsplat compare`: runs against each other."""
 
-import math
 from pathlib import Path
 
 import click
 
 from clsplat.cli.flags import FiniteRange
-from clsplat.errors import InputError
 
 
 @click.command()
@@ -21,9 +19,6 @@ def compare(runs, output, levels):
 
     Runs that differ in nothing but their seed are drawn as one, with its spread.
     """
-    for level in levels:
-        if not math.isfinite(level):
-            raise InputError(f"--psnr {level}: wants a number of dB, such as 28.5")
     from clsplat.report.compare import write_comparison
     text, page = write_comparison(runs, output, levels)
     click.echo(f"{text}\n\npage: {click.format_filename(page)}")

@@ -48,8 +48,8 @@ def _section(pictures):
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
             f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"
             "<p class=note>The colour fit is a quadratic fit of each render's colours to its "
-            "photo; the error is the mean difference of red, green and blue. The PNG files of `clsplat "
-            "eval` have the renders without the fit, too.</p>\n")
+            "photo; the error is the mean difference of red, green and blue. The PNG files of "
+            "`clsplat eval` have the renders without the fit, too.</p>\n")
 
 
 def _view(view):

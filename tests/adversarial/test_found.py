@@ -26,7 +26,7 @@ def test_numbers_that_are_none_are_refused(words):
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
 def test_options_from_a_pipe_that_nobody_writes_to(tmp_path):
     os.mkfifo(tmp_path / "run.toml")
-    with pytest.raises(InputError, match="is not a file"):
+    with pytest.raises(InputError, match="it is not a file"):
         from_toml(tmp_path / "run.toml")
 
 

@@ -311,7 +311,7 @@ def test_the_run_knows_how_it_was_made(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, seed=3)
     options = run.read_options()
     assert options["seed"] == 3 and options["iterations"] == 30
-    assert options["scene"] == str(CITY) and len(options["fingerprint"]) == 64
+    assert options["scene_absolute"] == str(CITY) and len(options["fingerprint"]) == 64
     assert options["opencl_device"] == item_device.name and options["kernel_form"] == "item"
     assert {"version", "commit", "extent", "offset"} <= set(options)
 

@@ -20,7 +20,14 @@ from clsplat.report.compare import (
 )
 from clsplat.report.curves import curve
 from clsplat.report.figures import comparison_figure, cost_figure
-from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, warnings
+from clsplat.report.groups import (
+    Trained,
+    differing,
+    equal,
+    grouped,
+    read_runs,
+    warnings,
+)
 from tests.made_runs import METHODS, made_run
 from tests.unit.test_report import Balanced
 
@@ -276,7 +283,7 @@ def test_where_the_output_goes(folder, tmp_path):
 
 @pytest.mark.parametrize("words, complaint", [
     (["compare"], "Missing argument"), (["compare", "/nowhere"], "/nowhere: holds no run"),
-    (["compare", ".", "--psnr", "nan"], "--psnr nan")])
+    (["compare", ".", "--psnr", "nan"], "nan is not a finite number")])
 def test_bad_input(words, complaint):
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 2 and complaint in done.output

@@ -4,8 +4,10 @@ import shutil
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from clsplat.cli.evaluate import summary
+from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.evaluate import floaters, views
 from clsplat.evaluate.floaters import floater_share, ground_truth
@@ -17,7 +19,6 @@ from clsplat.synth.geometry import City, distance, save
 from clsplat.synth.layout import city as lay_out
 from tests.tiny_model import write_scene
 from tests.tiny_training import CITY, options_of
-from tools import pack
 
 NOTHING = np.zeros(3)
 
@@ -143,10 +144,11 @@ def test_where_the_ground_truth_lies(tmp_path, plane):
     assert len(ground_truth(CITY).boxes) > 100
     folder = write_scene(tmp_path / "town")
     assert ground_truth(folder) is None
-    pack.main([str(folder), str(tmp_path / "town.npz")])
+    packed = ["pack", str(folder), "-o", str(tmp_path / "town.npz"), "--overwrite"]
+    assert CliRunner().invoke(main, packed).exit_code == 0
     assert ground_truth(tmp_path / "town.npz") is None
     save(plane, folder / "geometry.json")
-    pack.main([str(folder), str(tmp_path / "town.npz"), "2"])
+    assert CliRunner().invoke(main, [*packed, "-r", "2"]).exit_code == 0
     assert ground_truth(folder).blocks == ground_truth(tmp_path / "town.npz").blocks == (1, 1)
     (tmp_path / "geometry.json").write_text("{}")
     assert ground_truth(tmp_path / "other.npz") is None  # it may be another scene's

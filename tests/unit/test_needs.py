@@ -250,7 +250,7 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift):
     assert engine(2.02 * needed).options.engine == "device"
     result = engine(1.98 * needed)
     assert result.options.engine == "numpy" == result.found["engine"]
-    assert "about 65,99" in result.reasons["engine"]
+    assert "take up to 67 MiB of the device's 132" in result.reasons["engine"]
     assert engine(1.98 * needed, sh_degree=2).options.engine == "device"
     assert engine(1.0, engine="device").reasons["engine"] == "device: asked for"
     assert find_needs(city, city.views, options).options.engine == "auto"

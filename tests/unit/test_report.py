@@ -14,7 +14,14 @@ from matplotlib.figure import Figure
 
 from clsplat.io.run import RunFolder
 from clsplat.report import run as run_page
-from clsplat.report.curves import band, curve, frequency_curves, reached, spread, value_at
+from clsplat.report.curves import (
+    band,
+    curve,
+    frequency_curves,
+    reached,
+    spread,
+    value_at,
+)
 from clsplat.report.drawing import clean_look, drawn
 from clsplat.report.figures import score_figure, step_figure
 from clsplat.report.page import Table, page

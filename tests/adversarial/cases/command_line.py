@@ -1,7 +1,14 @@
 """Misuse of every command."""
 
 from tests.adversarial.case import either, refused, works
-from tests.adversarial.checks import evaluated, missing, model, no_model, same_model, there
+from tests.adversarial.checks import (
+            evaluated,
+            missing,
+            model,
+            no_model,
+            same_model,
+            there,
+)
 
 COMMANDS = ("train", "eval", "plan", "compare", "render", "export", "city", "partition", "block",
             "merge", "synth", "bench", "completion")
