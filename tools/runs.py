@@ -105,7 +105,8 @@ def held(run):
 
 def _difference(record, run):
     """In which option, in words, a run's record differs from a Wanted; None if it can serve."""
-    values = {**dataclasses.asdict(run.options), "scene_absolute": str(Path(run.scene.path).resolve())}
+    values = {**dataclasses.asdict(run.options),
+              "scene_absolute": str(Path(run.scene.path).resolve())}
     for name, value in values.items():
         there = record.get(name)
         there = tuple(there) if isinstance(there, list) else there
