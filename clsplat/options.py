@@ -274,7 +274,8 @@ def checked(source, key, value):
         return tuple(_checked_one(elements[0], meta, element) for element in value)
     except ValueError as error:
         wish = error if isinstance(error, _TooMuch) else meta["wish"] or error
-        raise InputError(f"{source}: option '{key}' wants {wish}, got {_shown(value)}") from None
+        raise InputError(f"{source}: option '{key.replace('_', '-')}' wants {wish}, "
+                         f"got {_shown(value)}") from None
 
 
 def _shown(value):

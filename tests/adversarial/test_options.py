@@ -36,7 +36,7 @@ def accepted(name):
             taken.append(checked("here", name, value))
         except InputError as error:
             said = str(error)
-            assert said.startswith(f"here: option '{name}' wants "), said
+            assert said.startswith(f"here: option '{name.replace('_', '-')}' wants "), said
             assert "\n" not in said and len(said) < 500
     return taken
 
@@ -79,7 +79,7 @@ def test_a_limit_is_taken_and_what_is_beyond_refused(name, run):
         run.write_options({"scene": run.path, **dataclasses.asdict(TrainOptions(**{name: taken}))})
         assert checked("read", name, run.read_options()[name]) == taken
     for value in beyond:
-        with pytest.raises(InputError, match=f"here: option '{name}' wants "):
+        with pytest.raises(InputError, match=f"here: option '{name.replace('_', '-')}' wants "):
             checked("here", name, shaped(value))
 
 
@@ -97,14 +97,14 @@ def test_a_run_of_large_numbers_is_read_by_eval(run, given):
     ({"grow_threshold": 1e101}, "wants at most 1e+15"),
     ({"batch": 99_999_999_999}, "option 'batch' wants at most 1,024, got 99999999999"),
     ({"iterations": 10**9}, "option 'iterations' wants at most 10,000,000"),
-    ({"steps_scale": 1e308}, "option 'steps_scale' wants at most 10000, got 1e+308"),
+    ({"steps_scale": 1e308}, "option 'steps-scale' wants at most 10000, got 1e+308"),
     ({"iterations": 10**6, "steps_scale": 100.0}, "--steps-scale 100: makes 1,000,000 steps more "
                                                   "than 10,000,000; give a smaller one"),
     ({"time_budget": "1e300"}, "--time-budget 1e300: is longer than a year; give less time"),
     ({"init": "a\x00b"}, "option 'init' wants text in Unicode"),
     ({"init": "\udcff.ply"}, "option 'init' wants text in Unicode"),
     ({"device": "x" * 5000}, "option 'device' wants at most 4096 characters"),
-    ({"eval_at": [1] * 1001}, "option 'eval_at' wants at most 1000 values"),
+    ({"eval_at": [1] * 1001}, "option 'eval-at' wants at most 1000 values"),
     ({"levels": [1e16, 1.0]}, "option 'levels' wants at most 1e+15")])
 def test_what_no_training_can_be_made_with_is_refused(given, said):
     with pytest.raises(InputError) as caught:

@@ -50,7 +50,6 @@ CASES = [
           needs=("sy", "half"), writes=("half",), setup="touch -d 2200-01-01 half/*"),
     works("stopped-for-a-while", during(LONG, "kill -STOP $P; sleep 2; kill -CONT $P"), model()),
     either("model-becomes-folder", during(LONG, "mkdir out/point_cloud.ply")),
-    either("part-becomes-folder", during(LONG, "mkdir out/checkpoint.npz.part")),
     either("block-removed", during("clsplat city sy -n 200 --grid 2x1 -q --checkpoint-every 5 "
                                    "-o out", "rm -rf out/blocks/000",
                                    "out/blocks/000/run/checkpoint.npz")),

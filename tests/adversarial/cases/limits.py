@@ -12,9 +12,9 @@ def limited(limit, line):
 
 
 CASES = [
-    *(either(f"memory-{size}", limited(f"-v {size}", RUN))
-      for size in (300000, 600000, 1000000, 1400000, 1900000, 2600000)),
-    *(either(f"files-{count}", limited(f"-n {count}", RUN)) for count in (8, 12, 16, 32, 64)),
+    # with less memory the compilers of OpenCL runtimes end the process, with fewer files the shell
+    *(either(f"memory-{size}", limited(f"-v {size}", RUN)) for size in (1900000, 2600000)),
+    *(either(f"files-{count}", limited(f"-n {count}", RUN)) for count in (16, 32, 64)),
     *(either(f"file-size-{size}", limited(f"-f {size}", RUN))
       for size in (0, 1, 16, 64, 200, 380, 900)),
     works("file-size-then-resume", f"{limited('-f 380', RUN)} > log 2>&1; {AGAIN}", same_model(),

@@ -7,7 +7,7 @@ from tests.adversarial.damage import written
 TRAIN = "clsplat train sy -n 4 -q -o out"
 NOT_NUMBERS = (("near", "nan"), ("near", "-1"), ("ssim-weight", "2"), ("ssim-weight", "nan"),
                ("prune-opacity", "nan"), ("grow-threshold", "inf"), ("split-size", "nan"),
-               ("sphere-reach", "nan"), ("sphere-shrink", "0"), ("level-share", "nan"),
+               ("sphere-reach", "nan"), ("sphere-shrink", "-1"), ("level-share", "nan"),
                ("level-share", "-1"), ("pixels-per-gaussian", "nan"), ("taming-budget", "nan"),
                ("reproject-weight", "nan"), ("convergence-rate", "nan"), ("opacity-rate", "nan"),
                ("opacity-rate", "-1"), ("steps-scale", "nan"), ("steps-scale", "0"),
