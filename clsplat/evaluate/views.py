@@ -110,7 +110,7 @@ def evaluate_run(run, device, save_images, scene_path=None):
     if not views:
         raise InputError(f"{run.path}: no held-out views (--test-every {options.test_every}); "
                          "nothing to compare with")
-    gaussians, city = run.load_model(), ground_truth(scene.path)
+    gaussians, city = _shown(run.load_model(), run.path), ground_truth(scene.path)
     renderer, rows, degree = _opened(device, gaussians, scene, options)
 
     def keep(view, image, fitted, photo):
@@ -158,7 +158,7 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
     chosen = {"all": scene.views, "train": train, "test": test}[views]
     if not chosen:
         raise InputError(f"{scene.name}: no {views} views; choose others with --views")
-    renderer, rows, degree = _opened(device, gaussians, scene, options)
+    renderer, rows, degree = _opened(device, _shown(gaussians, model), scene, options)
     for view in chosen:
         image = render_view(renderer, rows, degree, view.camera)
         if beside:
@@ -167,6 +167,14 @@ def render_views(model, scene_path, folder, device, views="all", beside=False):
         make_folder(path.parent)
         write_image(path, image)
     return len(chosen)
+
+
+def _shown(gaussians, path):
+    """The gaussians, if there are any; InputError where pictures would show nothing."""
+    if not gaussians.count:
+        raise InputError(f"{path}: holds no gaussians, so there is nothing to show; give another "
+                         "model")
+    return gaussians
 
 
 def _opened(device, gaussians, scene, options):

@@ -14,7 +14,7 @@ NUMBERS = ("train_seconds", "wall_seconds", "level", "psnr", "psnr_cc", "ssim", 
            "rounds", "pixel_pairs", "kernel_bytes")
 TEXT = ("event", "scene", "fingerprint", "opencl_device", "kernel_form", "version", "commit",
         "schedule")
-OBJECTS = ("reasons",)
+OBJECTS = ("reasons", "needs")
 
 
 def object_of(data):

@@ -94,6 +94,13 @@ def _check_room(folder, overwrite):
         if not (folder / GEOMETRY).is_file():
             raise InputError(f"{folder}: holds no synthetic scene, so it is not overwritten; "
                              "name another folder")
+        try:  # rather than after all photos are made
+            probe = folder / (GEOMETRY + PARTIAL)
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder"
+                             ) from None
         others = sorted(set(_files(folder)) - set(_written(folder)))
         if others:
             raise InputError(f"{others[0]}: is not of the synthetic scene, so nothing is "

@@ -17,9 +17,11 @@ from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.evaluate.views import evaluate_views
 from clsplat.frequency import scene_frequency
 from clsplat.gaussians import mean_inverse_distance
+from clsplat.io.run import OPTIONS
 from clsplat.io.scenes import fingerprint
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
+from clsplat.options import checked
 from clsplat.render.pipeline import Renderer
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.train import checkpoint
@@ -77,8 +79,9 @@ def resume(scene, options, device, run, progress=None):
                          "or start again with --overwrite")
     try:
         checkpoint.check_state(state)
+        degree = (record.get("needs") or {}).get("sh_degree", options.sh_degree)
         gaussians = checkpoint.gaussians_of(
-            arrays, record.get("needs", {}).get("sh_degree", options.sh_degree))
+            arrays, checked(str(run.path / OPTIONS), "sh_degree", degree))
     except (KeyError, ValueError) as error:
         raise InputError(f"{run.path}: its checkpoint lacks a good {error}; "
                          "start again with --overwrite") from None

@@ -1,14 +1,22 @@
 """Faults that the campaign found, one test each."""
 
+import json
 import os
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
-from clsplat.options import from_toml
+from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.options import from_toml, resolve
+from clsplat.train import checkpoint
+from clsplat.train.loop import resume
+from tests.tiny_training import CITY
 
 
 @pytest.mark.parametrize("words", [
@@ -34,3 +42,27 @@ def test_a_run_whose_metrics_were_removed_has_no_past(tmp_path):
     run = RunFolder.create(tmp_path)
     run.write_options({})
     assert run.past_records() == []
+
+
+def test_a_model_of_nothing_is_not_rendered(tmp_path):
+    nothing = Gaussians.from_points(np.eye(3), np.zeros((3, 3), np.uint8), 0)
+    nothing = Gaussians({name: rows[:0] for name, rows in nothing.rows.items()}, 0)
+    write_ply(tmp_path / "nothing.ply", nothing)
+    result = CliRunner().invoke(main, ["render", str(tmp_path / "nothing.ply"), "--scene",
+                                       str(CITY), "-o", str(tmp_path / "out")])
+    assert result.exit_code == 2 and "nothing.ply: holds no gaussians" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("needs", [[], "x", 3, {"sh_degree": "x"}, {"sh_degree": 9}], ids=str)
+def test_needs_of_another_kind_are_refused(tmp_path, needs):
+    run = RunFolder.create(tmp_path / "run")
+    scene = read_scene(CITY)
+    run.write_options({"scene": CITY, "fingerprint": fingerprint(scene)})
+    record = json.loads((run.path / "options.json").read_text()) | {"needs": needs}
+    (run.path / "options.json").write_text(json.dumps(record))
+    state = {key: {} if dict in np.atleast_1d(kinds) else 1
+             for key, (kinds, _) in checkpoint.STATE.items()}
+    run.save_checkpoint({}, state | {"fingerprint": record["fingerprint"]})
+    with pytest.raises(InputError, match="options.json"):
+        resume(scene, resolve({}, {}), None, run)
