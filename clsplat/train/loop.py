@@ -51,13 +51,14 @@ def train(scene, options, device, run, progress=None):
     memory_bytes=, level=) and progress.message(text). Raises Interrupted, state saved, on Ctrl-C.
     """
     training = Training(scene, options, device, run, progress)
-    found = find_warnings(training.scene, training.train_views,
-                             training.step.model.rows["opacity_logits"].download())
-    run.write_options({"scene": scene.path, **dataclasses.asdict(options),
-                       "fingerprint": training.fingerprint, "opencl_device": device.name,
-                       "kernel_form": device.form, "extent": scene.extent,
-                       "offset": scene.offset.tolist(), "needs": training.needs.found})
     with training.resumable():
+        found = find_warnings(training.scene, training.train_views,
+                              training.step.model.rows["opacity_logits"].download())
+        run.write_options({"scene": scene.path, **dataclasses.asdict(options),
+                           "fingerprint": training.fingerprint, "opencl_device": device.name,
+                           "kernel_form": device.form, "extent": scene.extent,
+                           "offset": scene.offset.tolist(), "needs": training.needs.found})
+        training.recorded = True
         training.begin(found)
         training.run_to_end()
 
@@ -116,6 +117,7 @@ class Training(Clock):
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.iteration = 0
         self.evaluated_at = self.per_view = self.level = self.losses = None
+        self.recorded = gaussians is not None  # whether the run folder holds this run
         self.fingerprint = fingerprint(scene)
         self.run, self.progress = run, progress or Silent()
         note = size_note(scene.views, options)
@@ -216,12 +218,13 @@ class Training(Clock):
 
     @contextmanager
     def resumable(self):
-        """What interrupts the block, wherever it is, tells how to go on from the last checkpoint.
-        """
+        """What interrupts the block, wherever it is, tells how to go on from the last checkpoint,
+        once the run is recorded; photos that were still to be read are not."""
         try:
             yield
         except (Exception, KeyboardInterrupt) as error:
-            if isinstance(error, ClsplatError) or not was_interrupted(error):
+            if isinstance(error, ClsplatError) or not (
+                    self.recorded and was_interrupted(error)):
                 raise
             raise self.stopped() from None
         finally:

@@ -94,3 +94,13 @@ def test_a_run_that_moved_with_its_scene(whole, city, tmp_path):
     with pytest.raises(InputError, match="not there any more.*--scene"):
         run.scene_path()
     assert run.scene_path(tmp_path / "elsewhere") == tmp_path / "elsewhere"
+
+
+def test_ctrl_c_before_a_run_is_recorded_names_no_run(item_device, city, tmp_path, monkeypatch):
+    """With --overwrite, --resume would go on with the old run."""
+    monkeypatch.setattr(loop, "find_warnings", broken(KeyboardInterrupt()))
+    closed = []
+    monkeypatch.setattr(loop.Photos, "close", lambda photos: closed.append(photos))
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path / "run", city, item_device, **OPTIONS)
+    assert closed and not RunFolder(tmp_path / "run").is_begun
