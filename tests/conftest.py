@@ -1,6 +1,7 @@
 """Opens the OpenCL devices of the tests: each platform in both kernel forms and both precisions.
 
-A test asks for `device` (all four), `float_device`, `double_device` (both forms) or `group_device`.
+A test asks for `device` (all four), `float_device`, `double_device` (both forms) or `group_device`;
+where it takes both precisions, the double ones are slow tests.
 CLSPLAT_TEST_DEVICES chooses the platforms: unset, PoCL, else the first that works; a part of a
 platform's or device's name; or "all". A device is opened once and shared, so whatever a test
 changes of it, it changes with monkeypatch.
@@ -36,7 +37,10 @@ def pytest_generate_tests(metafunc):
             combinations = [(entry, form, precision) for entry in _entries()
                             for form in forms for precision in precisions
                             if _is_worth_it(entry, precision)]
-            metafunc.parametrize(name, combinations, ids=map(_label, combinations), indirect=True)
+            slow = {"double"} if len(precisions) > 1 else set()  # float is quick to tell of a fault
+            metafunc.parametrize(name, [
+                pytest.param(each, marks=pytest.mark.slow if each[2] in slow else (),
+                             id=_label(each)) for each in combinations], indirect=True)
 
 
 def _is_worth_it(entry, precision):

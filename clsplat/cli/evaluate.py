@@ -27,6 +27,7 @@ def evaluate(run, device, images, scene):
     from clsplat.evaluate.views import PANELS, evaluate_run
     from clsplat.io.run import RENDERS, RunFolder
     folder = RunFolder.open(run)
+    folder.check_model()
     with folder.locked() if images else nullcontext():
         result = evaluate_run(folder, choose_device(device), images, scene)
         click.echo(summary(result))

@@ -5,6 +5,9 @@ the keys that reports rely on hold what they rely on.
 """
 
 import json
+from pathlib import Path
+
+import numpy as np
 
 LARGEST = 1e100  # of a number: sums of squares stay finite
 # where they are there and not null, these are whole numbers, numbers, text, or objects
@@ -62,4 +65,19 @@ def _finite(text):
     value = float(text)
     if not abs(value) <= LARGEST:
         raise ValueError(f"{text} is no number")
+    return value
+
+
+def plain(value):
+    """What JSON can hold: numpy values as Python's, numbers that are not finite as None."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, (str, Path)):  # half characters, of names that are no Unicode, escaped
+        return str(value).encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
     return value

@@ -20,7 +20,7 @@ from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.reason import reason
-from clsplat.io.records import object_of, record_of
+from clsplat.io.records import object_of, plain, record_of
 from clsplat.io.regular import in_unicode, native
 from clsplat.io.scene_path import recorded_scene, scene_record
 
@@ -144,7 +144,7 @@ class RunFolder:
         if "scene" in record:
             record |= scene_record(record["scene"], self.path)
         with replacing(self.path / OPTIONS) as file:
-            file.write((json.dumps(_plain(record), indent=2) + "\n").encode())
+            file.write((json.dumps(plain(record), indent=2) + "\n").encode())
 
     def scene_path(self, given: Path | None = None) -> Path:
         """Where the run's scene is.
@@ -187,7 +187,7 @@ class RunFolder:
     def log(self, record):
         """Append one line to the metrics; a number that is not finite becomes null."""
         path = self.path / METRICS
-        line = json.dumps(_plain(record), allow_nan=False) + "\n"
+        line = json.dumps(plain(record), allow_nan=False) + "\n"
         try:
             with open(path, "ab") as file:
                 if not self._metrics_whole:
@@ -304,12 +304,16 @@ class RunFolder:
         except (OSError, ValueError):
             return None
 
+    def check_model(self):
+        """InputError where the training is not finished."""
+        if not self.has_model:
+            raise InputError(f"{self.path / MODEL}: the run has no model yet; finish it with "
+                             "--resume")
+
     def load_model(self):
         """The finished model's Gaussians, in the scene's local coordinates."""
-        path = self.path / MODEL
-        if not path.is_file():
-            raise InputError(f"{path}: the run has no model yet; finish it with --resume")
-        return read_ply(path)
+        self.check_model()
+        return read_ply(self.path / MODEL)
 
     def renders(self):
         """The pictures of views that clsplat wrote and that are still there, as a list of paths.
@@ -369,21 +373,6 @@ def _read(path):
 
 def _whole_lines(data):
     return data[:data.rfind(b"\n") + 1]
-
-
-def _plain(value):
-    """What JSON can hold: numpy values as Python's, numbers that are not finite as None."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (str, Path)):  # half characters, of names that are no Unicode, escaped
-        return str(value).encode("utf-8", "backslashreplace").decode()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
 
 
 def _commit():

@@ -22,6 +22,7 @@ from tests.adversarial.sweep import arguments_of, finish
 from tests.adversarial.whole import fault
 
 NAMES_IT = re.compile(r"process \d+.* on \S+.* since ")
+REFUSAL = re.compile("works here|trains it")
 TRAIN = "clsplat train sy -n 12 --checkpoint-every 4 -q"
 CITY = "clsplat city sy -n 8 --grid 2x1 -q -o city"
 UNTRAINED = ("rm -r city/blocks/*/run city/point_cloud.ply city/metrics.jsonl city/lod "
@@ -162,7 +163,9 @@ def try_pair(pair: Pair, seed: int) -> dict:
 
 def _judge(bench, pair, results, left):
     """(how it ended, faults)."""
-    faults = [each for result in results for each in faults_of(result, (0, 2))]
+    # one that was killed before it wrote its options is begun again, and the line tries both
+    faults = [each for result in results for each in faults_of(result, (0, 2))
+              if not (pair.kill and each.startswith("exit code 0 beside an error"))]
     faults += [f"{name} was left" for name in left if name.endswith(".part")]
     faults += [f"{name}: {value}" for name, value in left.items() if isinstance(value, str)]
     if pair.kill:
@@ -172,7 +175,7 @@ def _judge(bench, pair, results, left):
             faults.append("other models than without the kill")
         return "went on after a kill", faults
     codes = [result.code for result in results]
-    held = ["works here" in result.output for result in results]
+    held = [bool(REFUSAL.search(result.output)) for result in results]
     faults += [f"does not name who holds the folder: {result.errors}" for result, refused in
                zip(results, held) if refused and not NAMES_IT.search(result.output)]
     lines = [pair.first, pair.second]

@@ -18,6 +18,8 @@ from clsplat.options import resolve
 from clsplat.partition import PartitionOptions
 from tests.tiny_training import CITY
 
+pytestmark = pytest.mark.slow  # each reads a city that was made for it
+
 NEEDS = {"exposure": "off", "sh_degree": 1, "levels": [1.0]}
 HUGE = "1" + "0" * 400
 

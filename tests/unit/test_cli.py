@@ -275,6 +275,7 @@ def test_export_copies_a_whole_model_only(tmp_path):
 @pytest.mark.parametrize("flag, images", [("--images", True), ("--no-images", False)])
 def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
     RunFolder.create(tmp_path).write_options({})
+    (tmp_path / "point_cloud.ply").touch()
     asked = []
 
     def evaluate_run(run, device, save_images, scene_path):
