@@ -149,7 +149,7 @@ PARTITION_EDITS = [
     ("coarse/options.json", {"needs": [1]}, "needs is '[1]'"),
     ("coarse/options.json", {"needs": {}}, "needs is '{}'"),
     ("coarse/options.json", {"needs": {"exposure": 3, "sh_degree": 1}}, "'exposure' wants"),
-    ("coarse/options.json", {"needs": {"exposure": "on", "sh_degree": 7}}, "'sh_degree' wants"),
+    ("coarse/options.json", {"needs": {"exposure": "on", "sh_degree": 7}}, "'sh-degree' wants"),
     ("coarse/options.json", {"downscale": "x"}, "'downscale' wants"),
     ("coarse/options.json", {"downscale": 0.5}, "'downscale' wants"),
     ("partition.json", {"asked": [1]}, "asked is '[1]'"),

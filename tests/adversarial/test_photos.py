@@ -44,6 +44,8 @@ def library(array, kind, names=None, **attributes):
         for name, value in attributes.items():
             spec.attribute(name, value)
         output = oiio.ImageOutput.create(str(path))
+        if output is None:
+            pytest.skip(f"this OpenImageIO writes no {path.suffix}: {oiio.geterror()}")
         assert output.open(str(path), spec) and output.write_image(array) and output.close()
     return write
 
@@ -249,7 +251,7 @@ REFUSED = {
     "DPX": ("a.dpx", library(PICTURE, "uint8"), ("format dpx", "convert it")),
     "an icon": ("a.ico", pillow(), ("format ico", "convert it")),
     "PNG of 2^31 x 2^31": ("a.png", claims(2**31 - 1, 2**31 - 1), ("a.png", ";")),
-    "PNG of 60000 x 60000": ("a.png", claims(60000, 60000), ("a.png", "corrupt")),
+    "PNG of 60000 x 60000": ("a.png", claims(60000, 60000), ("a.png", ";")),
     "PNG of no height": ("a.png", claims(32, 0), ("a.png", ";")),
     "PNG taller than its data": ("a.png", claims(32, 48), ("damaged or cut short",)),
     "PNG wider than its data": ("a.png", claims(64, 24), ("damaged or cut short",)),

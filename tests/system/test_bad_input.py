@@ -201,7 +201,7 @@ def test_overwriting_waits_until_all_is_in_order(healthy, finished):
     (("--max-gaussians", "5"), ("--max-gaussians 5", "30", "allow")),
     (("--test-every", "1"), ("--test-every 1", "use a larger number")),
     (("--device", "warp drive"), ("warp drive", "clsplat devices")),
-    (("--sh-degree", "4"), ("sh_degree", "from 0 to 3")),
+    (("--sh-degree", "4"), ("sh-degree", "from 0 to 3")),
     (("--levels", "4", "--levels", "1"),
      ("--levels 4", "12 x 9 pixels", "tile of 16", "use smaller factors")),
     (("--levels", "2"), ("--levels 2", "end at 1", "4,2,1")),

@@ -28,6 +28,8 @@ def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code):
 
     group.add_section("Burn", burn)
     before = signal.getsignal(number)
+    if before is signal.SIG_IGN:  # of a job in the background of a shell
+        pytest.skip("this process was started with the signal ignored, and leaves it so")
     result = CliRunner().invoke(group, ["burn"])
     assert result.exit_code == code and "bug" not in result.stderr
     assert result.stderr.startswith("interrupted; what was saved is kept: give the same command")
@@ -37,6 +39,7 @@ def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code):
 def test_ctrl_c_while_the_program_starts():
     """Before the command line is there: no traceback, and the same exit code."""
     result = python("-c", "import os, signal, sys\nimport clsplat.__main__ as entry\n"
+                    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
                     "class Kill:\n"
                     "    def find_spec(self, name, path=None, target=None):\n"
                     "        if name == 'clsplat.cli': os.kill(os.getpid(), signal.SIGINT)\n"
