@@ -56,7 +56,10 @@ def prepared() -> Path:
                 raise SystemExit(f"{name}: `{line}` ended with {done.returncode}\n{done.stderr}")
         shutil.rmtree(making / ".scratch")
         _point_elsewhere(making, making, folder)
-        os.rename(making, folder)
+        try:
+            os.rename(making, folder)
+        except OSError:  # another process was quicker
+            shutil.rmtree(making)
     return folder
 
 
