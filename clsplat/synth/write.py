@@ -46,33 +46,42 @@ def synthesise(folder, blocks=(2, 2), views=32, width=320, height=240, seed=0, p
         raise InputError(f"{folder}: no point is seen in two of {views} views; ask for more views")
 
     partial = folder.with_name(folder.name + PARTIAL)
-    _remove(partial)  # what an interrupted call left
-    make_folder(partial / "images")
-    geometry.save(city, partial / GEOMETRY)
-    texture = Texture(city)
-    colours = np.zeros((len(points), 3))
-    digits = max(3, len(str(views - 1)))
-    photos = []
-    for number, camera in enumerate(cameras):
-        image = render(texture, camera)
-        name = f"{number:0{digits}d}.jpg"
-        photos.append(View(name, camera, partial / "images" / name))
-        write_image(photos[-1].source, image)
-        rows = view == number
-        column, row = pixels[rows].astype(int).T
-        colours[point[rows]] += image[row, column]
-        if progress:
-            progress(number + 1, views)
-    colours /= np.bincount(point)[:, None]
-    write_colmap(partial / "sparse" / "0", photos, points, np.round(colours).astype(np.uint8),
-                 Tracks(point, view, pixels))
+    _remove(partial)  # what a killed call left
+    try:
+        _write(partial, city, cameras, points, Tracks(point, view, pixels), progress)
+    except BaseException:
+        _remove(partial)
+        raise
     _remove(folder)
     try:
         os.rename(partial, folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot take the place of the earlier scene ({error.strerror});"
                          f" the new one is {partial}") from None
-    return len(photos), len(points), len(point)
+    return views, len(points), len(point)
+
+
+def _write(folder, city, cameras, points, tracks, progress):
+    """Write all files of a scene."""
+    make_folder(folder / "images")
+    geometry.save(city, folder / GEOMETRY)
+    texture = Texture(city)
+    colours = np.zeros((len(points), 3))
+    digits = max(3, len(str(len(cameras) - 1)))
+    photos = []
+    for number, camera in enumerate(cameras):
+        image = render(texture, camera)
+        name = f"{number:0{digits}d}.jpg"
+        photos.append(View(name, camera, folder / "images" / name))
+        write_image(photos[-1].source, image)
+        rows = tracks.views == number
+        column, row = tracks.pixels[rows].astype(int).T
+        colours[tracks.points[rows]] += image[row, column]
+        if progress:
+            progress(number + 1, len(cameras))
+    colours /= np.bincount(tracks.points)[:, None]
+    write_colmap(folder / "sparse" / "0", photos, points, np.round(colours).astype(np.uint8),
+                 tracks)
 
 
 def _check(blocks, views, width, height, seed):

@@ -156,7 +156,7 @@ def sweep(place, target):
         result = place.run(target.line)
         faults = faults_of(result, (0, 2))
         faults += faults_of_files(place.disk, before, (
-            "out", "out.ply", "out.npz", *target.needs))
+            "out", "out.ply", "out.npz", "out.geometry.json", *target.needs))
         if result.code == 2 and not CURE.search(result.output):
             faults.append("the error names no cure for a full disk")
         worked = result.code == 0
