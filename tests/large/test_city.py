@@ -1,6 +1,7 @@
 """`clsplat city` from scene to report: stages, going on after failures, and what it refuses."""
 
 import json
+import os
 import shutil
 from types import SimpleNamespace
 
@@ -21,8 +22,10 @@ from clsplat.options import resolve
 from clsplat.partition import make_partition
 from tests.tiny_training import CITY
 
+# PoCL where the tests are not told otherwise
+DEVICE = os.environ.get("CLSPLAT_TEST_DEVICES", "all").replace("all", "Portable")
 FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
-         "--grid", "2x1", "--least-views", "3", "--device", "Portable", "--form", "item")
+         "--grid", "2x1", "--least-views", "3", "--device", DEVICE, "--form", "item")
 
 
 def city(folder, *flags, code=0):
@@ -66,7 +69,7 @@ def test_the_folder_is_a_run_like_any_other(made):
     assert "map of the blocks" in page and "Seams" in page
     assert "Growth and loss" not in page and "Held-out views" in page  # no empty charts
     assert json.loads(made.map.read_text())["type"] == "FeatureCollection"
-    command("eval", made.path, "--no-images", "--device", "Portable")
+    command("eval", made.path, "--no-images", "--device", DEVICE)
     levels = RunFolder(made.path).snapshots()
     assert levels[-1][0] == 2  # the coarse model is the last but the whole
     coarse = read_ply(made.coarse / "point_cloud.ply")
@@ -144,7 +147,7 @@ def test_stages_one_by_one_end_in_the_same(made, tmp_path):
     command("partition", tmp_path, "--grid", "2x1", "--least-views", "3")
     for block in CityFolder(tmp_path).blocks():
         command("block", block.path, "-q")
-    command("merge", tmp_path, "--device", "Portable")
+    command("merge", tmp_path, "--device", DEVICE)
     assert model(CityFolder(tmp_path)) == model(made)
 
 
@@ -153,7 +156,7 @@ def test_a_missing_block_is_named_and_may_be_filled(copy, capsys):
     command("merge", copy.path, code=2)
     error = capsys.readouterr().err
     assert "1 of 2 blocks cannot be merged: 001 unfinished" in error and error.count("\n") == 1
-    command("merge", copy.path, "--fill", "--device", "Portable")
+    command("merge", copy.path, "--fill", "--device", DEVICE)
     assert "unfinished: its run has no model yet" in (copy.path / "report.html").read_text()
 
 
