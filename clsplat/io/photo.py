@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from clsplat.errors import InputError
+from clsplat.io.reason import LONGEST
 from clsplat.io.regular import memory_file, open_regular, utf8_path
 from clsplat.io.resample import band_rows
 
@@ -117,7 +118,8 @@ def opened(source):
         raise InputError(f"{source}: no such image; check the path") from None
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{source}: the image cannot be read ({why}); check the path") from None
+        raise InputError(f"{str(source)[:LONGEST]}: the image cannot be read ({why}); check the "
+                         "path") from None
     with utf8_path(source) as path:
         yield from _opened(path, source, size)
 

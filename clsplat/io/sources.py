@@ -13,6 +13,7 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.photo import opened
+from clsplat.io.reason import LONGEST
 
 IMAGES, SMALLER = "images", re.compile(r"images_(\d+)")  # as Mip-NeRF 360 has them
 ROUNDING = 1.5  # pixels that a smaller photo may differ from its share of the camera
@@ -48,7 +49,7 @@ def checked_photos(scene, smaller: Path | None = None):
     missing = [view for view in scene.views
                if isinstance(view.source, Path) and not os.path.exists(view.source)]
     if missing:
-        raise InputError(f"{missing[0].source}: no such image ({len(missing)} of "
+        raise InputError(f"{str(missing[0].source)[:LONGEST]}: no such image ({len(missing)} of "
                          f"{len(scene.views)} images of the model are missing); "
                          f"{_where_else(missing[0].source)}")
     photos = []

@@ -22,6 +22,9 @@ SCHEDULES = {"constant": {"reset_every": 0}, "sig": {**LEVELLED, "reproject": "a
 STEPS = 200
 QUICK = {("black", "sig")}
 SLOW = pytest.mark.slow
+# nothing is left of these models, and what ends a training is said
+EMPTIED = {("rates_x1000", "sig"), ("crowded", "sig"), ("transparent", "sig"),
+           ("transparent", "constant")}
 # where 600 steps take two levels and settle: rounding alone moves 0.01 dB at most
 SETTLED = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 600, "downscale": 4.0,
            "densify_every": 0, "reset_every": 0, "prune_opacity": 0.005}
@@ -60,8 +63,9 @@ def test_stiff(city, item_device, tmp_path, monkeypatch, name, schedule):
     rates = step.learning_rates
     monkeypatch.setattr(step, "learning_rates", lambda *given: {
         field: case.rates * rate for field, rate in rates(*given).items()})
-    if case.expects not in ("learns", "survives"):
-        with pytest.raises(InputError, match=case.expects):
+    refusal = "all gaussians were pruned" if (name, schedule) in EMPTIED else case.expects
+    if refusal not in ("learns", "survives"):
+        with pytest.raises(InputError, match=refusal):
             trained(tmp_path / "run", scene, item_device, **options)
         return
     run = trained(tmp_path / "run", scene, item_device, **options)
