@@ -22,10 +22,10 @@ from clsplat.io.packed import write_packed
 from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
-from clsplat.io.run import FILES, RunFolder
+from clsplat.io.run import CITY, FILES, RunFolder
 from clsplat.region import Region
 
-CITY, PARTITION, BLOCK, REGION = "city.json", "partition.json", "block.json", "region.json"
+PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 WINDOWS = "windows"  # key of region.json
 REPLACES = "replaces"  # key of partition.json: the one before it, and which blocks it cut
 INITIAL, PACKED = "initial.ply", "scene.npz"

@@ -33,7 +33,7 @@ RENDERS = "renders"
 LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
 FILES = (METRICS, CHECKPOINT, EXPOSURES, MODEL, REPORT, OPTIONS)  # in the order of their removal
 WRITTEN = "written.json"  # in RENDERS: the pictures there that clsplat wrote
-CITY = "city.json"  # of a folder that `clsplat city` wrote; see io/city.py
+CITY = "city.json"  # of a folder that `clsplat city` wrote: io/city.py reads it
 STATE = "state.json"  # the member of a checkpoint that holds what is no array
 
 
