@@ -10,6 +10,7 @@ import numpy as np
 import pyopencl as cl
 import pyopencl.tools
 
+from clsplat.device import binaries
 from clsplat.device.array import Array
 from clsplat.device.capabilities import probe_capabilities
 from clsplat.device.kernel import SCALARS
@@ -154,7 +155,9 @@ class Device:
             try:
                 with warnings.catch_warnings():  # runtimes chatter about every successful build
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    program = cl.Program(self.context, kernel_source(kernel.file)).build(options)
+                    program = binaries.build(
+                        self.context, self.handle, kernel_source(kernel.file), options,
+                        kernel.declared[kernel.file])
             except cl.Error as error:
                 raise DeviceError(f"{self.name}: {kernel.file} does not build:\n{error}") from None
             self._programs[kernel.file, defines] = program

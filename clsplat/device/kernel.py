@@ -17,8 +17,11 @@ class Kernel:
     on a device opened for double precision.
     """
 
+    declared = {}  # file -> its kernels, as far as their modules were imported
+
     def __init__(self, file, function, **arguments):
         self.file, self.function, self.arguments = file, function, arguments
+        self.declared.setdefault(file, []).append(self)
         # (name, dtype or None for the device's real, shape or None for a scalar)
         self._contract = [
             (name, None, None) if isinstance(a, str) else

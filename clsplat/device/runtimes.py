@@ -71,5 +71,5 @@ def _write(folder, files):
 
 
 register()
-# pyopencl's own binary cache makes PoCL compile everything twice (inducer/pyopencl#731)
+# pyopencl's own cache of binaries: see clsplat/device/binaries.py
 os.environ.setdefault("PYOPENCL_NO_CACHE", "1")

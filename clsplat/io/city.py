@@ -173,7 +173,10 @@ class CityFolder:
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
             _write(partial / BLOCK, record)
             os.rename(partial, block.path)
-        except OSError as error:
+        except BaseException as error:
+            shutil.rmtree(partial, ignore_errors=True)
+            if not isinstance(error, OSError):
+                raise
             raise InputError(f"{block.path}: cannot be written ({error.strerror}); check that the "
                              "disk has space, and that nothing else has that name") from error
         return block

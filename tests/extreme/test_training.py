@@ -20,7 +20,6 @@ from tests.tiny_training import CITY, LEVELLED, options_of, records, trained
 
 SCHEDULES = {"constant": {"reset_every": 0}, "sig": {**LEVELLED, "reproject": "auto"}}
 STEPS = 200
-QUICK = {("black", "sig")}
 SLOW = pytest.mark.slow
 # nothing is left of these models, and what ends a training is said
 EMPTIED = {("rates_x1000", "sig"), ("crowded", "sig"), ("transparent", "sig"),
@@ -54,9 +53,9 @@ def prepared(city, case, schedule, folder):
     return scene, options
 
 
-@pytest.mark.parametrize("name, schedule", [
-    pytest.param(name, schedule, marks=() if (name, schedule) in QUICK else SLOW)
-    for name in CASES for schedule in SCHEDULES])
+@SLOW
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("name", CASES)
 def test_stiff(city, item_device, tmp_path, monkeypatch, name, schedule):
     case = CASES[name]
     scene, options = prepared(city, case, schedule, tmp_path)

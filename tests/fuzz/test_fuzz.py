@@ -27,11 +27,7 @@ def fuzzed(*words, seconds):
     return done.stdout
 
 
-def test_some_mutations():
-    fuzzed("--count", 60, seconds=120)
-
-
 @pytest.mark.slow
-def test_more_mutations():
+def test_mutations():
     """`python -m tests.fuzz --count 20000` is the long way."""
     fuzzed("--count", 2000, "--seed", 1, seconds=600)

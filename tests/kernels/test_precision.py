@@ -185,6 +185,7 @@ def test_the_order_of_another_device_is_taken(double_device):
     assert errors(result(all_equal), plain)["image_max"] > 0.01
 
 
+@pytest.mark.slow
 def test_frames_that_share_a_device_keep_their_variant(float_device):
     """Variants are timed in turn: each must run as itself, whichever was prepared last."""
     devices, scene = Devices(float_device.handle, float_device.form), city(300, (64, 48))

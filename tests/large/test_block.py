@@ -258,6 +258,7 @@ def test_exposures_keep_the_mean_they_started_with(float_device):
         [(0, 1)]).download(), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, city, tmp_path):
     # longer than an epoch: they are recentred on the way
     options = {**LEVELLED, **KEEPS, "reproject": "off", "iterations": 40, "test_every": 8}

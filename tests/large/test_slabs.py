@@ -207,6 +207,7 @@ def test_a_model_that_fits_is_rendered_in_one_piece(float_device, monkeypatch):
     assert isinstance(renderer, SlabRenderer) and isinstance(parts, Parts)
 
 
+@pytest.mark.slow
 def test_a_model_that_does_not_fit_is_evaluated_all_the_same(float_device, tmp_path, monkeypatch):
     city = read_scene(CITY)
     run = RunFolder.create(tmp_path)

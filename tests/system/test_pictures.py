@@ -38,6 +38,7 @@ def test_without_held_out_views_it_begins_with_training_views(item_device, city,
     assert heading == "Training views" and len(set(names)) == 3
 
 
+@pytest.mark.slow
 def test_eval_writes_panels_that_it_names_and_renews_the_report(run):
     page = run.path / "report.html"
     whole = page.read_text()

@@ -37,9 +37,17 @@ def psnr_of(run):
     return records(run, "eval")[-1]["psnr"]
 
 
-def test_it_learns(float_device, city, tmp_path):
+def test_it_learns(item_device, city, tmp_path):
     """Measured: 22.3 dB; the photos' own mean colour gives 15."""
-    run = trained(tmp_path / "run", city, float_device, **STILL, iterations=200)
+    learns(trained(tmp_path / "run", city, item_device, **STILL, iterations=200))
+
+
+@pytest.mark.slow
+def test_it_learns_in_group_form(group_device, city, tmp_path):
+    learns(trained(tmp_path / "run", city, group_device, **STILL, iterations=200))
+
+
+def learns(run):
     losses = [record["loss"] for record in records(run, "step")]
     assert losses[0] > 0.25 and losses[1] < 0.5 * losses[0] and losses[2] < 0.9 * losses[1]
     scores = records(run, "eval")[-1]
@@ -72,6 +80,7 @@ def test_growth_is_recorded_and_adds_up(item_device, city, tmp_path):
     assert read_ply(run.path / "point_cloud.ply").count == count
 
 
+@pytest.mark.slow
 def test_max_gaussians_is_reached_and_never_passed(item_device, city, tmp_path):
     cap = len(city.points) + 600
     run = trained(tmp_path / "run", city, item_device, max_gaussians=cap, prune_opacity=0.0)
@@ -380,6 +389,7 @@ def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, 
     assert after == pytest.approx(before, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_eight_evaluations_by_default(item_device, city, tmp_path, monkeypatch):
     monkeypatch.setattr(clock, "EVALUATION_SHARE", 1e9)
     run = trained(tmp_path / "all", city, item_device, **STILL, iterations=30, eval_every="auto")

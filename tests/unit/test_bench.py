@@ -123,6 +123,7 @@ def test_a_better_variant_is_named():
     assert text.count("no worse and faster: ") == 1
 
 
+@pytest.mark.slow
 def test_pages_of_the_records_of_several_machines(tmp_path):
     for name, usual in (("one", 10.0), ("two", 40.0)):
         (tmp_path / name).write_text(

@@ -118,6 +118,7 @@ def test_distorted_is_refused_with_a_command(tmp_path):
             f"--output_path '{tmp_path}/town_undistorted'")
 
 
+@pytest.mark.slow
 @needs_data
 def test_the_command_of_the_refusal_works(tmp_path):
     shutil.copytree(DATA / "boruszyn_distorted", tmp_path / "kite", copy_function=shutil.copyfile)

@@ -311,6 +311,7 @@ def clsplat_(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 def test_the_command_says_it_all(monkeypatch, item_device):
     monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: item_device)
     result = clsplat_("plan", CITY, "-r", 8, "-n", 60, "--schedule", "constant", "--sh-degree",

@@ -58,6 +58,7 @@ def test_the_lowest_degree_that_costs_little(tmp_path, item_device, city, monkey
     assert thin.needed_sh_degree(run, item_device, cost) == (degree, list(scores))
 
 
+@pytest.mark.slow
 def test_harmonics_that_carry_nothing_are_found(tmp_path, item_device, city):
     gaussians = strewn(city, 4400, 3)
     gaussians.sh_rest[:, :3] = 0.3  # of the first degree

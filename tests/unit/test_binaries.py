@@ -1,0 +1,106 @@
+"""Compiled kernels are read back in the next process, and only where they are what was written."""
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from clsplat.device import Device, Kernel, binaries
+from clsplat.render import blend
+
+SOURCE = """
+__kernel void twice(uint count, __global const float *values, __global float *results)
+{
+    results[get_global_id(0)] = 2 * values[get_global_id(0)];
+}
+"""
+TWICE = Kernel("twice.cl", "twice", count="uint", values=("float", "N"), results=("float", "N"))
+SWAPPED = Kernel("swapped.cl", "twice", count="uint", results=("float", "N"),
+                 values=("float", "N"))
+
+
+@pytest.fixture
+def folder(float_device, tmp_path, monkeypatch):
+    """Where binaries are kept: nothing yet."""
+    monkeypatch.setattr(binaries, "PLATFORMS", (float_device.handle.platform.name,))
+    monkeypatch.setattr(binaries.Path, "home", lambda: tmp_path)
+    return tmp_path / ".cache" / "clsplat" / "kernels"
+
+
+def build(device, source=SOURCE, options=("-cl-kernel-arg-info",), kernels=(TWICE,)):
+    return binaries.build(device.context, device.handle, source, list(options), kernels)
+
+
+def was_compiled(program):
+    return program.get_info(cl.program_info.SOURCE) != ""
+
+
+def doubled(device, program):
+    values, results = device.upload([1, 2.5]), device.empty(2)
+    cl.Kernel(program, "twice")(
+        device.queue, (2,), None, np.uint32(2), values.buffer, results.buffer)
+    return results.download().tolist()
+
+
+def test_a_binary_is_read_back(float_device, folder):
+    assert was_compiled(build(float_device)) and len(list(folder.iterdir())) == 1
+    again = build(float_device)
+    assert not was_compiled(again) and doubled(float_device, again) == [2, 5]
+
+
+def test_whatever_changes_the_program_compiles_again(float_device, folder, monkeypatch):
+    build(float_device)
+    assert was_compiled(build(float_device, SOURCE + "\n"))
+    assert was_compiled(build(float_device, options=("-cl-kernel-arg-info", "-DX=1")))
+    monkeypatch.setattr(binaries, "_headers", lambda: ["another header"])
+    assert was_compiled(build(float_device))
+    assert len(list(folder.iterdir())) == 4
+
+
+@pytest.mark.parametrize("damage", [
+    lambda data: data[:-1], lambda data: b"", lambda data: data[40:],
+    lambda data: data[:50] + b"x" + data[51:]])
+def test_a_damaged_binary_is_not_used(float_device, folder, damage):
+    build(float_device)
+    file, = folder.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(damage(whole))
+    assert was_compiled(build(float_device))
+    assert not was_compiled(build(float_device)), "and it was replaced"
+
+
+def test_a_kernel_that_is_declared_wrongly_is_not_kept(float_device, folder):
+    assert was_compiled(build(float_device, kernels=(SWAPPED,)))
+    assert was_compiled(build(float_device, kernels=()))
+    assert not folder.exists()
+
+
+def test_a_home_that_cannot_be_written_costs_nothing(float_device, tmp_path, monkeypatch, folder):
+    (tmp_path / ".cache").write_text("not a folder")
+    assert doubled(float_device, build(float_device)) == [2, 5]
+
+
+def test_a_user_without_a_home(float_device, monkeypatch, folder):
+    def nobody():
+        raise RuntimeError("Could not determine home directory.")
+    monkeypatch.setattr(binaries.Path, "home", nobody)
+    assert doubled(float_device, build(float_device)) == [2, 5]
+
+
+def test_what_was_long_unused_is_removed(float_device, folder):
+    build(float_device)
+    old, = folder.iterdir()
+    binaries.os.utime(old, (1, 1))
+    build(float_device, SOURCE + "\n")
+    assert not old.exists() and len(list(folder.iterdir())) == 1
+
+
+def test_platforms_with_a_cache_of_their_own_are_left_alone(float_device, folder, monkeypatch):
+    monkeypatch.setattr(binaries, "PLATFORMS", ())
+    assert was_compiled(build(float_device)) and not folder.exists()
+
+
+def test_both_forms_of_the_blend_kernel_are_kept(float_device, folder):
+    for form in ("item", "group"):
+        device = Device(float_device.handle, form=form)
+        device._build(blend.BLEND[form], blend.blend_defines(device, True, False))
+    assert len(list(folder.iterdir())) == 2
