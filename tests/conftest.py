@@ -19,7 +19,7 @@ if WORKER:  # PoCL's cache of built kernels is not safe across processes
     folder.mkdir(parents=True, exist_ok=True)
     os.environ.setdefault("POCL_CACHE_DIR", str(folder))
 
-from clsplat.device import Device, list_devices  # noqa: E402  (reads the environment above)
+from clsplat.device import Device, choose_device, list_devices  # noqa: E402  (reads the environment above)
 
 FORMS, PRECISIONS = ("item", "group"), ("float", "double")
 FIXTURES = {  # name -> the forms and precisions it stands for
@@ -117,6 +117,13 @@ class ExactBuffers:
 @pytest.fixture
 def device(request, opened):
     return _open(request, opened)
+
+
+@pytest.fixture(scope="session")
+def item_device():
+    """Where neither form nor precision matters: the device that users get, in its quicker form."""
+    wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "all")
+    return choose_device("auto" if wanted == "all" else wanted, form="item")
 
 
 @pytest.fixture

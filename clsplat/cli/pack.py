@@ -1,5 +1,6 @@
 """`clsplat pack`: a scene and its photos in one file."""
 
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -29,13 +30,17 @@ def pack(scene, output, downscale, images, overwrite):
     if output.suffix != ".npz":
         raise InputError(f"{output}: a packed scene is told by its suffix; let --output end in "
                          ".npz")
-    if output.exists() and not overwrite:
-        raise InputError(f"{output}: is there already; replace it with --overwrite, or choose "
-                         "another --output")
+    truth, beside = geometry_path(scene), geometry_path(output)
+    for made in (output, beside) if truth.is_file() else (output,):
+        if made.exists() and not overwrite:
+            raise InputError(f"{made}: is there already; replace it with --overwrite, or choose "
+                             "another --output")
     data = read_scene(scene, images)
-    write_packed(data, output, downscale)
-    truth = geometry_path(scene)
-    if truth.is_file():
-        with replacing(geometry_path(output)) as file:
-            file.write(truth.read_bytes())
+    with ExitStack() as stack:
+        if truth.is_file():
+            content = truth.read_bytes()
+            file = stack.enter_context(replacing(beside, content))
+            file.write(content)
+            file.flush()  # it has its space before the photos take the rest
+        write_packed(data, output, downscale)
     click.echo(f"{output}: {len(data.views)} photos, {output.stat().st_size / 1e6:,.1f} MB")

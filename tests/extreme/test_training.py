@@ -1,11 +1,9 @@
 """Stiff trainings end well, or end plainly: finite numbers, and a line that says what is wrong."""
 
-import os
 
 import numpy as np
 import pytest
 
-from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.frequency import scene_frequency
 from clsplat.gaussians import mean_inverse_distance, neighbour_distance
@@ -29,12 +27,6 @@ SETTLED = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 600, "downscal
            "densify_every": 0, "reset_every": 0, "prune_opacity": 0.005}
 GROWING = {**SETTLED, "iterations": 200, "pixels_per_gaussian": 20.0, "rounds": 3,
            "densify_from": 20, "level_reset": False}
-
-
-@pytest.fixture(scope="module")
-def item_device():
-    wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "all")
-    return choose_device("auto" if wanted == "all" else wanted, form="item")
 
 
 @pytest.fixture(scope="module")

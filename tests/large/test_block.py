@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from clsplat.blocks import cut, largest_sizes, seen_pixels, trainable
 from clsplat.camera import Camera
 from clsplat.cli.main import main
-from clsplat.device import choose_device
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply, write_ply
@@ -33,11 +32,6 @@ KEEPS = {"checkpoint_every": 0, "reset_every": 0, "eval_every": 0}
 @pytest.fixture(scope="module")
 def city():
     return read_scene(CITY)
-
-
-@pytest.fixture(scope="module")
-def item_device():
-    return choose_device("auto", form="item")
 
 
 def region_of(scene, share, margin=0.0):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from clsplat import lod
-from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.evaluate.metrics import psnr
 from clsplat.evaluate.views import run_options
@@ -31,11 +30,6 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def scene():
     return read_scene(CITY)
-
-
-@pytest.fixture(scope="module")
-def item_device():
-    return choose_device("auto", form="item")
 
 
 @pytest.fixture(scope="module")

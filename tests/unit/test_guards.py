@@ -1,11 +1,9 @@
 """What is not finite: gradients are skipped, counted and told of; what is spoilt is never saved."""
 
-import os
 
 import numpy as np
 import pytest
 
-from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
@@ -88,12 +86,6 @@ def test_finite(value, good, shape):
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     return read_scene(write_scene(tmp_path_factory.mktemp("scene")))
-
-
-@pytest.fixture(scope="module")
-def item_device():
-    wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "all")
-    return choose_device("auto" if wanted == "all" else wanted, form="item")
 
 
 @pytest.fixture

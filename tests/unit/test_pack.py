@@ -3,6 +3,7 @@
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
+from clsplat.errors import InputError
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.synth.write import GEOMETRY
 from tests.tiny_model import write_scene
@@ -22,6 +23,20 @@ def test_a_scene_is_packed_with_its_geometry(tmp_path):
     assert (tmp_path / f"town.{GEOMETRY}").read_text() == "{}"
     assert pack(folder, "-o", tmp_path / "half.npz", "-r", "2")[0] == 0
     assert read_scene(tmp_path / "half.npz").views[0].camera.width == 24
+
+
+def test_both_files_are_there_or_none(tmp_path, monkeypatch):
+    def full(*_):
+        raise InputError("town.npz: cannot be written")
+    folder = write_scene(tmp_path / "town")
+    (folder / GEOMETRY).write_text("{}")
+    with monkeypatch.context() as patch:
+        patch.setattr("clsplat.io.packed.write_packed", full)
+        assert pack(folder, "-o", tmp_path / "town.npz")[0] == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["town"]
+    (tmp_path / f"town.{GEOMETRY}").write_text("mine")
+    code, said = pack(folder, "-o", tmp_path / "town.npz")
+    assert code == 2 and "--overwrite" in said and not (tmp_path / "town.npz").exists()
 
 
 def test_nothing_is_replaced_unless_asked(tmp_path):

@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.cli.plan import duration
-from clsplat.device import choose_device
 from clsplat.device.device import Held
 from clsplat.gaussians import Gaussians
 from clsplat.io.images import write_image
@@ -35,13 +34,6 @@ from tests.tiny_training import CITY, options_of, records, trained
 @pytest.fixture(scope="module")
 def city():
     return read_scene(CITY).reduced(4)
-
-
-@pytest.fixture(scope="module")
-def item_device():
-    """Where the kernel form does not matter."""
-    wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "all")
-    return choose_device("auto" if wanted == "all" else wanted, form="item")
 
 
 def emptied(device, monkeypatch):
