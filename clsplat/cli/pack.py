@@ -18,7 +18,7 @@ from clsplat.errors import InputError
 @click.option("--images", default="", help="Folder of the photos, from SCENE's own (none: images).")
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 def pack(scene, output, downscale, images, overwrite):
-    """Put SCENE and its photos into one file, for machines without pycolmap.
+    """Put SCENE and its photos into one file, to be carried to another machine.
 
     Every command takes the file as it takes a scene's folder. The geometry of a synthetic city
     goes beside it, for `clsplat eval`.

@@ -1,26 +1,15 @@
 """Reads a COLMAP reconstruction as a scene."""
 
-import io
-import json
-import signal
-import subprocess
-import sys
+import struct
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-import clsplat
 from clsplat.errors import InputError
 from clsplat.io.checks import checked_scene
-from clsplat.io.colmap_files import check_files, find_model, model_notes
-from clsplat.io.reason import clean
-from clsplat.io.regular import native
+from clsplat.io.colmap_format import PARTS
+from clsplat.io.colmap_model import model_arrays
+from clsplat.io.regular import native, open_regular, read_regular
 from clsplat.io.sources import IMAGES, checked_photos, photo_folder
-
-# far beyond what a healthy model takes: some 20 MB/s binary, 5 MB/s text
-SECONDS = 120
-BYTES_PER_SECOND = 1e6
 
 
 def read_colmap(folder, images=""):
@@ -44,11 +33,9 @@ def read_colmap(folder, images=""):
 
 
 def read_model(folder, may_be_empty=()):
-    """(folder of its model, arrays of `colmap_child.model_arrays`) of a scene folder, wherever its
-    photos are; may_be_empty: see `check_files`. Raises InputError where the model is damaged."""
+    """(folder of its model, its `model_arrays`) of a scene folder, wherever its photos are."""
     model = find_model(folder)
-    check_files(model, may_be_empty)
-    return model, _read_in_child(model)
+    return model, model_arrays(model, may_be_empty)
 
 
 def _undistort(folder, images, model, names):
@@ -61,54 +48,56 @@ def _undistort(folder, images, model, names):
             f"pycolmap.undistort_images('{target}', '{model}', '{images}')\"`, then use {target}")
 
 
-def _read_in_child(model):
-    """The arrays of `colmap_child.model_arrays`; any way to fail becomes one InputError."""
-    limit = SECONDS + sum(
-        f.stat().st_size for f in model.iterdir() if f.is_file()) / BYTES_PER_SECOND
+def find_model(folder):
+    """The folder of the sparse model of a scene folder: sparse/0, sparse, or the folder itself,
+    else the one of most images below sparse/."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give a scene folder with images and sparse/0")
+    for model in (folder / "sparse" / "0", folder / "sparse", folder):
+        if _is_model(model):
+            return model
+    others = _numbered_models(folder)
+    if others:
+        return max(others, key=registered)
+    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make "
+                     "one with COLMAP or pycolmap (recipe: docs/photos.md), or give another folder")
+
+
+def model_notes(folder, model):
+    """Lines about the models of a scene folder that are not used."""
+    others = [other for other in _numbered_models(Path(folder)) if other != model]
+    largest = max(others, key=registered, default=None)
+    if model.parent.name != "sparse" or largest is None and model.name == "0":
+        return
+    used = f"the model sparse/{model.name} is used, with {registered(model)} images"
+    if largest is None:
+        yield f"{used}: there is no sparse/0"
+    elif registered(largest) > registered(model):
+        yield (f"{used}, and sparse/{largest.name} has {registered(largest)}: COLMAP has split the "
+               f"scene; to train the larger part, move it to sparse/0 of a folder of its own")
+    elif model.name != "0":
+        yield f"{used}: the largest of {len(others) + 1} below sparse/, where there is no sparse/0"
+
+
+def _is_model(folder):
+    return any((folder / f"{part}.{kind}").exists() for part in PARTS for kind in ("bin", "txt"))
+
+
+def _numbered_models(folder):
+    """The models sparse/N of a scene folder, by number."""
+    found = (path for path in (folder / "sparse").glob("*") if path.name.isdecimal())
+    return sorted((path for path in found if _is_model(path)), key=lambda path: int(path.name))
+
+
+def registered(model):
+    """How many images a model says it has; 0 where it is damaged."""
     try:
-        code, output, complaint = _run_child(model, limit)
-    except subprocess.TimeoutExpired:
-        raise InputError(f"{model}: pycolmap did not finish reading the model in {limit:.0f} "
-                         "seconds; it is damaged: copy it again") from None
-    if code != 0:
-        cause = clean(_cause(code, complaint.decode(errors="replace")))
-        if "No module named 'pycolmap'" in cause:
-            raise InputError(f"{model}: reading it needs pycolmap; install it, or pack the scene "
-                             "with `clsplat pack` on a machine that has it")
-        if "MemoryError" in cause or "bad_alloc" in cause:
-            raise InputError(f"{model}: the model needs more memory than there is ({cause}); "
-                             "free some")
-        raise InputError(f"{model}: pycolmap cannot read the model ({cause}); "
-                         "it is damaged: copy it again, or reconstruct the scene")
-    stream = io.BytesIO(output)
-    return {name: np.lib.format.read_array(stream, allow_pickle=False)
-            for name in json.loads(stream.readline())}
-
-
-def _run_child(model, limit):
-    """(exit code, standard output and error as bytes) of the child; ended after `limit` seconds.
-
-    It gets this process's search path: `python -m` would import what lies in the current folder,
-    which may be a scene from elsewhere. Results come through a pipe: no disk can be full.
-    """
-    root = str(Path(clsplat.__file__).parents[1])
-    code = ("import sys; sys.path[:] = sys.argv[2:]; "
-            "from clsplat.io.colmap_child import main; main(sys.argv[1])")
-    done = subprocess.run(
-        [sys.executable, "-I", "-c", code, str(model.resolve()), root, *filter(None, sys.path)],
-        stdin=subprocess.DEVNULL, check=False, capture_output=True, timeout=limit)
-    return done.returncode, done.stdout, done.stderr
-
-
-def _cause(code, complaint):
-    """One line from what a failed child left: its exception, a failed check, or its signal."""
-    lines = [line.strip() for line in complaint.splitlines() if line.strip()]
-    if code > 0 and lines:
-        return lines[-1]
-    checks = [line for line in lines if "Check failed" in line or "what():" in line]
-    if checks:
-        return checks[0]
-    try:
-        return f"it ended by {signal.Signals(-code).name}"
-    except ValueError:
-        return f"it ended with code {code}"
+        if (model / "images.bin").exists():
+            with open_regular(model / "images.bin") as file:
+                return struct.unpack("<Q", file.read(8))[0]
+        lines = read_regular(model / "images.txt").splitlines()
+        # two a photo, of which the second may be empty
+        return -(-sum(not line.startswith(b"#") for line in lines) // 2)
+    except (OSError, struct.error):
+        return 0

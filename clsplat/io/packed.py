@@ -1,4 +1,4 @@
-"""A whole scene in one .npz, for machines that have neither pycolmap nor the photo folder.
+"""A whole scene in one .npz, for machines that have no folder of its photos.
 
 Keys: names[V]; V float64[V, 4, 4] world to camera; K float64[V, 3, 3] and wh int[V, 2], pixels;
 xyz float64[N, 3] and rgb uint8[N, 3]; offset float64[3], what was subtracted from the original

@@ -13,7 +13,6 @@ import random
 import resource
 import shutil
 import signal
-import struct
 import tempfile
 import time
 import traceback
@@ -24,7 +23,6 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.io import colmap, colmap_child
 from clsplat.io.checks import CONTROL
 from tests.fuzz.mutate import mutated
 
@@ -32,13 +30,12 @@ SECONDS = 10  # a case that takes longer hangs
 MEMORY_BYTES = 512 << 20  # a reader may take so much more than its process had
 POLL_SECONDS = 0.02
 LONGEST = 1000  # characters of a message
-HEAD = struct.Struct("<BQ")  # of a child's answer: exit code, length
 CASE, STARTED, ACCEPTED, REFUSED, WORST, PEAK, END = range(7)  # a worker's row in shared memory
 
 
 @dataclass
 class Outcome:
-    """seconds: of the slowest case; peak_bytes: most that a worker, or a child of it, held; faults:
+    """seconds: of the slowest case; peak_bytes: most that a worker held; faults:
     (case, one line) each."""
 
     cases: int = 0
@@ -109,7 +106,7 @@ def _look_at(process, reader, seeds, seed, running, outcome):
     if not ended:
         if time.monotonic() - row[STARTED] < SECONDS:
             return
-        os.killpg(process, signal.SIGKILL)  # and the child it waits for
+        os.kill(process, signal.SIGKILL)
         os.waitpid(process, 0)
     del running[process]
     if ended and status == 0:
@@ -124,7 +121,6 @@ def _look_at(process, reader, seeds, seed, running, outcome):
 
 
 def _work(reader, seeds, seed, cases, row, folder):
-    os.setpgid(0, 0)
     shutil.rmtree(folder / "scratch", ignore_errors=True)  # of a worker that died
     places = [write_seed(content, folder / str(at)) for at, content in enumerate(seeds)]
     known = {place / name for place, content in zip(places, seeds) for name in content}
@@ -134,7 +130,6 @@ def _work(reader, seeds, seed, cases, row, folder):
     warnings.simplefilter("error", RuntimeWarning)  # numpy's: a reader says what is wrong itself
     _limit_memory()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libpng tells stderr all that it meets
-    colmap._run_child = Child(folder / "complaints")
     gc.freeze()
     refused = [fault for fault in (try_case(reader, place) for place in places) if fault != ""]
     if refused:
@@ -157,9 +152,7 @@ def _work(reader, seeds, seed, cases, row, folder):
         if fault:
             with open(folder / "faults.jsonl", "a") as file:
                 file.write(json.dumps([case, fault]) + "\n")
-    colmap._run_child.close()
-    row[PEAK] = max(row[PEAK], 1024 * max(resource.getrusage(who).ru_maxrss for who in (
-        resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
+    row[PEAK] = max(row[PEAK], 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def try_case(reader, folder):
@@ -186,62 +179,3 @@ def _limit_memory():
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-
-
-class Child:
-    """In place of `colmap._run_child`: one forked child reads model after model until it dies,
-    without the half second that starting Python takes each time."""
-
-    def __init__(self, complaints):
-        self.complaints, self.process = complaints, None
-
-    def __call__(self, model, limit):
-        if self.process is None:
-            self._start()
-        os.write(self.tasks, json.dumps(str(model)).encode() + b"\n")
-        head = self.answers.read(HEAD.size)
-        if len(head) < HEAD.size:
-            return self.close(), b"", self._complaint()
-        code, length = HEAD.unpack(head)
-        return code, self.answers.read(length), self._complaint()
-
-    def close(self):
-        """The exit code of the child, which ends when nobody can ask any more."""
-        if self.process is None:
-            return 0
-        os.close(self.tasks)
-        self.answers.close()
-        _, status = os.waitpid(self.process, 0)
-        self.process = None
-        return os.waitstatus_to_exitcode(status)
-
-    def _complaint(self):
-        with open(self.complaints, "r+b") as file:
-            text = file.read()
-            file.truncate(0)
-        return text
-
-    def _start(self):
-        tasks, self.tasks = os.pipe()
-        receiver, answers = os.pipe()
-        self.answers = os.fdopen(receiver, "rb")
-        self.process = os.fork()
-        if self.process:
-            os.close(tasks)
-            os.close(answers)
-            return
-        os.close(self.tasks)
-        self.answers.close()
-        os.dup2(os.open(self.complaints, os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
-        out = os.fdopen(answers, "wb")
-        for line in os.fdopen(tasks, "rb"):
-            code, content = 0, b""
-            try:
-                content = colmap_child.encoded(colmap_child.model_arrays(json.loads(line)))
-            except Exception:
-                os.write(2, traceback.format_exc().encode(errors="replace"))
-                code = 1
-            out.write(HEAD.pack(code, len(content)))
-            out.write(content)
-            out.flush()
-        os._exit(0)

@@ -64,22 +64,6 @@ def write_members(path, found, **how):
     return path
 
 
-@pytest.mark.parametrize("kind", ["bin", "txt"])
-def test_frames_that_claim_more_than_there_is(tmp_path, kind):
-    """pycolmap looped over a frame's four thousand million data until its time was up, minutes."""
-    path = write_scene(tmp_path, text=kind == "txt") / "sparse" / "0" / f"frames.{kind}"
-    data = path.read_bytes()
-    if kind == "bin":
-        path.write_bytes(data[:72] + struct.pack("<I", 2**32 - 1) + data[76:])
-    else:
-        rows = data.splitlines(keepends=True)
-        fields = rows[-1].split()
-        rows[-1] = b" ".join([*fields[:9], b"4294967295", *fields[10:]]) + b"\n"
-        path.write_bytes(b"".join(rows))
-    with pytest.raises(InputError, match=rf"frames\.{kind}.*copy the model again"):
-        read_scene(tmp_path)
-
-
 @pytest.mark.parametrize("old, new, did", [
     (b"(30, 3)", b"(30, 3 ", "tokenize.TokenError, out of numpy's parser of headers"),
     (b"(30, 3), }" + b" " * 11, b"(1000000000000, 3), }", "allocated 24 TB"),

@@ -1,5 +1,5 @@
-"""The sample city and a device, as the system tests have them."""
+"""The sample city, as the system tests have it."""
 
-from tests.system.conftest import city, item_device
+from tests.system.conftest import city
 
-__all__ = ["city", "item_device"]
+__all__ = ["city"]

@@ -11,19 +11,12 @@ from dataclasses import replace
 import numpy as np
 import plyfile
 
-from clsplat.io import colmap, colmap_child
 from clsplat.io.colmap_write import Tracks, write_colmap
 
 OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes right, down, forward to right, up, back
 # torch's world axes of Mega-NeRF: right, down, forward to down, right, back
 DRB = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
 STORAGES = {"float32": "Float", "float64": "Double", "int64": "Long"}
-
-
-def read_models_here(monkeypatch):
-    """Healthy models need no child process each, which takes a second."""
-    monkeypatch.setattr(colmap, "_run_child", lambda model, limit: (
-        0, colmap_child.encoded(colmap_child.model_arrays(model)), b""))
 
 
 def every_fourth(scene):

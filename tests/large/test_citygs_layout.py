@@ -11,7 +11,6 @@ from clsplat.io.scenes import read_scene
 from tests.large.layouts import (
     assert_same_cameras,
     every_fourth,
-    read_models_here,
     world_points,
     write_citygs,
 )
@@ -24,11 +23,6 @@ HELD_OUT = {"000.jpg", "012.jpg", "028.jpg"}
 @pytest.fixture(scope="module")
 def city():
     return every_fourth(read_scene(CITY))
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    read_models_here(monkeypatch)
 
 
 def name(old):

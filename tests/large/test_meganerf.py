@@ -18,7 +18,6 @@ from clsplat.io.torch_archive import read_torch
 from tests.large.layouts import (
     assert_same_cameras,
     every_fourth,
-    read_models_here,
     torch_file,
     world_points,
     write_meganerf,
@@ -79,8 +78,7 @@ def test_numbers_of_single_precision(tmp_path, city):
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
 
 
-def test_points_of_the_colmap_model_the_poses_came_from(folder, city, monkeypatch):
-    read_models_here(monkeypatch)
+def test_points_of_the_colmap_model_the_poses_came_from(folder, city):
     write_model(folder / "sparse/0", city, city.views, np.arange(300))
     scene = read_scene(folder)
     np.testing.assert_allclose(world_points(scene), world_points(city)[:300], atol=1e-9)

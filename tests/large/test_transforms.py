@@ -19,7 +19,6 @@ from tests.large.layouts import (
     camera_angle,
     every_fourth,
     intrinsics,
-    read_models_here,
     world_points,
     write_export,
     write_json,
@@ -127,8 +126,7 @@ def test_matrixcity_export(tmp_path, city):
     assert scene.views[1].source == tmp_path / "0001.png" and scene.held_out is None
 
 
-def test_points_of_a_colmap_model_that_nerfstudio_turned(tmp_path, city, monkeypatch):
-    read_models_here(monkeypatch)
+def test_points_of_a_colmap_model_that_nerfstudio_turned(tmp_path, city):
     table = write_transforms(tmp_path, city)
     (tmp_path / "sparse_pc.ply").unlink()
     some = np.arange(0, 400)
@@ -195,8 +193,7 @@ def test_drawn_points_follow_the_unit_and_need_two_places():
             draw_points("a", blind)
 
 
-def test_a_colmap_model_goes_first(tmp_path, city, monkeypatch):
-    read_models_here(monkeypatch)
+def test_a_colmap_model_goes_first(tmp_path, city):
     write_transforms(tmp_path, city)
     write_model(tmp_path / "sparse/0", city, city.views, np.arange(len(city.points)))
     assert read_scene(tmp_path).observations is not None

@@ -10,9 +10,9 @@ from clsplat.plan import thin
 from clsplat.plan.rehearsal import strewn
 from clsplat.render.pipeline import Renderer
 from tests.tiny_training import CITY
-from tests.unit.test_plan import city, clsplat_, item_device
+from tests.unit.test_plan import city, clsplat_
 
-__all__ = ["city", "item_device"]
+__all__ = ["city"]
 
 
 def faint(gaussians, rows, logit):

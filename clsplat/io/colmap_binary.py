@@ -1,0 +1,107 @@
+"""The binary form of a COLMAP sparse model; see `colmap_format`.
+
+Records have no fixed size, so they are walked, and a count that the file cannot hold is noticed.
+"""
+
+import struct
+
+import numpy as np
+
+from clsplat.io.colmap_format import CAMERA_MODELS, Camera, Image, Points
+from clsplat.io.regular import open_regular
+
+CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters
+IMAGE = struct.Struct("<I7dI")  # id, quaternion (wxyz), translation, camera's id; then the name
+OBSERVATION_BYTES = 24  # of a point in an image: x, y, point's id
+POINT = np.dtype([("id", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), ("error", "<f8"),
+                  ("length", "<u8")])  # then the track
+TRACK = np.dtype([("image", "<u4"), ("observation", "<u4")])
+
+
+def read_binary(path, part):
+    """The cameras {number: Camera}, [Image] or Points of a file; ValueError says what is wrong."""
+    with open_regular(path) as file:
+        size = file.seek(0, 2)
+        if size < 8:
+            raise ValueError(f"empty or cut short ({size} bytes)")
+        data = np.memmap(file, np.uint8, "r")
+    count = struct.unpack_from("<Q", data)[0]
+    try:
+        return READERS[part](data, count)
+    except (struct.error, IndexError, OverflowError):
+        raise ValueError(f"cut short ({size} bytes are too few for its {count} {part})") from None
+
+
+def _read_cameras(data, count):
+    cameras, position, models = {}, 8, list(CAMERA_MODELS.items())
+    for _ in range(count):
+        number, model, width, height = CAMERA.unpack_from(data, position)
+        if not 0 <= model < len(models):
+            raise ValueError(f"camera {number} is of a model that COLMAP does not have ({model})")
+        if number in cameras:
+            raise ValueError(f"camera {number} is there twice")
+        name, parameters = models[model]
+        position += CAMERA.size
+        cameras[number] = Camera(
+            name, width, height, struct.unpack_from(f"<{parameters}d", data, position))
+        position += 8 * parameters
+    return cameras
+
+
+def _read_images(data, count):
+    images, position = [], 8
+    for _ in range(count):
+        number, *pose, camera = IMAGE.unpack_from(data, position)
+        begin = position + IMAGE.size
+        end = _end_of_text(data, begin)
+        observed, = struct.unpack_from("<Q", data, end + 1)
+        position = end + 9 + OBSERVATION_BYTES * observed
+        images.append(Image(number, pose[:4], pose[4:], camera, _text(data[begin:end], number)))
+    if position > len(data):
+        raise IndexError
+    return images
+
+
+def _end_of_text(data, begin):
+    """Where the zero byte is that ends a text; IndexError where there is none."""
+    length = 256
+    while True:
+        found = bytes(data[begin:begin + length]).find(b"\0")
+        if found >= 0:
+            return begin + found
+        if begin + length >= len(data):
+            raise IndexError
+        length *= 16
+
+
+def _text(data, number):
+    try:
+        return bytes(data).decode()
+    except UnicodeDecodeError:
+        raise ValueError(f"the name of image {number} is not UTF-8") from None
+
+
+def _read_points(data, count):
+    places, position = [], 8
+    track, before = struct.Struct("<Q"), POINT.itemsize - 8
+    for _ in range(count):
+        places.append(position)
+        position += POINT.itemsize + TRACK.itemsize * track.unpack_from(data, position + before)[0]
+    if position > len(data):
+        raise IndexError
+    places = np.array(places, np.int64)
+    points = _records(data, places, POINT)
+    lengths = points["length"].astype(np.int64)
+    firsts = places + POINT.itemsize
+    within = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    tracks = _records(data, np.repeat(firsts, lengths) + TRACK.itemsize * within, TRACK)
+    return Points(points["id"].astype(np.int64), points["position"], points["colour"], lengths,
+                  tracks["image"].astype(np.int64))
+
+
+def _records(data, places, dtype):
+    """Records of `dtype` that begin at these bytes of `data`."""
+    return data[places[:, None] + np.arange(dtype.itemsize)].view(dtype).reshape(len(places))
+
+
+READERS = {"cameras": _read_cameras, "images": _read_images, "points3D": _read_points}

@@ -1,0 +1,114 @@
+"""Reads the arrays of a COLMAP sparse model, and refuses what is damaged or does not fit."""
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.io.colmap_binary import read_binary
+from clsplat.io.colmap_format import PARTS, PINHOLES
+from clsplat.io.colmap_text import read_text
+
+LARGEST_SIZE = 2**31  # pixels; what is more is damaged, and overflows
+
+
+def model_arrays(model, may_be_empty=()):
+    """The arrays of `checks.checked_scene`, and `distorted`, the camera models that are no
+    pinholes, of the folder of a model. Images by name, points by id.
+
+    may_be_empty: parts that may hold nothing, such as points3D of views that are only for testing.
+    Raises InputError where a file is missing, damaged, or does not fit the others.
+    """
+    kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
+    cameras, images, points = (
+        _read_part(model / f"{part}.{kind}", part, part in may_be_empty) for part in PARTS)
+    images = sorted(images, key=lambda image: image.name)
+    for image in images:
+        if image.camera not in cameras:
+            raise InputError(f"{model}: image {image.name} has camera {image.camera}, which the "
+                             "model lacks; copy the whole model again")
+    used = [cameras[image.camera] for image in images]
+    ids = np.array([image.number for image in images], np.int64)
+    _check_ids(model, "images", ids)
+    _check_ids(model, "points3D", points.ids)
+    order = np.argsort(points.ids)
+    return {
+        "names": np.array([image.name for image in images], dtype=np.str_),
+        "rotations": _rotations(np.array([image.quaternion for image in images]).reshape(-1, 4)),
+        "translations": np.array([image.translation for image in images]).reshape(-1, 3),
+        "focals": _pairs(_focal(camera) for camera in used),
+        "centres": _pairs(_centre(camera) for camera in used),
+        "sizes": np.array([(min(camera.width, LARGEST_SIZE), min(camera.height, LARGEST_SIZE))
+                           for camera in used], np.int64).reshape(-1, 2),
+        "points": points.positions[order],
+        "colours": points.colours[order],
+        "observations": _observations(ids, points, order),
+        "distorted": np.array(sorted({camera.model for camera in used} - {*PINHOLES}),
+                              dtype=np.str_),
+    }
+
+
+def _read_part(path, part, may_be_empty):
+    if not path.exists():
+        raise InputError(f"{path}: missing from the COLMAP model; copy the whole model")
+    try:
+        found = (read_binary if path.suffix == ".bin" else read_text)(path, part)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; copy the model again") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
+                         ) from None
+    if not (len(found.ids if part == "points3D" else found) or may_be_empty):
+        raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
+    return found
+
+
+def _check_ids(model, part, ids):
+    values, counts = np.unique(ids, return_counts=True)
+    if len(values) < len(ids):
+        raise InputError(f"{model}: {part} holds number {values[np.argmax(counts)]} twice; "
+                         "copy the model again, or reconstruct the scene")
+
+
+def _pairs(values):
+    return np.array(list(values), np.float64).reshape(-1, 2)
+
+
+def _focal(camera):
+    """(x, y) in pixels; of other cameras nothing is asked."""
+    return {"PINHOLE": camera.parameters[:2],
+            "SIMPLE_PINHOLE": camera.parameters[:1] * 2}.get(camera.model, (0, 0))
+
+
+def _centre(camera):
+    return camera.parameters[-2:] if camera.model in PINHOLES else (0, 0)
+
+
+def _rotations(quaternions):
+    """float64[V, 3, 3] of quaternions (wxyz); not finite where one is not, or has no length.
+
+    Those of unit length to rounding stay as they are, and products are summed as Eigen does it, so
+    that the last digit is COLMAP's.
+    """
+    with np.errstate(all="ignore"):
+        length = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        unit = np.where(np.abs(length - 1) < 1e-12, quaternions, quaternions / length)
+        w, x, y, z = unit.T
+        tx, ty, tz = 2 * x, 2 * y, 2 * z
+        return np.stack([
+            1 - (ty * y + tz * z), ty * x - tz * w, tz * x + ty * w,
+            ty * x + tz * w, 1 - (tx * x + tz * z), tz * y - tx * w,
+            tz * x - ty * w, tz * y + tx * w, 1 - (tx * x + ty * y)], axis=1).reshape(-1, 3, 3)
+
+
+def _observations(ids, points, order):
+    """int32[M, 2]: (point, image) by their places, of tracks in images that the model has."""
+    begins = np.cumsum(points.lengths) - points.lengths
+    lengths = points.lengths[order]
+    rows = np.repeat(np.arange(len(order)), lengths)
+    within = np.arange(len(rows)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    seen = points.images[np.repeat(begins[order], lengths) + within]
+    by_id = np.argsort(ids)
+    if not len(ids):
+        return np.zeros((0, 2), np.int32)
+    place = by_id[np.minimum(np.searchsorted(ids[by_id], seen), len(ids) - 1)]
+    there = ids[place] == seen
+    return np.stack([rows[there], place[there]], axis=1).astype(np.int32)
