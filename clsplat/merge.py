@@ -10,6 +10,7 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.city import PARTITION
 from clsplat.io.lock import holder, is_held
 from clsplat.io.ply import read_ply
 from clsplat.io.reason import reason
@@ -169,8 +170,8 @@ def partition_of(city, scene=None):
             partition.check_views(len(scene.views))
         return partition
     except ValueError as error:
-        raise InputError(f"{city.path}: its partition is damaged ({reason(error)}); make it again "
-                         f"with `clsplat partition {city.path}`") from None
+        raise InputError(f"{city.path / PARTITION}: damaged ({reason(error)}); make it again with "
+                         f"`clsplat partition {city.path}`") from None
 
 
 def _refuse_strangers(city, count):

@@ -76,8 +76,12 @@ class CityFolder:
                              "`clsplat city` wrote")
 
     def check_free(self):
-        """InputError where a city cannot begin here, as the folder holds a run or a block."""
-        found = [name for name in (*FILES, BLOCK, REGION) if os.path.lexists(self.path / name)]
+        """InputError where a city cannot begin here, as the folder holds a run or a block, or has
+        no coarse run but other files, such as a scene's."""
+        present = sorted(path.name for path in self.path.iterdir()) if self.path.is_dir() else []
+        found = [name for name in present if name in (*FILES, BLOCK, REGION)]
+        if not RunFolder(self.coarse).is_begun:
+            found += [name for name in present if name != self.coarse.name and name[0] != "."]
         if found:
             raise InputError(f"{self.path}: holds {found[-1]}, but no city ({CITY} is missing); "
                              "choose another --output")
@@ -205,8 +209,12 @@ class BlockFolder:
                      "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
 
     def check(self):
-        """InputError where the block lies in a city that it is no block of, be it by a link."""
+        """InputError where the block lacks its region, or lies in a city that it is no block of,
+        be it by a link."""
         record = self.read()
+        if not (self.path / REGION).is_file():
+            raise InputError(f"{self.path / REGION}: missing from the block; remove the block, and "
+                             "run `clsplat partition` again")
         above = {path.parents[1] for path in (self.path.absolute(), self.path.resolve())
                  if len(path.parents) > 1}
         for city in map(CityFolder, sorted(above)):

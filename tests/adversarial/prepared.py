@@ -20,7 +20,8 @@ LINES = {  # name -> what makes it; `half` was stopped, so that it ends with 130
 }
 
 SCRIPTS = {  # what a case's line can call
-    "clsplat": f'"{sys.executable}" -m clsplat', "python": f'"{sys.executable}"',
+    # as its console script, for `-m` would import modules of the current folder
+    "clsplat": f'"{Path(sys.executable).with_name("clsplat")}"', "python": f'"{sys.executable}"',
     "dask": f'"{sys.executable}" -m dask',
     # root to whom the permissions of files apply as to others
     "unprivileged": "setpriv --bounding-set=-dac_override,-dac_read_search,-fowner"}

@@ -220,3 +220,22 @@ def test_what_is_missing_is_named(tmp_path):
         CityFolder(tmp_path).identity()
     with pytest.raises(InputError, match=r"city.json: no such file; give a folder that"):
         CityFolder(tmp_path).read()
+
+
+def test_a_city_begins_in_a_folder_of_its_own(tmp_path):
+    folder = CityFolder(tmp_path / "out")
+    folder.check_free()
+    for name in ("coarse", ".lock"):
+        (folder.path / name).mkdir(parents=True)
+    folder.check_free()
+    (folder.path / "images").mkdir()
+    with pytest.raises(InputError, match="holds images, but no city"):
+        folder.check_free()
+
+
+def test_a_block_without_its_region_is_no_scene(city, scene, gaussians):
+    block = written(city, scene, gaussians)
+    block.check()
+    (block.path / "region.json").unlink()
+    with pytest.raises(InputError, match="region.json: missing from the block"):
+        block.check()

@@ -218,7 +218,7 @@ def test_overlapping_cells_are_refused(city, scene):
     record = city.read_partition()
     record["regions"][0]["high"][0] = 0.01
     city.write_partition(record)
-    with pytest.raises(InputError, match="its partition is damaged .*overlap.*clsplat partition"):
+    with pytest.raises(InputError, match="partition.json: damaged .*overlap.*clsplat partition"):
         merge(city, scene)
 
 
@@ -226,7 +226,7 @@ def test_cells_with_a_gap_are_refused(city, scene):
     record = city.read_partition()
     record["regions"][0]["high"][0] = -0.01
     city.write_partition(record)
-    with pytest.raises(InputError, match="its partition is damaged .*gap"):
+    with pytest.raises(InputError, match="partition.json: damaged .*gap"):
         merge(city, scene)
 
 

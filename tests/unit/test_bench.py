@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clsplat.errors import InputError
 from tools.bench import __main__ as entry
 from tools.bench import measure, numerics, precision
 from tools.bench.ceilings import Ceilings
@@ -57,11 +58,9 @@ def test_counts(text, expected):
 
 
 @pytest.mark.parametrize("text", ["", "1M,", "many", "-3", "1kk"])
-def test_a_bad_count_is_told(text, capsys):
-    with pytest.raises(SystemExit) as stopped:
+def test_a_bad_count_is_told(text):
+    with pytest.raises(InputError, match=f"'{text}' is not a list of counts such as 200k,1M,4M"):
         measure.arguments([f"--gaussians={text}"], "made", gaussians="200k")
-    assert stopped.value.code == 2
-    assert f"'{text}' is not a list of counts such as 200k,1M,4M" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -136,3 +135,9 @@ def test_pages_of_the_records_of_several_machines(tmp_path):
     assert "<h2>Exponential</h2>" in page and text.count("| Made item 2k | one |") == 1
     assert text.count("| Made item 2k | two |") == 1
     assert "| exp | Made item 2k | 40.0 | 1.00 |" in text  # beside its own machine's default
+
+
+@pytest.mark.parametrize("words", [["--repeats", "x"], ["--nothing"]])
+def test_wrong_words_are_one_line(words):
+    with pytest.raises(InputError, match=f"{words[0]}.*clsplat bench FAMILY -- --help"):
+        measure.arguments(words, "what it measures", gaussians="200k")

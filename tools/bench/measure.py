@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from clsplat.device import choose_device
+from clsplat.errors import InputError
 
 from .ceilings import measure_ceilings
 from .timing import milliseconds, spread
@@ -73,9 +74,16 @@ def _line(record):
             f"({low:.3f} to {high:.3f})  {', '.join(extra)}")
 
 
+class Parser(argparse.ArgumentParser):
+    """One whose errors are one line, as those of the command line are."""
+
+    def error(self, message):
+        raise InputError(f"{message}; see `clsplat bench FAMILY -- --help`")
+
+
 def arguments(argv, description, **defaults):
     """Parsed --json, --device, --form, --repeats and the flags of `defaults` (see `Bench`)."""
-    parser = argparse.ArgumentParser(description=description)
+    parser = Parser(description=description, prog="clsplat bench")
     parser.add_argument("--json", action="store_true", help="JSON lines instead of a table")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--form", default="auto", choices=("auto", "item", "group"))

@@ -31,8 +31,8 @@ CASES = [
              **ALL) for key in ("regions", "views", "asked", "replaces", "frame", "method")),
     *(either(f"merge-record-without-{key}", MERGE, setup=without("city/city.json", key), **ALL)
       for key in ("scene", "options", "fingerprint")),
-    refused("merge-scene-elsewhere", MERGE, "scene|sy", setup=edited("city/city.json",
-            scene="/no/such"), **ALL),
+    refused("merge-scene-elsewhere", MERGE, "/no/such", setup=edited("city/city.json",
+            scene="/no/such", scene_absolute="/no/such"), **ALL),
     refused("merge-block-model-cut", MERGE, "000", setup=truncated(
         f"{FIRST}/run/point_cloud.ply", 5000), **ALL),
     refused("merge-block-missing", MERGE, "001", setup="rm -r city/blocks/001", **ALL),

@@ -1,6 +1,6 @@
 """Environment variables, locales, time zones, missing tools and folders."""
 
-from tests.adversarial.case import either, works
+from tests.adversarial.case import either, refused, works
 from tests.adversarial.checks import evaluated, same_model
 from tests.adversarial.damage import written
 
@@ -24,7 +24,7 @@ SAME = {  # name -> variables that must change nothing
     "warnings-errors": {"PYTHONWARNINGS": "error::UserWarning"}, "tqdm": {"TQDM_DISABLE": "1"},
     "tqdm-nonsense": {"TQDM_MININTERVAL": "nope"}, "dont-buffer": {"PYTHONUNBUFFERED": "1"},
     "no-user-site": {"PYTHONNOUSERSITE": "1"}, "malloc-debug": {"PYTHONMALLOC": "debug"},
-    "device-of-blocks": {"CLSPLAT_DEVICE": "nope"}, "no-git": {"GIT_DIR": "/dev/null"},
+    "no-git": {"GIT_DIR": "/dev/null"},
     "colour": {"FORCE_COLOR": "1", "NO_COLOR": "1"}, "proxy": {"http_proxy": "nope://"},
     "oiio-threads": {"OPENIMAGEIO_THREADS": "-4"}, "dask-config": {"DASK_CONFIG": "/dev/null"},
 }
@@ -43,6 +43,7 @@ CASES = [
           setup=written("matplotlibrc", "savefig.dpi: -7\nfont.family: nope\nlines.width: x\n")),
     works("matplotlibrc-huge-font", RUN, same_model(),
           setup=written("matplotlibrc", "font.size: 1e6\nfigure.dpi: 9999\n")),
+    refused("device-of-blocks", RUN, "nope", environment={"CLSPLAT_DEVICE": "nope"}),
     either("icd-folder-missing", RUN, environment={"OCL_ICD_VENDORS": "/no/such/folder"}),
     works("modules-in-folder", RUN, same_model(),
           setup="for m in random json types enum click numpy; do echo 'raise SystemExit(9)' > "
