@@ -239,7 +239,7 @@ def from_toml(path):
         if len(data) > LARGEST_FILE:
             raise InputError(f"{path}: is larger than {LARGEST_FILE >> 20} MiB; give a TOML file "
                              "of options, such as iterations = 7000")
-        table = tomllib.loads(data.decode())
+        table = tomllib.loads(data.decode("utf-8-sig"))  # Windows editors begin with a mark
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:  # tomllib: also of integers with 4301 digits

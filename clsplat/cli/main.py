@@ -81,7 +81,8 @@ def verdict(error, signalled=0):
         return "", 128 + SIGPIPE
     if isinstance(error, OSError) and error.strerror:
         return f"error: {error.filename or 'the output'}: {error.strerror}; {CURE}", 2
-    if isinstance(error, MemoryError):
+    no_room = isinstance(error, ImportError) and "failed to map segment" in str(error)
+    if no_room or isinstance(error, MemoryError):
         return ("error: this machine has not enough memory left for this; close other programs, or "
                 "use smaller images with --downscale or --max-resolution"), 2
     return "error: this is a bug in clsplat; please report it with the lines above", BUG

@@ -14,6 +14,7 @@ from clsplat.device import binaries
 from clsplat.device.array import Array
 from clsplat.device.capabilities import probe_capabilities
 from clsplat.device.kernel import SCALARS
+from clsplat.device.runtimes import ignore_file_limits
 from clsplat.device.source import kernel_folder, kernel_source
 from clsplat.errors import TOO_LARGE, DeviceError
 
@@ -39,6 +40,7 @@ class Device:
         properties = cl.command_queue_properties.PROFILING_ENABLE if profiling else 0
         self.queue = cl.CommandQueue(self.context, handle, properties=properties)
         self.capabilities = probe_capabilities(self.context, handle)
+        ignore_file_limits()
         self.compute_units = handle.max_compute_units
         self.largest_buffer = handle.max_mem_alloc_size  # bytes
         self.group_size = min(128, handle.max_work_group_size)

@@ -9,8 +9,10 @@ import atexit
 import hashlib
 import os
 import shutil
+import signal
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
@@ -68,6 +70,13 @@ def _is_whole(folder, files):
 def _write(folder, files):
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
+
+
+def ignore_file_limits():
+    """Ignore SIGXFSZ again, as Python does: Intel's runtime handles it as a crash once it has
+    compiled, where a write that fails is an error of its own."""
+    if hasattr(signal, "SIGXFSZ") and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
 
 register()

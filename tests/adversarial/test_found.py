@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from clsplat.cli.main import main
+from clsplat.cli.main import main, verdict
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import write_ply
@@ -66,3 +66,14 @@ def test_needs_of_another_kind_are_refused(tmp_path, needs):
     run.save_checkpoint({}, state | {"fingerprint": record["fingerprint"]})
     with pytest.raises(InputError, match="options.json"):
         resume(scene, resolve({}, {}), None, run)
+
+
+def test_options_of_a_windows_editor_are_read(tmp_path):
+    (tmp_path / "run.toml").write_text("seed = 3\n", encoding="utf-8-sig")
+    assert from_toml(tmp_path / "run.toml") == {"seed": 3}
+
+
+def test_a_library_that_finds_no_memory_is_no_bug():
+    error = ImportError("libOpenImageIO.so: failed to map segment from shared object")
+    assert verdict(error)[1] == 2 and "memory" in verdict(error)[0]
+    assert verdict(ImportError("no module named x"))[1] == 1

