@@ -22,6 +22,7 @@ def replacing(path, content=None):
     path = Path(path)
     partial = path.with_name(path.name + PARTIAL)
     try:
+        _remove(partial)  # what a killed process left; were it a link, it would be followed
         with open(partial, "wb") as file:
             yield file
             file.flush()

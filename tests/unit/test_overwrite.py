@@ -8,6 +8,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
+from clsplat.io.atomic import replacing
 from clsplat.io.run import RunFolder
 
 MODEL = Gaussians.from_points(np.eye(3), np.zeros((3, 3), np.uint8), 0)
@@ -97,3 +98,12 @@ def test_a_city_is_not_overwritten_by_a_run(tmp_path, overwrite):
     with pytest.raises(InputError, match="holds a city"):
         RunFolder.create(run.path, overwrite=overwrite)
     assert run.has_model
+
+
+def test_what_a_killed_process_left_is_replaced_and_a_link_is_not_followed(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "file.part").symlink_to(tmp_path / "mine")
+    with replacing(tmp_path / "file", b"new") as file:
+        file.write(b"new")
+    assert (tmp_path / "file").read_bytes() == b"new" and not (tmp_path / "file").is_symlink()
+    assert (tmp_path / "mine").read_text() == "mine"
