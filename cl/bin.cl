@@ -4,7 +4,7 @@
 // contiguous (its slots).
 //
 // Only tiles [first_tile, end_tile), numbered row by row, are looked at: all of a frame, or a band of
-// it (clsplat/render/bands.py). Within a band tiles are numbered from its first.
+// it (clsplat/rendering/bands.py). Within a band tiles are numbered from its first.
 //
 // counts: uint[V], tiles the v-th splat from the front touches; offsets: their exclusive scan;
 // pair_tiles, pair_splats: uint[P] in emission order (a pair's index there is its slot). One writer a

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.special import expit
 
 from clsplat.errors import InputError
-from clsplat.evaluate.metrics import psnr
-from clsplat.evaluate.views import photo_of, read_cameras_for, render_view, run_options
+from clsplat.evaluation.metrics import psnr
+from clsplat.evaluation.views import photo_of, read_cameras_for, render_view, run_options
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.folders import make_folder
@@ -25,8 +25,8 @@ from clsplat.io.ply import read_ply
 from clsplat.io.regular import native
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.merge import cropped, joined, partition_of
-from clsplat.render.slabs import open_model
-from clsplat.train.begin import of_degree
+from clsplat.rendering.slabs import open_model
+from clsplat.training.begin import of_degree
 
 # pixels that the mean sigma of a level may cover, by whether the renderer is antialiased (measured:
 # to there it meets photos as small better, or at most 0.2 dB worse, than the finest level does)

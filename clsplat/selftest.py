@@ -17,8 +17,8 @@ from clsplat.primitives.gather import compact, gather, scatter
 from clsplat.primitives.reduce import sum_columns
 from clsplat.primitives.scan import exclusive_scan
 from clsplat.primitives.sort import stable_sort
-from clsplat.render.pipeline import Gradients, Renderer
-from clsplat.render.project import LOW_PASS
+from clsplat.rendering.pipeline import Gradients, Renderer
+from clsplat.rendering.project import LOW_PASS
 
 SH_C1 = np.sqrt(3 / (4 * np.pi))
 NEAR = 0.1

@@ -8,7 +8,7 @@ from pathlib import Path
 from clsplat.errors import Interrupted
 from clsplat.io.run import RunFolder
 from clsplat.options import resolve
-from clsplat.train.loop import resume, train
+from clsplat.training.loop import resume, train
 
 CITY = Path(__file__).resolve().parents[1] / "data_samples" / "city"
 

@@ -29,8 +29,8 @@ from clsplat.options import resolve
 from clsplat.plan.rehearsal import Rehearsal, spread_out, strewn
 from clsplat.report.page import Table
 from clsplat.schedule import scaled_steps
-from clsplat.train.needs import find_needs
-from clsplat.train.photos import decode
+from clsplat.training.needs import find_needs
+from clsplat.training.photos import decode
 from tools.bench.timing import in_turn
 from tools.evidence import markdown, outermost
 from tools.runs import Scene

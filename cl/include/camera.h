@@ -1,4 +1,4 @@
-// The camera as a row of reals; packed by clsplat/render/project.py in this order.
+// The camera as a row of reals; packed by clsplat/rendering/project.py in this order.
 // Axes right, down, forward; the centre of pixel (0, 0) is at (0.5, 0.5).
 enum {
     CAMERA_ROTATION = 0, // 9, world to camera, row-major

@@ -4,8 +4,8 @@ import dataclasses
 
 from clsplat.city.stages import COARSE_FACTOR, draw
 from clsplat.errors import InputError
-from clsplat.evaluate.seams import find_seams
-from clsplat.evaluate.views import evaluate_run, training_pictures
+from clsplat.evaluation.seams import find_seams
+from clsplat.evaluation.views import evaluate_run, training_pictures
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.io.run import MODEL, RunFolder

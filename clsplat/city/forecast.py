@@ -4,8 +4,8 @@ from clsplat.gaussians import LEARNED
 from clsplat.io.scenes import read_scene
 from clsplat.plan.forecast import MIB, Planned
 from clsplat.report.page import Table
-from clsplat.train.block import block_options
-from clsplat.train.model import GROWTH_ROOM
+from clsplat.training.block import block_options
+from clsplat.training.model import GROWTH_ROOM
 
 GIB = 2**30
 COARSE_COST = 0.25  # of the time of one run of the whole, that the coarse run takes

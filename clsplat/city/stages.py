@@ -11,7 +11,7 @@ from clsplat.city.split import split_blocks, too_large
 from clsplat.city.visibility import DropTest
 from clsplat.distribute import Task, run
 from clsplat.errors import InputError
-from clsplat.evaluate.views import run_options
+from clsplat.evaluation.views import run_options
 from clsplat.io.atomic import replacing
 from clsplat.io.city import CITY, PARTITION
 from clsplat.io.run import MODEL, RunFolder
@@ -22,13 +22,13 @@ from clsplat.options import checked, resolve
 from clsplat.partition import geojson, make_partition
 from clsplat.partition.site import world_of
 from clsplat.report.map import write_map
-from clsplat.train.block import (
+from clsplat.training.block import (
     block_options,
     decided_by,
     options_of_blocks,
     train_block,
 )
-from clsplat.train.loop import resume, train
+from clsplat.training.loop import resume, train
 
 COARSE_FACTOR = 2  # by which the coarse run's photos are smaller
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less

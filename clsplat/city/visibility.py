@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from clsplat.evaluate.metrics import ssim
-from clsplat.evaluate.views import render_view
-from clsplat.render.pipeline import Renderer
+from clsplat.evaluation.metrics import ssim
+from clsplat.evaluation.views import render_view
+from clsplat.rendering.pipeline import Renderer
 
 GONE = -1e4  # a logit: of an opacity that is not drawn
 

@@ -25,7 +25,7 @@ def block(folder, device, stop_at, wait, quiet):
     cluster's queue.
     """
     from clsplat.io.city import BlockFolder
-    from clsplat.train.block import block_options, train_block
+    from clsplat.training.block import block_options, train_block
     there = BlockFolder(folder)
     there.check()
     changes = {"device": device, "stop_at": stop_at}

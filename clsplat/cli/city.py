@@ -87,7 +87,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
     from clsplat.options import resolve
-    from clsplat.train.photos import size_note
+    from clsplat.training.photos import size_note
     given = given_options(ctx)
     devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})

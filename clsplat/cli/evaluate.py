@@ -23,8 +23,8 @@ def evaluate(run, device, images, scene):
     opacity that lies more than so many pixels from the true surface.
     """
     from clsplat.device import choose_device
-    from clsplat.evaluate.error_map import MEANING
-    from clsplat.evaluate.views import PANELS, evaluate_run
+    from clsplat.evaluation.error_map import MEANING
+    from clsplat.evaluation.views import PANELS, evaluate_run
     from clsplat.io.run import RENDERS, RunFolder
     folder = RunFolder.open(run)
     folder.check_model()

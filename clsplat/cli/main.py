@@ -25,7 +25,7 @@ from clsplat.cli.sections import SectionedGroup
 from clsplat.cli.synth import synth
 from clsplat.cli.train import train
 from clsplat.errors import ClsplatError, Interrupted
-from clsplat.train.interrupt import handled_interrupts
+from clsplat.training.interrupt import handled_interrupts
 
 BUG = 1  # exit code
 SIGPIPE = 13  # its number where it exists; Windows has none

@@ -23,7 +23,7 @@ def pack(scene, output, downscale, images, overwrite):
     Every command takes the file as it takes a scene's folder. The geometry of a synthetic city
     goes beside it, for `clsplat eval`.
     """
-    from clsplat.evaluate.floaters import geometry_path
+    from clsplat.evaluation.floaters import geometry_path
     from clsplat.io.atomic import replacing
     from clsplat.io.packed import write_packed
     from clsplat.io.scenes import read_scene

@@ -37,7 +37,7 @@ def plan(ctx, scene, config, photos, margin, **_):
     from clsplat.partition import PartitionOptions
     from clsplat.plan.forecast import Planned
     from clsplat.plan.pace import load
-    from clsplat.train.photos import size_note
+    from clsplat.training.photos import size_note
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
     photos, margin = _numbers(photos), PartitionOptions(margin=margin).margin
     busy, progress = load(), Progress()

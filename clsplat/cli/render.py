@@ -42,7 +42,7 @@ def render(model, scene, output, views, beside, lod, lod_bias, downscale, away, 
                             ("--away", away)):
             if given:
                 raise InputError(f"{flag}: means nothing without --lod; add it, or leave this out")
-        from clsplat.evaluate.views import render_views
+        from clsplat.evaluation.views import render_views
         count = render_views(model, scene, output, choose_device(device), views=views,
                              beside=beside)
     click.echo(f"{count} pictures: {output}")

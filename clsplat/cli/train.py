@@ -70,7 +70,7 @@ def _train(scene, output, options, flags, overwrite, quiet):
     from clsplat.device import choose_device
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
-    from clsplat.train import loop
+    from clsplat.training import loop
     resumes = options is None
     run = RunFolder.open(output) if resumes else RunFolder(output)
     if resumes:

@@ -1,7 +1,7 @@
 """What each splat contributed to a rendered frame (cl/contribution.cl)."""
 
 from clsplat.device import Kernel
-from clsplat.render.project import SPLAT_REALS
+from clsplat.rendering.project import SPLAT_REALS
 
 COLUMNS = 4  # pixels, weight, weighted image, distance
 

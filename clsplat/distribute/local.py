@@ -15,7 +15,7 @@ from clsplat.distribute.child import in_child
 from clsplat.distribute.task import DONE, FAILED, REFUSED, Result
 from clsplat.errors import ClsplatError, Interrupted
 from clsplat.io.lock import exclusive
-from clsplat.train.interrupt import was_interrupted
+from clsplat.training.interrupt import was_interrupted
 
 HERE = "this machine"
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from clsplat.device import Kernel
 from clsplat.primitives.gather import compact, gather
-from clsplat.render.pipeline import Gradients
+from clsplat.rendering.pipeline import Gradients
 
 MARK = Kernel("batch.cl", "batch_mark", count="uint", visible=("uint", "V"), rows=("uint", "V"),
               flags=("uint", "N"), keys=("uint", "N"))

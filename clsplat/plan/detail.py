@@ -3,7 +3,7 @@
 import numpy as np
 
 from clsplat.io.resample import resample
-from clsplat.train.photos import decoded
+from clsplat.training.photos import decoded
 
 PHOTOS = 8  # that stand for all
 MOST_PIXELS, BANDS = 2e6, 16  # of a photo that are looked at

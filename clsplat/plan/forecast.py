@@ -11,10 +11,10 @@ from clsplat.plan.memory import Memory, predicted_memory
 from clsplat.plan.pace import predicted_seconds
 from clsplat.schedule import SCHEDULES, laid_over, scaled_steps
 from clsplat.schedule.course import course, largest
-from clsplat.train.begin import initial_gaussians
-from clsplat.train.needs import Part, find_needs, subject_of
-from clsplat.train.photos import DEVICE_SHARE
-from clsplat.train.silent import Silent
+from clsplat.training.begin import initial_gaussians
+from clsplat.training.needs import Part, find_needs, subject_of
+from clsplat.training.photos import DEVICE_SHARE
+from clsplat.training.silent import Silent
 
 MIB = 2**20
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from clsplat.plan.dry import DryDevice
 from clsplat.plan.rehearsal import Rehearsal, settled, spread_out, strewn
-from clsplat.render.pipeline import Renderer
-from clsplat.train.photos import DEVICE_SHARE, at_level
+from clsplat.rendering.pipeline import Renderer
+from clsplat.training.photos import DEVICE_SHARE, at_level
 
 VIEWS = 48  # whose frames stand for all
 STREWN = 200_000  # gaussians at most that are rendered; more are extrapolated to

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from clsplat.plan.rehearsal import Rehearsal, sized, spread_out, strewn
-from clsplat.render.pipeline import Renderer
-from clsplat.train.photos import at_level, decode
-from clsplat.train.silent import Silent
+from clsplat.rendering.pipeline import Renderer
+from clsplat.training.photos import at_level, decode
+from clsplat.training.silent import Silent
 
 VIEWS = 8  # stepped with in turn
 BATCH = 0.2  # seconds at least that are timed at once, as training goes: without waiting in between

@@ -8,12 +8,12 @@ from clsplat.densify.grow import Growth
 from clsplat.gaussians import Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.plan.dry import DryAdam, DryDevice
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan
-from clsplat.train.adjacent import Adjacent
-from clsplat.train.model import Model
-from clsplat.train.photos import at_level
-from clsplat.train.step import Shot, Step
+from clsplat.training.adjacent import Adjacent
+from clsplat.training.model import Model
+from clsplat.training.photos import at_level
+from clsplat.training.step import Shot, Step
 
 A_SPLAT, A_TILE = 1.62, 114  # pairs
 SIZES, HALVINGS = 2.0, 6  # logarithm of the size looked for, and how often its range is halved

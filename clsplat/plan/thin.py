@@ -4,8 +4,8 @@ held-out view misses."""
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.evaluate.views import evaluate_views, read_scene_of, run_options
-from clsplat.render.pipeline import Renderer
+from clsplat.evaluation.views import evaluate_views, read_scene_of, run_options
+from clsplat.rendering.pipeline import Renderer
 
 ALPHA_MIN = 1 / 255  # cl/include/splat.h: fainter contributions are skipped
 

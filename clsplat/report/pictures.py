@@ -3,7 +3,7 @@
 import base64
 from html import escape
 
-from clsplat.evaluate.error_map import COLOURS, LARGEST_ERROR
+from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR
 from clsplat.io.images import encode_jpeg
 
 QUALITY = 85  # of JPEG
@@ -14,7 +14,7 @@ PANELS = (("photo", "photo"), ("render", "render after the colour fit"), ("error
 
 
 def pictures_html(pictures):
-    """The section of a report for Pictures of `evaluate/pictures.py`; None: one without any.
+    """The section of a report for Pictures of `evaluation/pictures.py`; None: one without any.
 
     An error becomes a line: no picture is worth a page.
     """

@@ -22,7 +22,7 @@ def write_report(run, *more, pictures=None):
     """Write the report of a RunFolder from its options and metrics; returns the page's path.
 
     Parts without records, such as the levels of a schedule that has none, are left out. more:
-    Tables and HTML that follow the scores; pictures: Pictures of evaluate/pictures.py, with which
+    Tables and HTML that follow the scores; pictures: Pictures of evaluation/pictures.py, with which
     the page begins.
     """
     options, records = run.read_options(), run.records()

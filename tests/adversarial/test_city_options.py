@@ -18,8 +18,8 @@ from clsplat.io.lock import Held
 from clsplat.io.scenes import read_scene
 from clsplat.merge import KEPT, TRAINS, merge
 from clsplat.partition import PartitionOptions
-from clsplat.train import loop
-from clsplat.train.silent import WARNING, Silent
+from clsplat.training import loop
+from clsplat.training.silent import WARNING, Silent
 from tests.large.test_merge import (  # noqa: F401  (fixtures)
     city,
     scene,

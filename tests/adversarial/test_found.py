@@ -14,8 +14,8 @@ from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import from_toml, resolve
-from clsplat.train import checkpoint
-from clsplat.train.loop import resume
+from clsplat.training import checkpoint
+from clsplat.training.loop import resume
 from tests.tiny_training import CITY
 
 

@@ -12,7 +12,7 @@ import pytest
 from clsplat import options as module
 from clsplat.densify.grow import Candidates
 from clsplat.errors import InputError
-from clsplat.evaluate.views import run_options
+from clsplat.evaluation.views import run_options
 from clsplat.io import run as run_module
 from clsplat.io.run import RunFolder
 from clsplat.options import MOST_STEPS, TrainOptions, checked, from_toml, resolve

@@ -14,7 +14,7 @@ from unittest.mock import patch
 import numpy as np
 
 from clsplat.gaussians import LEARNED
-from clsplat.render import pipeline
+from clsplat.rendering import pipeline
 from tests.extreme.measure import Error, largest, relative_l2
 from tools.bench.workloads import city
 

@@ -11,7 +11,7 @@ from clsplat.gaussians import Gaussians, mean_inverse_distance
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.scenes import read_scene
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
 from tests import cases
 from tests.checks import close

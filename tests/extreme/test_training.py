@@ -9,9 +9,9 @@ from clsplat.frequency import scene_frequency
 from clsplat.gaussians import mean_inverse_distance, neighbour_distance
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.scenes import read_scene
-from clsplat.train import step
-from clsplat.train.begin import initial_gaussians
-from clsplat.train.warn import find_warnings
+from clsplat.training import step
+from clsplat.training.begin import initial_gaussians
+from clsplat.training.warn import find_warnings
 from tests.extreme import stiff
 from tests.extreme.stiff import CASES, copies_of_a_view, moved, rescaled
 from tests.tiny_training import CITY, LEVELLED, options_of, records, trained

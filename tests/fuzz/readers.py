@@ -29,7 +29,7 @@ from clsplat.report.run import level_table, option_table, plan_table, score_tabl
 from clsplat.scene import Scene, View
 from clsplat.synth import geometry
 from clsplat.synth.layout import city as plan_city
-from clsplat.train import checkpoint
+from clsplat.training import checkpoint
 from tests.large import layouts
 from tests.made_runs import made_run
 from tests.tiny_model import reconstruction, write_scene

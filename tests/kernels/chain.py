@@ -5,7 +5,7 @@ import functools
 import numpy as np
 
 from clsplat.camera import Camera
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from tests import cases
 from tests.checks import close
 from tests.reference.blend import blend, blend_adjoint, fragile_pixels

@@ -5,7 +5,7 @@ import pytest
 
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import NO_ROW, DeviceAdam, NumpyAdam, hold_rows
-from clsplat.render.pipeline import Gradients
+from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference.adam import adam

@@ -12,8 +12,8 @@ from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError
 from clsplat.io.scenes import read_scene
-from clsplat.render.bands import choose_bands, frame_bytes, pair_limit
-from clsplat.render.bin import BUCKET, PAIR_LIMIT, count_tiles, tile_grid
+from clsplat.rendering.bands import choose_bands, frame_bytes, pair_limit
+from clsplat.rendering.bin import BUCKET, PAIR_LIMIT, count_tiles, tile_grid
 from tests import cases
 from tests.kernels.chain import gradients_by_row, render, size_of, stored_degree
 from tests.kernels.test_pipeline import assert_same, cotangents
@@ -55,7 +55,7 @@ def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name
     tiles_x, tiles_y = tile_grid(device, *size_of(case))
     for cut, firsts in cuts(tiles_x, tiles_y).items():
         bands = [range(*ends) for ends in zip(firsts, [*firsts[1:], tiles_x * tiles_y])]
-        monkeypatch.setattr("clsplat.render.pipeline.choose_bands", lambda *_: bands)  # noqa: B023
+        monkeypatch.setattr("clsplat.rendering.pipeline.choose_bands", lambda *_: bands)  # noqa: B023
         frame, actual = results(device, case, with_depth, pair_limit=0)
         assert frame.pairs is None and frame.bands == bands, cut
         assert_same(expected, actual)
@@ -231,8 +231,8 @@ def test_training_in_bands_ends_in_the_same_bytes(float_device, tmp_path, monkey
         numbers.append(len(bands))
         return bands
 
-    monkeypatch.setattr("clsplat.render.pipeline.pair_limit", lambda *_: 500)
-    monkeypatch.setattr("clsplat.render.pipeline.choose_bands", chosen)
+    monkeypatch.setattr("clsplat.rendering.pipeline.pair_limit", lambda *_: 500)
+    monkeypatch.setattr("clsplat.rendering.pipeline.choose_bands", chosen)
     banded = trained(tmp_path / "banded", city, float_device, **changes)
     assert len(numbers) > 40 and min(numbers) >= 4, numbers
     assert model_digest(banded) == model_digest(whole)

@@ -5,7 +5,7 @@ import pytest
 
 from clsplat.optimise.adam import NO_ROW
 from clsplat.optimise.batch import batch_mean
-from clsplat.render.pipeline import Gradients
+from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference import batch as reference

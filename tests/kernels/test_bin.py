@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.render.bin import BUCKET, TooManyPairs, bin_splats, count_tiles, tile_grid
+from clsplat.rendering.bin import BUCKET, TooManyPairs, bin_splats, count_tiles, tile_grid
 from tests import cases
 from tests.kernels.chain import pack_splats
 from tests.reference.bin import tiles_of
@@ -153,6 +153,6 @@ def test_more_pairs_than_the_limit_are_refused(device, monkeypatch):
     assert bin_splats(device, splats, order, 61, 37, limit=count).count == count
     with pytest.raises(TooManyPairs, match=r"tile and splat in one 61 x 37 image.*\(-r\)"):
         bin_splats(device, splats, order, 61, 37, limit=count - 1)
-    monkeypatch.setattr("clsplat.render.bin.PAIR_LIMIT", count - 1)  # of the kernels' numbers
+    monkeypatch.setattr("clsplat.rendering.bin.PAIR_LIMIT", count - 1)  # of the kernels' numbers
     with pytest.raises(TooManyPairs, match=f"more than {count - 1}"):
         bin_splats(device, splats, order, 61, 37, limit=count)

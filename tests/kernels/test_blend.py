@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from clsplat.render.bin import bin_splats
-from clsplat.render.blend import blend, blend_adjoint, blend_defines
+from clsplat.rendering.bin import bin_splats
+from clsplat.rendering.blend import blend, blend_adjoint, blend_defines
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import SUM_NAMES, grads_of_sums, pack_splats, precision_of

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from clsplat.densify.contribution import contribution
-from clsplat.render.bin import bin_splats
-from clsplat.render.blend import blend, blend_defines
-from clsplat.render.pipeline import Frame
+from clsplat.rendering.bin import bin_splats
+from clsplat.rendering.blend import blend, blend_defines
+from clsplat.rendering.pipeline import Frame
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import pack_splats, precision_of, render

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.render.project import cull, pack_camera, project, project_adjoint
+from clsplat.rendering.project import cull, pack_camera, project, project_adjoint
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import (

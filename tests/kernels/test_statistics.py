@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.densify.statistics import Statistics
-from clsplat.render.pipeline import Gradients
+from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference.statistics import accumulate

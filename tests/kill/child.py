@@ -16,8 +16,8 @@ import numpy as np
 from clsplat.cli.main import main
 from clsplat.io.run import METRICS, RunFolder
 from clsplat.optimise.adam import DeviceAdam
-from clsplat.train import loop
-from clsplat.train.step import Step
+from clsplat.training import loop
+from clsplat.training.step import Step
 
 # moment -> what is called then; "after": once it has returned
 BEFORE = {

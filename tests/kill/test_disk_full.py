@@ -9,7 +9,7 @@ import pytest
 from clsplat.cli.main import verdict
 from clsplat.errors import InputError
 from clsplat.io.run import RunFolder
-from clsplat.train.loop import resume
+from clsplat.training.loop import resume
 from tests.tiny_training import STILL, model_digest, options_of, trained
 
 pytestmark = pytest.mark.slow  # tests/unit/test_run.py has the fast one

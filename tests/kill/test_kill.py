@@ -11,7 +11,7 @@ import pytest
 
 from clsplat.cli.train import resumed_options
 from clsplat.io.run import RunFolder
-from clsplat.train.loop import resume
+from clsplat.training.loop import resume
 from tests.system.test_resume import history
 from tests.tiny_training import CITY, LEVELLED, flags, model_digest, records, trained
 

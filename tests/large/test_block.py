@@ -21,8 +21,8 @@ from clsplat.options import resolve
 from clsplat.region import Region, Space
 from clsplat.scene import Scene, View
 from clsplat.schedule.constant import Constant
-from clsplat.train import step
-from clsplat.train.block import decided_by, options_of_blocks
+from clsplat.training import step
+from clsplat.training.block import decided_by, options_of_blocks
 from tests.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
 
 SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}

@@ -7,8 +7,8 @@ import pytest
 
 from clsplat import lod
 from clsplat.errors import InputError
-from clsplat.evaluate.metrics import psnr
-from clsplat.evaluate.views import run_options
+from clsplat.evaluation.metrics import psnr
+from clsplat.evaluation.views import run_options
 from clsplat.gaussians import Gaussians
 from clsplat.io.images import read_image
 from clsplat.io.ply import read_ply
@@ -16,8 +16,8 @@ from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.lod import Levels, compare_views, moved_away
 from clsplat.options import resolve
-from clsplat.train.loop import train
-from clsplat.train.step import Step
+from clsplat.training.loop import train
+from clsplat.training.step import Step
 from tests.reference.frequency import scene_frequency
 from tests.tiny_training import CITY, LEVELLED, model_digest, records, resumed, trained
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.evaluate.seams import LEAST_PIXELS, _scores, find_borders, find_seams
-from clsplat.evaluate.views import render_view
+from clsplat.evaluation.seams import LEAST_PIXELS, _scores, find_borders, find_seams
+from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, SH_C0, Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
@@ -15,7 +15,7 @@ from clsplat.merge import cropped, joined, seam_table
 from clsplat.options import TrainOptions
 from clsplat.partition import Partition
 from clsplat.region import Region, Space
-from clsplat.render.slabs import open_model
+from clsplat.rendering.slabs import open_model
 from tests.tiny_training import CITY
 
 OPTIONS = TrainOptions()

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from clsplat.evaluate.views import evaluate_run
+from clsplat.evaluation.views import evaluate_run
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.render import slabs
-from clsplat.render.slabs import Parts, SlabRenderer, gaussian_limit, open_model
+from clsplat.rendering import slabs
+from clsplat.rendering.slabs import Parts, SlabRenderer, gaussian_limit, open_model
 from tests import cases
 from tests.kernels.chain import (
     camera_of,

@@ -15,7 +15,7 @@ from clsplat.io.images import read_image, read_photo, write_image
 from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.region import Region, Space
-from clsplat.render.slabs import Parts, SlabRenderer
+from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
 from tests import cases
 from tests.kernels.chain import (

@@ -7,7 +7,7 @@ Left out, because float sums are then added in another order: the kernel form an
 import pytest
 
 from clsplat.device import Device, device
-from clsplat.render.bands import choose_bands
+from clsplat.rendering.bands import choose_bands
 from tests.tiny_training import LEVELLED, model_digest, records, trained
 
 LONG = {"iterations": 500, "densify_until": 400, "densify_every": 40, "max_gaussians": 7000,
@@ -35,8 +35,8 @@ def cut_in_bands(patch, share):
         numbers.append(len(bands))
         return bands
 
-    patch.setattr("clsplat.render.pipeline.pair_limit", lambda *_: 0)
-    patch.setattr("clsplat.render.pipeline.choose_bands", chosen)
+    patch.setattr("clsplat.rendering.pipeline.pair_limit", lambda *_: 0)
+    patch.setattr("clsplat.rendering.pipeline.choose_bands", chosen)
     return numbers
 
 

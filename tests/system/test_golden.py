@@ -8,10 +8,10 @@ from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
 from clsplat.loss.image_loss import loss_value
 from clsplat.options import TrainOptions
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.constant import Constant
-from clsplat.train.model import Model
-from clsplat.train.step import Shot, Step
+from clsplat.training.model import Model
+from clsplat.training.step import Shot, Step
 from tests.kernels.chain import precision_of
 from tests.system import golden
 

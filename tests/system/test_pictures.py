@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
-from clsplat.evaluate.error_map import error_map
+from clsplat.evaluation.error_map import error_map
 from clsplat.io.images import read_image
 from tests.tiny_training import STILL, trained
 

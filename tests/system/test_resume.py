@@ -16,9 +16,9 @@ from clsplat.cli.main import main
 from clsplat.device import Device
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.run import RunFolder
-from clsplat.train import loop
-from clsplat.train.loop import resume, train
-from clsplat.train.step import Step
+from clsplat.training import loop
+from clsplat.training.loop import resume, train
+from clsplat.training.step import Step
 from tests.tiny_training import (
     CITY,
     LEVELLED,

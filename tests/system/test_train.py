@@ -16,9 +16,9 @@ from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
 from clsplat.options import resolve
 from clsplat.scene import Scene, View
-from clsplat.train import budget, clock, loop
-from clsplat.train.begin import initial_gaussians
-from clsplat.train.step import Step
+from clsplat.training import budget, clock, loop
+from clsplat.training.begin import initial_gaussians
+from clsplat.training.step import Step
 from tests.tiny_training import (
     CITY,
     EVENTFUL,

@@ -5,7 +5,7 @@ import pyopencl as cl
 import pytest
 
 from clsplat.device import Device, Kernel, binaries
-from clsplat.render import blend
+from clsplat.rendering import blend
 
 SOURCE = """
 __kernel void twice(uint count, __global const float *values, __global float *results)

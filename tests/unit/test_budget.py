@@ -11,8 +11,8 @@ from clsplat.errors import InputError
 from clsplat.options import resolve
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.schedule.plan import Plan
-from clsplat.train import checkpoint
-from clsplat.train.budget import (
+from clsplat.training import checkpoint
+from clsplat.training.budget import (
     RECOVERY,
     REPORT_SECONDS,
     SETTLING,
@@ -20,7 +20,7 @@ from clsplat.train.budget import (
     TOO_LITTLE,
     TimeBudget,
 )
-from clsplat.train.loop import Training
+from clsplat.training.loop import Training
 
 COUNT = 100_000  # gaussians at the start
 FREQUENCIES = {f"{variant}_mean": 30.0 for variant in ("paper", "release", "robust")}

@@ -87,8 +87,8 @@ def calls(monkeypatch):
     module(monkeypatch, "clsplat.io.run", RunFolder=FakeRun)
     module(monkeypatch, "clsplat.io.scenes", read_scene=lambda path, given: f"scene {path}{given}")
     module(monkeypatch, "clsplat.device", choose_device=lambda spec, **_: f"device {spec}")
-    train = module(monkeypatch, "clsplat.train")
-    train.loop = module(monkeypatch, "clsplat.train.loop", train=trainer("train"),
+    train = module(monkeypatch, "clsplat.training")
+    train.loop = module(monkeypatch, "clsplat.training.loop", train=trainer("train"),
                         resume=trainer("resume"))
     return noted
 
@@ -283,7 +283,7 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
         return {"views": 1, "psnr": 1, "ssim": 1, "psnr_cc": 1, "ssim_cc": 1, "pictures": "new"}
 
     module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
-    module(monkeypatch, "clsplat.evaluate.views", evaluate_run=evaluate_run, PANELS=())
+    module(monkeypatch, "clsplat.evaluation.views", evaluate_run=evaluate_run, PANELS=())
     module(monkeypatch, "clsplat.report.run", renew_pictures=lambda *words: f"page with {words[1]}")
     result = clsplat_("eval", tmp_path, flag, "--device", "cpu", "--scene", "moved")
     assert result.exit_code == 0, result.output
@@ -299,7 +299,7 @@ def test_render_passes_everything_on(monkeypatch):
         return 7
 
     module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
-    module(monkeypatch, "clsplat.evaluate.views", render_views=render_views)
+    module(monkeypatch, "clsplat.evaluation.views", render_views=render_views)
     result = clsplat_("render", "m.ply", "--scene", "city", "-o", "pictures", "--views", "test",
                       "--beside")
     assert result.output == "7 pictures: pictures\n"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from clsplat.evaluate import colour
-from clsplat.evaluate.colour import fit_colour
-from clsplat.evaluate.metrics import psnr
+from clsplat.evaluation import colour
+from clsplat.evaluation.colour import fit_colour
+from clsplat.evaluation.metrics import psnr
 
 
 def quadratic(image):

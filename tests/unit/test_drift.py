@@ -11,7 +11,7 @@ from clsplat.camera import Camera
 from clsplat.drift import DRIFTS, exposure_drift
 from clsplat.io.scenes import read_scene
 from clsplat.scene import View
-from clsplat.train.photos import decoded
+from clsplat.training.photos import decoded
 
 WIDTH, HEIGHT, DEPTH = 64, 48, 5.0
 CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"

@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from clsplat.cli.evaluate import summary
 from clsplat.cli.main import main
 from clsplat.errors import InputError
-from clsplat.evaluate import floaters, views
-from clsplat.evaluate.floaters import floater_share, ground_truth
+from clsplat.evaluation import floaters, views
+from clsplat.evaluation.floaters import floater_share, ground_truth
 from clsplat.gaussians import Gaussians
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene

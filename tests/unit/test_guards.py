@@ -8,9 +8,9 @@ from clsplat.errors import InputError
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
-from clsplat.train import checkpoint, loop, skipped, step
-from clsplat.train.silent import Silent
-from clsplat.train.skipped import Skipped
+from clsplat.training import checkpoint, loop, skipped, step
+from clsplat.training.silent import Silent
+from clsplat.training.skipped import Skipped
 from tests.tiny_model import write_scene
 from tests.tiny_training import model_digest, records
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.evaluate.metrics import psnr, ssim
+from clsplat.evaluation.metrics import psnr, ssim
 
 
 @pytest.fixture

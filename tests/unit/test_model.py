@@ -9,12 +9,12 @@ from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
 from clsplat.options import TrainOptions
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan, Subject
 from clsplat.schedule.constant import Constant
-from clsplat.train import step as train_step
-from clsplat.train.model import Model
-from clsplat.train.step import Shot, Step
+from clsplat.training import step as train_step
+from clsplat.training.model import Model
+from clsplat.training.step import Shot, Step
 from tests import cases
 from tests.kernels.chain import camera_of, size_of
 
@@ -124,7 +124,7 @@ def test_moments_move_to_the_host_where_they_do_not_fit(float_device, monkeypatc
         return type(Model(float_device, gaussians_of(4), engine).adam).__name__
 
     assert kind("auto") == "DeviceAdam"
-    monkeypatch.setattr("clsplat.train.model.DEVICE_SHARE", 0)
+    monkeypatch.setattr("clsplat.training.model.DEVICE_SHARE", 0)
     assert (kind("auto"), kind("device")) == ("NumpyAdam", "DeviceAdam")
 
 

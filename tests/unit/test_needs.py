@@ -11,8 +11,8 @@ from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import scaled_steps
-from clsplat.train import needs
-from clsplat.train.needs import (
+from clsplat.training import needs
+from clsplat.training.needs import (
     LOOKED_AT,
     SHINE,
     SMALL_SIDE,

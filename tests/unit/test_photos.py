@@ -10,8 +10,8 @@ from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.images import read_image, read_photo, write_image
 from clsplat.scene import View
-from clsplat.train import photos as module
-from clsplat.train.photos import Photos, decoded
+from clsplat.training import photos as module
+from clsplat.training.photos import Photos, decoded
 
 WIDTH, HEIGHT = 20, 14
 

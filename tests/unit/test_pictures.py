@@ -8,9 +8,9 @@ import matplotlib
 import numpy as np
 import pytest
 
-from clsplat.evaluate import views
-from clsplat.evaluate.error_map import COLOURS, LARGEST_ERROR, error_map
-from clsplat.evaluate.pictures import LONGEST, Pictures, chosen_views, shown_view
+from clsplat.evaluation import views
+from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR, error_map
+from clsplat.evaluation.pictures import LONGEST, Pictures, chosen_views, shown_view
 from clsplat.io.images import read_image
 from clsplat.io.run import RunFolder
 from clsplat.report.page import Table

@@ -22,12 +22,12 @@ from clsplat.plan.forecast import Planned
 from clsplat.plan.memory import Memory
 from clsplat.plan.pace import MOST_PIXELS, fitted, foretold, load, pixels, stepped_with
 from clsplat.plan.rehearsal import Rehearsal, strewn
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.schedule.course import Stretch, course, largest
-from clsplat.train.needs import find_needs
-from clsplat.train.photos import size_note
+from clsplat.training.needs import find_needs
+from clsplat.training.photos import size_note
 from tests.tiny_training import CITY, options_of, records, trained
 
 

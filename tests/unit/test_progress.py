@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from clsplat.cli.progress import Progress, clock, fitted
-from clsplat.train.silent import Silent
+from clsplat.training.silent import Silent
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLD = {"loss": 0.1542, "gaussians": 1_229_336, "memory_bytes": 9 << 30, "level": 3.0}

@@ -13,7 +13,7 @@ from clsplat.primitives.gather import compact, gather
 from clsplat.primitives.reduce import sum_columns
 from clsplat.primitives.scan import exclusive_scan
 from clsplat.primitives.sort import stable_sort
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 
 BACKGROUND_NOISE = itertools.count()
 

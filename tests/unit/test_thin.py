@@ -8,7 +8,7 @@ from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
 from clsplat.plan import thin
 from clsplat.plan.rehearsal import strewn
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from tests.tiny_training import CITY
 from tests.unit.test_plan import city, clsplat_
 

@@ -1,6 +1,6 @@
 """From splats to the pairs of every tile, with its scan and sort."""
 
-from clsplat.render.bin import bin_splats
+from clsplat.rendering.bin import bin_splats
 
 from .measure import Bench
 from .sort import sort_work, tile_bits

@@ -1,6 +1,6 @@
 """Blending a frame's splats, and the adjoint with its sums by splat."""
 
-from clsplat.render.blend import blend, blend_adjoint, blend_defines
+from clsplat.rendering.blend import blend, blend_adjoint, blend_defines
 
 from .measure import Bench
 from .workloads import CityFrame

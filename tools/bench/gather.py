@@ -3,7 +3,7 @@
 from functools import partial
 
 from clsplat.primitives.gather import compact, gather, scatter
-from clsplat.render.project import cull
+from clsplat.rendering.project import cull
 
 from .measure import Bench
 from .project import DEFINES

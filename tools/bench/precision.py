@@ -13,8 +13,8 @@ import numpy as np
 
 from clsplat.device import choose_device
 from clsplat.gaussians import LEARNED
-from clsplat.render.pipeline import Renderer
-from clsplat.render.project import cull
+from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.project import cull
 
 from .measure import arguments
 from .numerics import gradient_error, html, markdown

@@ -2,8 +2,8 @@
 
 from functools import partial
 
-from clsplat.render.blend import blend_adjoint, blend_defines
-from clsplat.render.project import cull, project, project_adjoint
+from clsplat.rendering.blend import blend_adjoint, blend_defines
+from clsplat.rendering.project import cull, project, project_adjoint
 
 from .measure import Bench
 from .workloads import CityFrame

@@ -5,7 +5,7 @@ The loss is the mean of squares of the image, as the anchor takes it.
 
 import numpy as np
 
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 
 from .measure import Bench
 from .timing import milliseconds

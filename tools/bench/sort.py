@@ -6,7 +6,7 @@ import numpy as np
 
 from clsplat.primitives.gather import compact
 from clsplat.primitives.sort import LARGEST_DIGIT, stable_sort
-from clsplat.render.project import cull
+from clsplat.rendering.project import cull
 
 from .measure import Bench
 from .project import DEFINES

@@ -16,12 +16,12 @@ except ImportError:  # Windows
 
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import scaled_steps
 from clsplat.schedule.plan import Plan
-from clsplat.train.model import Model
-from clsplat.train.photos import Photos
-from clsplat.train.step import Shot, Step
+from clsplat.training.model import Model
+from clsplat.training.photos import Photos
+from clsplat.training.step import Shot, Step
 
 from .measure import Bench
 from .timing import milliseconds

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsplat.device import Device
-from clsplat.render.project import SPLAT_REALS
+from clsplat.rendering.project import SPLAT_REALS
 
 RENDERING = ("project.cl", "bin.cl", "blend.cl")  # files that read what a variant defines
 NO_STEP = 2**24  # alphas below 1 / NO_STEP do not change a float32 transmittance of 1

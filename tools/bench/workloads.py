@@ -5,7 +5,7 @@ import numpy as np
 from clsplat.camera import Camera
 from clsplat.densify.contribution import contribution
 from clsplat.gaussians import Gaussians
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 
 
 def city_size(count):

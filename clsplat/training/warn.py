@@ -7,7 +7,7 @@ import numpy as np
 
 from clsplat.drift import LUMA
 from clsplat.scene import LEAST_PARALLAX
-from clsplat.train.photos import at_level, decoded
+from clsplat.training.photos import at_level, decoded
 
 LOOKED_AT = 16  # photos that stand for all
 SMALL_SIDE = 256  # pixels of a photo that is looked at

@@ -8,7 +8,7 @@ from clsplat.device import Array, Kernel
 from clsplat.errors import DeviceError
 from clsplat.primitives.scan import exclusive_scan
 from clsplat.primitives.sort import stable_sort
-from clsplat.render.project import SPLAT_REALS
+from clsplat.rendering.project import SPLAT_REALS
 
 BUCKET = 32  # pairs a bucket of the group form's adjoint
 PAIR_LIMIT = 2**31 - 1  # blending numbers a tile's pairs by int
@@ -31,7 +31,7 @@ FILL_BUCKETS = Kernel("bin.cl", "fill_buckets", tiles="uint", counts=("uint", "T
 
 
 class TooManyPairs(DeviceError):
-    """More pairs than one binning may have: bands of fewer tiles are the cure (render/bands.py)."""
+    """More pairs than one binning may have; bands of fewer tiles are the cure (bands.py)."""
 
 
 @dataclass(eq=False)

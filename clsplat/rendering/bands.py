@@ -10,8 +10,8 @@ import numpy as np
 
 from clsplat.errors import DeviceError
 from clsplat.gaussians import LEARNED
-from clsplat.render.bin import BUCKET, PAIR_LIMIT, tile_grid
-from clsplat.render.project import SPLAT_REALS
+from clsplat.rendering.bin import BUCKET, PAIR_LIMIT, tile_grid
+from clsplat.rendering.project import SPLAT_REALS
 
 FRAME_SHARE = 0.25  # of the device's memory; parameters, moments and photos may have the rest
 LARGEST_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up by half at most

@@ -13,8 +13,8 @@ from clsplat.options import AUTO
 from clsplat.schedule import SCHEDULES, Subject
 from clsplat.schedule.course import course, largest
 from clsplat.schedule.sig import SMALLEST_SIDE, chosen_levels
-from clsplat.train.model import DEVICE_SHARE, GROWTH_ROOM
-from clsplat.train.photos import at_level, decoded
+from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM
+from clsplat.training.photos import at_level, decoded
 
 LOOKED_AT = 64  # photos that stand for all
 SMALL_SIDE = 256  # pixels; brightness needs no more

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clsplat.evaluate.error_map import error_map
+from clsplat.evaluation.error_map import error_map
 from clsplat.io.resample import resample
 
 LONGEST = 640  # pixels, of the longer side of a picture in a page

@@ -7,10 +7,10 @@ import numpy as np
 from clsplat.device import Array
 from clsplat.primitives.gather import compact
 from clsplat.primitives.sort import stable_sort
-from clsplat.render.bands import choose_bands, pair_limit
-from clsplat.render.bin import Pairs, TooManyPairs, bin_splats, count_tiles
-from clsplat.render.blend import Blended, blend, blend_adjoint, blend_defines
-from clsplat.render.project import cull, pack_camera, project, project_adjoint
+from clsplat.rendering.bands import choose_bands, pair_limit
+from clsplat.rendering.bin import Pairs, TooManyPairs, bin_splats, count_tiles
+from clsplat.rendering.blend import Blended, blend, blend_adjoint, blend_defines
+from clsplat.rendering.project import cull, pack_camera, project, project_adjoint
 
 
 @dataclass(eq=False)
@@ -66,7 +66,7 @@ class Renderer:
     antialiased: scale opacity by the area that the low-pass adds (Yu et al. 2024, Mip-Splatting).
     near: world units. background: three numbers. smooth_cutoff: tests only
     (cl/include/footprint.h). pair_limit: pairs of tile and splat at a time; a frame that has more
-    is rendered in bands, to the same bytes. None: what the device has room for (render/bands.py).
+    is rendered in bands, to the same bytes. None: what the device has room for (bands.py).
     """
 
     def __init__(self, device, sh_degree, near, antialiased=False, background=(0.0, 0.0, 0.0),

@@ -8,7 +8,7 @@ from clsplat.errors import InputError
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import checked, resolve
-from clsplat.train.loop import resume, train
+from clsplat.training.loop import resume, train
 
 # what the coarse run has decided for all blocks, or their tones and degrees would not meet
 DECIDED = ("exposure", "sh_degree")

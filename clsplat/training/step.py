@@ -15,7 +15,7 @@ from clsplat.optimise.adam import hold_rows
 from clsplat.optimise.batch import batch_mean
 from clsplat.optimise.rates import learning_rates
 from clsplat.regularise.reproject import reproject
-from clsplat.train.skipped import Skipped
+from clsplat.training.skipped import Skipped
 
 RESET_OPACITY = 0.01
 

@@ -2,7 +2,7 @@
 
 The number of steps is estimated again and again from what steps take at the levels seen so far and
 from those the schedule still has to come; the schedule's shares, rates and degrees follow it. Time
-is wall time from the start of `clsplat.train.loop.train`, evaluations and files included.
+is wall time from the start of `clsplat.training.loop.train`, evaluations and files included.
 
 Lowered opacities, new levels and growth make a model worse before they make it better. Each begins
 only while the time that is left allows the steps to recover from it: measured on boruszyn (400 and

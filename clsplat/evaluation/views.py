@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.evaluate.colour import fit_colour
-from clsplat.evaluate.error_map import error_map
-from clsplat.evaluate.floaters import floater_share, ground_truth
-from clsplat.evaluate.metrics import psnr, ssim
-from clsplat.evaluate.pictures import Pictures, chosen_views, shown_view
+from clsplat.evaluation.colour import fit_colour
+from clsplat.evaluation.error_map import error_map
+from clsplat.evaluation.floaters import floater_share, ground_truth
+from clsplat.evaluation.metrics import psnr, ssim
+from clsplat.evaluation.pictures import Pictures, chosen_views, shown_view
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_photo, write_image
 from clsplat.io.ply import read_ply
@@ -17,7 +17,7 @@ from clsplat.io.regular import native
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import TrainOptions, resolve
-from clsplat.render.slabs import open_model
+from clsplat.rendering.slabs import open_model
 
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 SAMPLED = 24  # training views to choose pictures from, where no view is held out

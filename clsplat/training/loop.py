@@ -14,7 +14,7 @@ import numpy as np
 
 from clsplat.blocks import seen_pixels, trainable
 from clsplat.errors import ClsplatError, InputError, Interrupted
-from clsplat.evaluate.views import evaluate_views
+from clsplat.evaluation.views import evaluate_views
 from clsplat.frequency import scene_frequency
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.io.run import OPTIONS
@@ -22,22 +22,22 @@ from clsplat.io.scenes import fingerprint
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
 from clsplat.options import checked
-from clsplat.render.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
-from clsplat.train import checkpoint
-from clsplat.train.adjacent import Adjacent
-from clsplat.train.begin import initial_exposures, initial_gaussians
-from clsplat.train.clock import Clock
-from clsplat.train.finish import draw_report, save_model
-from clsplat.train.interrupt import deferred_interrupt, was_interrupted
-from clsplat.train.model import Model
-from clsplat.train.needs import find_needs, smallest_size
-from clsplat.train.photos import Photos, decoded, size_note
-from clsplat.train.silent import WARNING, Silent
-from clsplat.train.skipped import TOO_MANY
-from clsplat.train.snapshots import save_snapshot
-from clsplat.train.step import Shot, Step
-from clsplat.train.warn import find_warnings
+from clsplat.training import checkpoint
+from clsplat.training.adjacent import Adjacent
+from clsplat.training.begin import initial_exposures, initial_gaussians
+from clsplat.training.clock import Clock
+from clsplat.training.finish import draw_report, save_model
+from clsplat.training.interrupt import deferred_interrupt, was_interrupted
+from clsplat.training.model import Model
+from clsplat.training.needs import find_needs, smallest_size
+from clsplat.training.photos import Photos, decoded, size_note
+from clsplat.training.silent import WARNING, Silent
+from clsplat.training.skipped import TOO_MANY
+from clsplat.training.snapshots import save_snapshot
+from clsplat.training.step import Shot, Step
+from clsplat.training.warn import find_warnings
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100

@@ -3,10 +3,10 @@
 import logging
 
 from clsplat.errors import ClsplatError
-from clsplat.evaluate.views import pictures_of
+from clsplat.evaluation.views import pictures_of
 from clsplat.io.reason import reason
 from clsplat.report.run import write_report
-from clsplat.train.interrupt import was_interrupted
+from clsplat.training.interrupt import was_interrupted
 
 
 def save_model(training):

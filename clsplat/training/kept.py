@@ -4,7 +4,7 @@ that ends too soon after it."""
 import numpy as np
 
 from clsplat.loss.image_loss import image_loss, loss_value
-from clsplat.train.model import Model
+from clsplat.training.model import Model
 
 
 class Kept:

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clsplat.evaluate.colour import fit_colour
-from clsplat.evaluate.views import photo_of, render_view
-from clsplat.render.slabs import open_model
+from clsplat.evaluation.colour import fit_colour
+from clsplat.evaluation.views import photo_of, render_view
+from clsplat.rendering.slabs import open_model
 
 STRIP = 0.1  # of the cells' sides, where blocks have no margin
 OPAQUE = 0.5  # a pixel has a place if no more light than this passes

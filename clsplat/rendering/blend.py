@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsplat.device import Array, Kernel
-from clsplat.render.bin import BUCKET
-from clsplat.render.project import SPLAT_REALS
+from clsplat.rendering.bin import BUCKET
+from clsplat.rendering.project import SPLAT_REALS
 
 _SIZE = dict(width="int", height="int", tiles_x="int", first_tile="int")
 _LISTS = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))

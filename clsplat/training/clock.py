@@ -2,12 +2,12 @@
 
 import time
 
-from clsplat.evaluate.views import evaluate_views
+from clsplat.evaluation.views import evaluate_views
 from clsplat.options import AUTO, seconds_of
 from clsplat.schedule import laid_over
-from clsplat.train import checkpoint
-from clsplat.train.budget import LONG, RECOVERY, TimeBudget
-from clsplat.train.kept import Kept
+from clsplat.training import checkpoint
+from clsplat.training.budget import LONG, RECOVERY, TimeBudget
+from clsplat.training.kept import Kept
 
 EVALUATIONS = 8  # of a run, by default
 EVALUATION_SHARE = 1 / 3  # of the time so far, that they may take

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from clsplat.gaussians import LEARNED
-from clsplat.render.bands import LARGEST_SHARE
-from clsplat.render.blend import Blended
-from clsplat.render.pipeline import Renderer
-from clsplat.render.project import LOW_PASS, SPLAT_REALS, clamped_ratios, cull
+from clsplat.rendering.bands import LARGEST_SHARE
+from clsplat.rendering.blend import Blended
+from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.project import LOW_PASS, SPLAT_REALS, clamped_ratios, cull
 
 MODEL_SHARE = 0.3  # of the device's memory for a model and its splats; two may be compared
 INDICES = 6  # uint a gaussian that culling and sorting take
