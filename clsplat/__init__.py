@@ -1,3 +1,47 @@
-"""clsplat: large-scale 3D Gaussian-splat training on any OpenCL device."""
+"""clsplat: large-scale 3D Gaussian-splat training on any OpenCL device.
+
+The names below are the public Python API; whatever else lies in the package may change. They are
+imported when they are first asked for, so that `clsplat --help` need not wait for a device.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from clsplat.api.device import Device as Device
+    from clsplat.api.renderer import Frame as Frame
+    from clsplat.api.renderer import Renderer as Renderer
+    from clsplat.api.renderer import render as render
+    from clsplat.api.run import Run as Run
+    from clsplat.api.score import Score as Score
+    from clsplat.api.score import evaluate as evaluate
+    from clsplat.api.train import StopTraining as StopTraining
+    from clsplat.api.train import train as train
+    from clsplat.camera import Camera as Camera
+    from clsplat.errors import ClsplatError as ClsplatError
+    from clsplat.gaussians import Gaussians as Gaussians
+    from clsplat.scene import Scene as Scene
+    from clsplat.scene import View as View
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Camera": "clsplat.camera", "ClsplatError": "clsplat.errors", "Device": "clsplat.api.device",
+    "Frame": "clsplat.api.renderer", "Gaussians": "clsplat.gaussians",
+    "Renderer": "clsplat.api.renderer", "Run": "clsplat.api.run", "Scene": "clsplat.scene",
+    "Score": "clsplat.api.score", "StopTraining": "clsplat.api.train", "View": "clsplat.scene",
+    "evaluate": "clsplat.api.score", "render": "clsplat.api.renderer",
+    "train": "clsplat.api.train"}
+
+__all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Renderer", "Run", "Scene",
+           "Score", "StopTraining", "View", "evaluate", "render", "train"]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'clsplat' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -4,68 +4,113 @@ Conventions, used everywhere: camera axes are right, down, forward (COLMAP); the
 (0, 0) is at (0.5, 0.5); quaternions are wxyz; `x_camera = rotation @ x_world + translation`.
 """
 
-from dataclasses import dataclass, replace
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera with a pose.
+    """A pinhole camera with a pose, world to camera.
 
-    width, height: image size, pixels. focal: (fx, fy), pixels. centre: principal point (cx, cy),
-    pixels. rotation: float64[3, 3], world to camera. translation: float64[3], camera frame. whole:
-    (left, top, right, bottom), pixels of this image: the borders of the photo that it is a part of,
-    such as (-100, 0, 540, 480); None: the image is all of the photo.
+    Attributes
+    ----------
+    width, height : size of the image, pixels.
+    focal : (fx, fy), pixels.
+    centre : the principal point (cx, cy), pixels.
+    rotation : float64[3, 3], from the world to the camera.
+    translation : float64[3], in the camera's frame.
+    whole : (left, top, right, bottom), pixels of this image: the borders of the photo that it is a
+        part of, such as (-100, 0, 540, 480); None: the image is all of the photo.
+    offset : float64[3]: where the origin of its world lies in original coordinates.
     """
 
     width: int
     height: int
     focal: tuple[float, float]
     centre: tuple[float, float]
-    rotation: np.ndarray
-    translation: np.ndarray
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
     whole: tuple[float, float, float, float] | None = None
+    offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def looking_at(cls, target: ArrayLike, position: ArrayLike, *, up: ArrayLike = (0, 0, 1),
+                   width: int = 640, height: int = 480, degrees: float = 60.0) -> Camera:
+        """A camera at a position that looks at a target.
+
+        Parameters
+        ----------
+        target : float[3], world: what is in the middle of the image.
+        position : float[3], world: the optical centre.
+        up : float[3], world: what is upwards in the image.
+        width, height : size of the image, pixels.
+        degrees : the angle from the image's left to its right.
+
+        Raises
+        ------
+        clsplat.ClsplatError : where these three do not say how it is turned.
+        """
+        there = np.asarray(position, np.float64)
+        forward = np.asarray(target, np.float64) - there
+        right = np.cross(forward, np.asarray(up, np.float64))
+        lengths = np.linalg.norm(forward), np.linalg.norm(right)
+        if not (min(lengths) > 1e-12 * max(1.0, float(np.linalg.norm(up))) * lengths[0]):
+            raise InputError("the camera's target is at its position, or straight up or down from "
+                             "it; give another `up`")
+        forward, right = forward / lengths[0], right / lengths[1]
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        focal = width / (2 * np.tan(np.radians(degrees) / 2))
+        return cls(width, height, (float(focal), float(focal)), (width / 2, height / 2), rotation,
+                   -rotation @ there)
 
     @property
-    def borders(self):
+    def borders(self) -> tuple[float, float, float, float]:
         """(left, top, right, bottom), pixels of this image: where the whole photo ends."""
         return self.whole or (0.0, 0.0, float(self.width), float(self.height))
 
     @property
-    def position(self):
+    def position(self) -> NDArray[np.float64]:
         """float64[3], the optical centre in the world frame."""
         return -self.rotation.T @ self.translation
 
-    def resized(self, width, height):
+    def resized(self, width: int, height: int) -> Camera:
         """The same camera for an image of width x height pixels (each axis scaled by itself)."""
         sx, sy = width / self.width, height / self.height
-        whole = self.whole and tuple(np.multiply(self.whole, (sx, sy, sx, sy)).tolist())
+        whole = None if self.whole is None else _four(np.multiply(self.whole, (sx, sy, sx, sy)))
         return replace(
             self, width=width, height=height,
             focal=(self.focal[0] * sx, self.focal[1] * sy),
             centre=(self.centre[0] * sx, self.centre[1] * sy), whole=whole)
 
-    def cropped(self, left, top, right, bottom):
-        """The same camera for the part of its image between these columns and rows."""
-        away = np.array([left, top])
+    def cropped(self, left: int, top: int, right: int, bottom: int) -> Camera:
+        """The same camera for a part of its image: the columns from left to right, and the rows
+        from top to bottom, pixels."""
         return replace(
             self, width=right - left, height=bottom - top,
-            centre=tuple((self.centre - away).tolist()),
-            whole=tuple((np.array(self.borders) - [*away, *away]).tolist()))
+            centre=(self.centre[0] - left, self.centre[1] - top),
+            whole=_four(np.array(self.borders) - [left, top, left, top]))
 
-    def reduced(self, downscale, max_resolution=0):
+    def reduced(self, downscale: float, max_resolution: float = 0) -> Camera:
         """The same camera for an image `downscale` times smaller, sides rounded down; the longer
         side of the whole photo then is at most `max_resolution` pixels (0: any)."""
         left, top, right, bottom = self.borders
         factor = max(downscale, max(right - left, bottom - top) / (max_resolution or np.inf))
         return self.resized(max(1, int(self.width / factor)), max(1, int(self.height / factor)))
 
-    def shifted(self, offset):
+    def shifted(self, offset: ArrayLike) -> Camera:
         """The same camera in a world whose origin was moved to `offset` (float64[3], world)."""
-        return replace(self, translation=self.translation + self.rotation @ np.asarray(offset))
+        away = np.asarray(offset, np.float64)
+        return replace(self, translation=self.translation + self.rotation @ away,
+                       offset=self.offset + away)
 
-    def project(self, points):
+    def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixel coordinates float64[N, 2] and depths float64[N] of world points [N, 3]."""
         p = np.asarray(points, np.float64) @ self.rotation.T + self.translation
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -73,10 +118,15 @@ class Camera:
         return pixel, p[:, 2]
 
 
-def scene_extent(cameras):
+def scene_extent(cameras: Sequence[Camera]) -> float:
     """1.1 x the largest distance of a camera from the mean camera position (Kerbl et al. 2023).
 
     World units. It scales position learning rates and the size thresholds of densification.
     """
     positions = np.array([camera.position for camera in cameras])
     return 1.1 * float(np.linalg.norm(positions - positions.mean(0), axis=1).max())
+
+
+def _four(values: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    left, top, right, bottom = values.tolist()
+    return left, top, right, bottom

@@ -20,5 +20,16 @@ class ShapeError(ClsplatError):
     """An array handed to a kernel has the wrong shape or type; the message names the argument."""
 
 
+class StopTraining(Exception):
+    """A callback of `clsplat.train` raises it to end the training after this step."""
+
+
 class Interrupted(ClsplatError):
-    """Training was stopped by the user after its state was saved."""
+    """Training was stopped by the user after its state was saved.
+
+    planned: whether an option or a callback asked for it, and no signal.
+    """
+
+    def __init__(self, message: str = "", planned: bool = False) -> None:
+        super().__init__(message)
+        self.planned = planned

@@ -1,8 +1,13 @@
 """The gaussians: one table of fields drives rows, Adam moments, PLY columns and checkpoints."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from clsplat.errors import InputError
@@ -26,15 +31,15 @@ class Field:
     ply: tuple[str, ...]
     shape: tuple[int, ...] | None = None  # None: the SH bands above the constant
 
-    def row_shape(self, sh_degree):
+    def row_shape(self, sh_degree: int) -> tuple[int, ...]:
         return self.shape if self.shape is not None else ((sh_degree + 1) ** 2 - 1, 3)
 
-    def width(self, sh_degree):
+    def width(self, sh_degree: int) -> int:
         """Floats a row."""
         return int(np.prod(self.row_shape(sh_degree)))
 
 
-def _numbered(prefix, count):
+def _numbered(prefix: str, count: int) -> tuple[str, ...]:
     return tuple(f"{prefix}_{i}" for i in range(count))
 
 
@@ -57,32 +62,85 @@ FIELDS = LEARNED + SPHERE
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """Rows of gaussians in host memory.
+    """Gaussians in host memory, a row each.
 
-    rows: field name -> float32[N, *row shape], all LEARNED fields and perhaps those of SPHERE;
-    sh_degree: 0 to 3. Quaternions are wxyz and need
-    not have unit length; scales and opacities are stored as their logarithm and logit.
+    Every field is also an attribute: `model.positions`. Quaternions are wxyz and need not have unit
+    length; scales and opacities are stored as their logarithm and logit.
+
+    Attributes
+    ----------
+    rows : field name -> float32[N, *row shape]: positions [N, 3], sh_constant [N, 3], sh_rest
+        [N, bands, 3], opacity_logits [N], log_scales [N, 3], quaternions [N, 4], and perhaps those
+        of SPHERE; local coordinates.
+    sh_degree : of the spherical harmonics, 0 to 3.
+    offset : float64[3]: where the origin of the local coordinates lies in the original ones.
     """
 
-    rows: dict[str, np.ndarray]
+    rows: dict[str, NDArray[np.float32]]
     sh_degree: int
+    offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Gaussians:
+        """Read a model.
+
+        Parameters
+        ----------
+        path : a PLY file, as clsplat and other splatting programs write it.
+
+        Raises
+        ------
+        clsplat.ClsplatError : where it is no such file, or damaged.
+        """
+        from clsplat.io.ply import read_ply
+
+        return read_ply(Path(path))
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write a PLY file in original coordinates, which splat viewers open.
+
+        Parameters
+        ----------
+        path : the file, which is replaced as a whole.
+
+        Raises
+        ------
+        clsplat.ClsplatError : where it cannot be written, or has another suffix than .ply.
+        """
+        from clsplat.io.ply import write_ply
+
+        if Path(path).suffix.lower() != ".ply":
+            raise InputError(f"{path}: models are written as .ply; choose such a name")
+        write_ply(Path(path), self, self.offset)
 
     @property
-    def count(self):
+    def count(self) -> int:
         return len(self.rows["positions"])
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> NDArray[np.float32]:
         try:
-            return self.__dict__["rows"][name]
+            rows: dict[str, NDArray[np.float32]] = self.__dict__["rows"]
+            return rows[name]
         except KeyError:
             raise AttributeError(name) from None
 
     @classmethod
-    def from_points(cls, points, colours, sh_degree=3):
-        """Initial gaussians on a sparse cloud: points float64[N, 3], colours uint8[N, 3].
+    def from_points(cls, points: NDArray[np.floating], colours: NDArray[np.uint8],
+                    sh_degree: int = 3) -> Gaussians:
+        """Initial gaussians on a sparse cloud (Kerbl et al. 2023, section 5.1).
 
         Isotropic, sized by the root mean square distance to the three nearest neighbours, opacity
-        0.1 (Kerbl et al. 2023, section 5.1). Raises InputError where the cloud has no size.
+        0.1.
+
+        Parameters
+        ----------
+        points : float64[N, 3], local.
+        colours : uint8[N, 3].
+        sh_degree : of the spherical harmonics, 0 to 3.
+
+        Raises
+        ------
+        clsplat.ClsplatError : where all points lie at one place.
         """
         count = len(points)
         rows = {
@@ -97,27 +155,45 @@ class Gaussians:
         }
         return cls(rows, sh_degree)
 
-    def scaled(self, factor):
+    def scaled(self, factor: float) -> Gaussians:
         """The same gaussians in a frame whose coordinates are `factor` times as large."""
         rows = dict(self.rows)
         for name in ("positions", "anchors", "max_offsets"):
             if name in rows:
                 rows[name] = (rows[name] * np.float64(factor)).astype(np.float32)
         rows["log_scales"] = (rows["log_scales"] + np.log(factor)).astype(np.float32)
-        return Gaussians(rows, self.sh_degree)
+        return Gaussians(rows, self.sh_degree, self.offset)
+
+    def located(self, offset: ArrayLike) -> Gaussians:
+        """The same local coordinates, with their origin at `offset` (float64[3], original)."""
+        return Gaussians(self.rows, self.sh_degree, np.asarray(offset, np.float64))
+
+    def moved(self, offset: ArrayLike) -> Gaussians:
+        """The same gaussians in local coordinates whose origin is at `offset` (float64[3],
+        original)."""
+        away = self.offset - np.asarray(offset, np.float64)
+        rows = {name: (values + away).astype(np.float32) if name in ("positions", "anchors")
+                else values for name, values in self.rows.items()}
+        return Gaussians(rows, self.sh_degree, np.asarray(offset, np.float64))
+
+    def __repr__(self) -> str:
+        return f"<clsplat.Gaussians: {self.count:,}, SH degree {self.sh_degree}>"
 
 
-def neighbour_distance(points, neighbours=3):
+def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3
+                       ) -> NDArray[np.float64]:
     """Root mean square distance float64[N] of each point to its nearest neighbours, world units.
 
     Coincident points are counted once, so that duplicates neither shrink each other to nothing nor
     hide the distance to the rest.
     """
     distance, inverse, least = _distances(points, neighbours)
-    return np.maximum(np.sqrt((distance**2).mean(axis=1)), least)[inverse]
+    size: NDArray[np.float64] = np.maximum(np.sqrt((distance**2).mean(axis=1)), least)
+    return size[inverse]
 
 
-def mean_neighbour_distance(points, neighbours):
+def mean_neighbour_distance(points: NDArray[np.floating], neighbours: int
+                            ) -> NDArray[np.float64]:
     """Mean distance float64[N] of each point to its `neighbours` nearest others, world units.
 
     As `neighbour_distance` otherwise. Raises InputError for fewer distinct points than that and 1.
@@ -127,10 +203,11 @@ def mean_neighbour_distance(points, neighbours):
         raise InputError(
             f"the sparse model has {len(distance)} distinct points, --sphere-neighbours "
             f"{neighbours} needs at least {neighbours + 1}; use a smaller number or --no-sphere")
-    return np.maximum(distance.mean(axis=1), least)[inverse]
+    size: NDArray[np.float64] = np.maximum(distance.mean(axis=1), least)
+    return size[inverse]
 
 
-def mean_inverse_distance(points):
+def mean_inverse_distance(points: NDArray[np.floating]) -> float:
     """Mean over points of 1 / distance to the nearest other, 1 / world unit (Xue et al. 2026,
     eq. 8). Duplicates are left out; two that differ by rounding only are no others, and 0 counts
     for a point whose three nearest are none."""
@@ -139,7 +216,8 @@ def mean_inverse_distance(points):
     return float((1 / nearest).mean())
 
 
-def _distances(points, neighbours):
+def _distances(points: NDArray[np.floating], neighbours: int
+               ) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
     """(float64[M, k] distances of the M distinct points to their nearest others, nearest first;
     int[N], which of them each point is; the distance below which two are coincident)."""
     distinct, inverse = np.unique(points, axis=0, return_inverse=True)

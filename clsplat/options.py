@@ -322,7 +322,7 @@ def _check_text(text):
         raise ValueError("text in Unicode")
 
 
-def resolve(file_values, flag_values):
+def resolve(file_values, flag_values) -> TrainOptions:
     """TrainOptions from a TOML file's values overridden by the command line's.
 
     Unless given, an option has the value that the given schedule, preset and size choose for it.

@@ -1,11 +1,21 @@
 """A scene: posed photos and a sparse point cloud, in a frame near the origin."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from html import escape
+from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import Camera, scene_extent
+
+if TYPE_CHECKING:
+    from clsplat.region import Region
 
 NEAR_SHARE = 1 / 500  # of the extent: holds for scenes in any unit
 # cameras this much closer together than the points are away (or agreeing but for rounding) say
@@ -15,92 +25,142 @@ LEAST_PARALLAX = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photo: its name within the scene, its camera, and where its pixels come from.
+    """One photo of a scene.
 
-    source: a file path, or the encoded bytes of the image (packed scenes).
+    Attributes
+    ----------
+    name : of the photo within the scene.
+    camera : where it was taken; its size may be smaller than the photo's.
+    source : a file path, or the encoded bytes of the image (packed scenes).
     """
 
     name: str
     camera: Camera
     source: Path | bytes
 
-    def sees(self, points):
+    def sees(self, points: ArrayLike) -> NDArray[np.bool_]:
         """bool[N]: which points float64[N, 3] lie in front and within the image, hidden or not."""
         pixels, depths = self.camera.project(points)
         size = self.camera.width, self.camera.height
-        return (depths > 0) & (pixels > 0).all(axis=1) & (pixels < size).all(axis=1)
+        inside: NDArray[np.bool_] = (
+            (depths > 0) & (pixels > 0).all(axis=1) & (pixels < size).all(axis=1))
+        return inside
+
+    def photo(self) -> NDArray[np.uint8]:
+        """Read the photo.
+
+        Returns
+        -------
+        uint8[H, W, 3], resampled to the camera's size.
+
+        Raises
+        ------
+        clsplat.ClsplatError : where it is not there, or is no image that can be read.
+        """
+        from clsplat.io.images import read_photo
+
+        pixels: NDArray[np.uint8] = read_photo(self)
+        return pixels
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Views sorted by name, and sparse points.
+    """Views sorted by name, and sparse points, near the origin: `original = offset + unit * local`.
 
-    points: float64[N, 3]; colours: uint8[N, 3]; offset: float64[3], and unit, say where the
-    original world coordinates are (`original = offset + unit * local`), so that exports restore
-    them; path: where it was read from; observations: int32[M, 2], rows (point, view) that say which
-    view the sparse model saw a point in, each once, sorted; None where the file does not tell.
-    held_out: names of the views that are for testing where the data set says so itself, or None.
-    notes: lines that a user should see: what of the files is not used, or is read in another way.
-    Of a block of a larger scene: region, the region.Region it owns, and exposures, name ->
-    float64[3, 4], the colour transforms its views start from; else None.
+    Attributes
+    ----------
+    name : of its folder or file.
+    views : the photos with their cameras.
+    points : float64[N, 3], local.
+    colours : uint8[N, 3], of the points.
+    offset, unit : float64[3] and a number, by which exports restore the original coordinates.
+    path : where it was read from.
+    observations : int32[M, 2], rows (point, view) that say which view the sparse model saw a point
+        in, each once, sorted; None where the file does not tell.
+    held_out : names of the views that are for testing where the data set says so itself, or None.
+    region : of a block of a larger scene, the region.Region it owns; else None.
+    exposures : of a block, name -> float64[3, 4], the colour transforms its views start from.
+    notes : lines that a user should see: what of the files is not used, or is read in another way.
     """
 
     name: str
     views: tuple[View, ...]
-    points: np.ndarray
-    colours: np.ndarray
-    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    points: NDArray[np.float64]
+    colours: NDArray[np.uint8]
+    offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     path: Path = Path()
-    observations: np.ndarray | None = None
+    observations: NDArray[np.int32] | None = None
     unit: float = 1.0
-    held_out: frozenset | None = None
-    region: object = None
-    exposures: dict | None = None
+    held_out: frozenset[str] | None = None
+    region: Region | None = None
+    exposures: dict[str, NDArray[np.float64]] | None = None
     notes: tuple[str, ...] = ()
 
+    @classmethod
+    def read(cls, path: str | PathLike[str], images: str = "") -> Scene:
+        """Read a scene.
+
+        Parameters
+        ----------
+        path : a folder with a COLMAP model, transforms.json or the layout of Mega-NeRF or
+            CityGaussian, or a file of `clsplat pack`.
+        images : the folder of its photos, from the scene's own folder; "": images.
+
+        Raises
+        ------
+        clsplat.ClsplatError : where it is not a scene, or is damaged; one line with the cure.
+        """
+        from clsplat.io.scenes import read_scene
+
+        return read_scene(path, images)
+
     @property
-    def extent(self):
+    def extent(self) -> float:
         """World units; see `camera.scene_extent`. The distance of the points where cameras agree.
         """
         extent = scene_extent([view.camera for view in self.views])
         return extent if self.parallax >= LEAST_PARALLAX else self._distance
 
     @property
-    def parallax(self):
+    def parallax(self) -> float:
         """How far apart the cameras are for the distance of the points."""
         return scene_extent([view.camera for view in self.views]) / max(
             self._distance, np.finfo(float).tiny)
 
     @property
-    def _distance(self):
+    def _distance(self) -> float:
         """Median distance of a point from the middle of the cameras, world units."""
         middle = np.mean([view.camera.position for view in self.views], axis=0)
         return float(np.median(np.linalg.norm(self.points - middle, axis=1)))
 
     @property
-    def near_plane(self):
+    def near_plane(self) -> float:
         """World units: what is closer to a camera is not drawn."""
         return self.extent * NEAR_SHARE
 
-    def split(self, test_every):
+    def split(self, test_every: int) -> tuple[tuple[View, ...], tuple[View, ...]]:
         """(train, test) tuples of views: those of `held_out`, or else every `test_every`-th view by
         name, from the first, is held out; 0 holds out none."""
         if test_every <= 0:
             return self.views, ()
         held_out = self.held_out
         if held_out is None:
-            held_out = {view.name for view in self.views[::test_every]}
+            held_out = frozenset(view.name for view in self.views[::test_every])
         return (tuple(v for v in self.views if v.name not in held_out),
                 tuple(v for v in self.views if v.name in held_out))
 
-    def reached(self, positions, spread=0.0):
+    def reached(self, positions: ArrayLike, spread: ArrayLike = 0.0) -> NDArray[np.bool_]:
         """bool[N]: which local positions [N, 3] a block's region reaches, its margin included, with
         all that lies `spread` float[N] local units to the sides of them."""
-        return self.region.reaches(self.offset + self.unit * np.asarray(positions, np.float64),
-                                   self.unit * spread)
+        if self.region is None:
+            raise ValueError("a scene that is no block has no region")
+        inside: NDArray[np.bool_] = self.region.reaches(
+            self.offset + self.unit * np.asarray(positions, np.float64),
+            self.unit * np.asarray(spread))
+        return inside
 
-    def part(self, indices):
-        """The scene of the views int[V] alone, with the points that they see."""
+    def part(self, indices: Iterable[int]) -> Scene:
+        """The scene of some views alone, with the points that they see; indices: int[V] of them."""
         views = tuple(self.views[i] for i in sorted(indices))
         if self.observations is None:
             seen, known = np.zeros(len(self.points), bool), None
@@ -108,7 +168,7 @@ class Scene:
                 seen |= view.sees(self.points)
         else:
             place = np.full(len(self.views), -1)
-            place[np.sort(indices)] = np.arange(len(views))
+            place[sorted(indices)] = np.arange(len(views))
             point, view = self.observations.T
             point, view = point[place[view] >= 0], place[view[place[view] >= 0]]
             seen = np.bincount(point, minlength=len(self.points)) > 0
@@ -116,7 +176,7 @@ class Scene:
         return replace(self, views=views, points=self.points[seen], colours=self.colours[seen],
                        observations=known)
 
-    def cropped(self, windows):
+    def cropped(self, windows: dict[str, tuple[int, int, int, int]]) -> Scene:
         """The scene with views that show a part of their photos only, and with the observations in
         it. windows: {name of a view: (left, top, right, bottom), pixels}; others stay whole."""
         views = tuple(replace(v, camera=v.camera.cropped(*windows[v.name]))
@@ -133,19 +193,20 @@ class Scene:
             known = known[inside]
         return replace(self, views=views, observations=known)
 
-    def reduced(self, downscale, max_resolution=0):
-        """The scene with smaller images; see `Camera.reduced`."""
+    def reduced(self, downscale: float, max_resolution: float = 0) -> Scene:
+        """The scene with images `downscale` times smaller, and no side of a photo longer than
+        `max_resolution` pixels (0: any)."""
         return replace(self, views=tuple(
             replace(v, camera=v.camera.reduced(downscale, max_resolution)) for v in self.views))
 
-    def recentred(self):
+    def recentred(self) -> Scene:
         """The scene with its origin at the median point, so that float32 keeps its digits."""
         offset = np.median(self.points, axis=0)
         return replace(
             self, points=self.points - offset, offset=self.offset + offset,
             views=tuple(replace(v, camera=v.camera.shifted(offset)) for v in self.views))
 
-    def normalised(self):
+    def normalised(self) -> Scene:
         """The scene in units of its extent: what is then computed in float32 is the same whatever
         unit the original coordinates have."""
         extent = self.extent
@@ -153,3 +214,15 @@ class Scene:
             self, points=self.points / extent, unit=self.unit * extent, views=tuple(
                 replace(v, camera=replace(v.camera, translation=v.camera.translation / extent))
                 for v in self.views))
+
+    def __repr__(self) -> str:
+        return (f"<clsplat.Scene {self.name!r}: {len(self.views)} views, "
+                f"{len(self.points):,} points>")
+
+    def _repr_html_(self) -> str:
+        sizes = {(view.camera.width, view.camera.height) for view in self.views}
+        size = " and ".join(f"{width} x {height}" for width, height in sorted(sizes)[:3])
+        rows = (("scene", self.name), ("views", f"{len(self.views)}, {size} pixels"),
+                ("points", f"{len(self.points):,}"), ("extent", f"{self.extent:.4g} world units"))
+        return "<table>" + "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>"
+                                   for key, value in rows) + "</table>"

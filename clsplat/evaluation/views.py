@@ -18,6 +18,7 @@ from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import TrainOptions, resolve
 from clsplat.rendering.slabs import open_model
+from clsplat.scene import Scene
 
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 SAMPLED = 24  # training views to choose pictures from, where no view is held out
@@ -73,14 +74,14 @@ def photo_of(view):
     return read_photo(view) / np.float32(255)
 
 
-def run_options(run):
+def run_options(run) -> TrainOptions:
     """The TrainOptions that a run was trained with."""
     record = run.read_options()
     known = TrainOptions.__dataclass_fields__
     return resolve({k: v for k, v in record.items() if k in known}, {})
 
 
-def read_scene_of(run, given=None):
+def read_scene_of(run, given=None) -> Scene:
     """The Scene that a run was trained on; given: where it is now, None: where the run has it.
     InputError where that is another scene."""
     path = run.scene_path(given)

@@ -32,17 +32,18 @@ def checked_scene(path, name, model, sources, offset=None):
         raise InputError(f"{path}: the model has no registered image; reconstruct the scene again")
     _check_poses(path, names, model)
     _check_points(path, model["points"])
+    origin = np.zeros(3) if offset is None else np.array(offset, np.float64)
     views = (View(n, Camera(*(int(v) for v in model["sizes"][i]),
                             tuple(float(v) for v in model["focals"][i]),
                             tuple(float(v) for v in model["centres"][i]),
                             np.array(model["rotations"][i], np.float64),
-                            np.array(model["translations"][i], np.float64)), sources[i])
+                            np.array(model["translations"][i], np.float64), offset=origin),
+                  sources[i])
              for i, n in enumerate(names))
     seen = _checked_observations(path, names, len(model["points"]), model.get("observations"))
     return Scene(name, tuple(sorted(views, key=lambda view: view.name)),
                  np.array(model["points"], np.float64), np.array(model["colours"], np.uint8),
-                 np.zeros(3) if offset is None else np.array(offset, np.float64), Path(path),
-                 seen)
+                 origin, Path(path), seen)
 
 
 def _checked_names(path, names):

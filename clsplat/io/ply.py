@@ -92,7 +92,7 @@ def _write_vertices(path, layout, comments, count, tables):
             file.write(table.tobytes())
 
 
-def read_ply(path, offset=None):
+def read_ply(path, offset=None) -> Gaussians:
     """The Gaussians of a PLY, in local coordinates: the offset its header records is subtracted.
 
     offset: float64[3], world, subtracted instead, for gaussians that start another scene's
@@ -126,7 +126,7 @@ def read_ply(path, offset=None):
         if bad:
             raise InputError(f"{path}: {bad} of {len(values)} values in column {name} are not "
                              "finite; remove those gaussians, or export the model again")
-    return Gaussians(rows, degree)
+    return Gaussians(rows, degree, np.array(offset, np.float64))
 
 
 def _columns(degree, fields):

@@ -13,6 +13,7 @@ import numpy as np
 
 import clsplat
 from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL, replacing
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.folders import make_folder, remove_files
@@ -287,7 +288,7 @@ class RunFolder:
         return (self.path / MODEL).is_file()
 
     @property
-    def is_finished(self):
+    def is_finished(self) -> bool:
         """Whether all is done: the report comes last."""
         return self.has_model and (self.path / REPORT).is_file()
 
@@ -310,7 +311,7 @@ class RunFolder:
             raise InputError(f"{self.path / MODEL}: the run has no model yet; finish it with "
                              "--resume")
 
-    def load_model(self):
+    def load_model(self) -> Gaussians:
         """The finished model's Gaussians, in the scene's local coordinates."""
         self.check_model()
         return read_ply(self.path / MODEL)

@@ -14,13 +14,14 @@ from clsplat.io.colmap import read_colmap
 from clsplat.io.meganerf import has_metadata, read_meganerf
 from clsplat.io.packed import read_packed
 from clsplat.io.transforms import has_transforms, read_transforms
+from clsplat.scene import Scene
 
 # how a folder that is no COLMAP folder is told, and its reader
 LAYOUTS = ((has_metadata, read_meganerf), (has_parts, read_citygs),
            (has_transforms, read_transforms))
 
 
-def read_scene(path, images=""):
+def read_scene(path, images="") -> Scene:
     """The Scene of a folder with a COLMAP model, transforms.json, or the layout of Mega-NeRF or
     CityGS, or of a packed .npz; else InputError.
 

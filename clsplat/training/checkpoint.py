@@ -81,7 +81,7 @@ def check_state(state):
             raise ValueError(f"{key} ({str(value)[:20]!r})")
 
 
-def gaussians_of(arrays, sh_degree):
+def gaussians_of(arrays, sh_degree) -> Gaussians:
     """The Gaussians of a checkpoint's arrays.
 
     KeyError names an array that is missing, ValueError one that does not fit the others.

@@ -27,12 +27,13 @@ from clsplat.schedule import SCHEDULES, Subject, scaled_steps
 from clsplat.training import checkpoint
 from clsplat.training.adjacent import Adjacent
 from clsplat.training.begin import initial_exposures, initial_gaussians
+from clsplat.training.callbacks import Callbacks
 from clsplat.training.clock import Clock
 from clsplat.training.finish import draw_report, save_model
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.model import Model
 from clsplat.training.needs import find_needs, smallest_size
-from clsplat.training.photos import Photos, decoded, size_note
+from clsplat.training.photos import Photos, decoded, epoch_order, size_note
 from clsplat.training.silent import WARNING, Silent
 from clsplat.training.skipped import TOO_MANY
 from clsplat.training.snapshots import save_snapshot
@@ -44,13 +45,14 @@ LOG_EVERY = 100
 LOOK_VIEWS = 10  # that a schedule may look at before it grows
 
 
-def train(scene, options, device, run, progress=None):
+def train(scene, options, device, run, progress=None, callbacks=()):
     """Train `scene` from the start into an empty `run` folder.
 
     options: TrainOptions; progress: called as progress(iteration=, total=, loss=, gaussians=,
-    memory_bytes=, level=) and progress.message(text). Raises Interrupted, state saved, on Ctrl-C.
+    memory_bytes=, level=) and progress.message(text); callbacks: see `callbacks.Callbacks`. Raises
+    Interrupted, state saved, on Ctrl-C, and where a callback stops it.
     """
-    training = Training(scene, options, device, run, progress)
+    training = Training(scene, options, device, run, progress, callbacks=callbacks)
     with training.resumable():
         found = find_warnings(training.scene, training.train_views,
                               training.step.model.rows["opacity_logits"].download())
@@ -63,7 +65,7 @@ def train(scene, options, device, run, progress=None):
         training.run_to_end()
 
 
-def resume(scene, options, device, run, progress=None):
+def resume(scene, options, device, run, progress=None, callbacks=()):
     """Go on from the run's checkpoint, as if it had never stopped."""
     record = run.read_options()
     if record.get("fingerprint") != fingerprint(scene):
@@ -72,7 +74,7 @@ def resume(scene, options, device, run, progress=None):
                          "another --output")
     if not (run.has_checkpoint or run.has_model):  # it was killed before its first checkpoint
         run.rewind(-1)
-        train(scene, options, device, run, progress)
+        train(scene, options, device, run, progress, callbacks)
         return
     arrays, state = run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
@@ -87,7 +89,7 @@ def resume(scene, options, device, run, progress=None):
         raise InputError(f"{run.path}: its checkpoint lacks a good {error}; "
                          "start again with --overwrite") from None
     try:
-        training = Training(scene, options, device, run, progress, gaussians)
+        training = Training(scene, options, device, run, progress, gaussians, callbacks)
         checkpoint.load(training, arrays, state)
     except KeyError as error:
         raise InputError(f"{run.path}: its checkpoint lacks {error}; "
@@ -100,19 +102,13 @@ def resume(scene, options, device, run, progress=None):
         training.run_to_end()
 
 
-@functools.lru_cache(maxsize=2)  # this step's epoch, and the next one's
-def epoch_order(seed, epoch, count):
-    """int[count]: the order of the views in an epoch."""
-    return np.random.default_rng([seed, 1, epoch]).permutation(count)
-
-
 class Training(Clock):
     """The state of a run: what `take_step` changes and a checkpoint holds.
 
     gaussians: where a resumed run goes on; None begins as the options say.
     """
 
-    def __init__(self, scene, options, device, run, progress, gaussians=None):
+    def __init__(self, scene, options, device, run, progress, gaussians=None, callbacks=()):
         super().__init__(device)
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.iteration = 0
@@ -120,6 +116,7 @@ class Training(Clock):
         self.recorded = gaussians is not None  # whether the run folder holds this run
         self.fingerprint = fingerprint(scene)
         self.run, self.progress = run, progress or Silent()
+        self.callbacks = Callbacks(callbacks)
         note = size_note(scene.views, options)
         if note and not (options.coarse or scene.region):  # a city says it once, for all
             self.progress.message(note)
@@ -151,8 +148,7 @@ class Training(Clock):
         if options.exposure == "on":
             given = initial_exposures(scene, views)  # blocks that learned their own would not agree
             exposures = Exposures(device, len(views), initial=given, learns=given is None)
-        self.step = Step(self.renderer, model, scene.extent, options, exposures,
-                         trains)
+        self.step = Step(self.renderer, model, scene.extent, options, exposures, trains)
         self.progress.phase("reading photos")
         for _ in decoded(self.test_views):
             pass  # a damaged one would end the run at its evaluation
@@ -202,9 +198,10 @@ class Training(Clock):
         """
         self.unpause()
         with deferred_interrupt() as interrupted:
-            while not (self.finished() or self.stops() or interrupted()):
+            while not (self.finished() or self.stops() or interrupted() or self.callbacks.stop):
                 self.take_step()
                 self.report()
+                self.callbacks.stepped(self)
                 if self.due(self.options.checkpoint_every) and not self.finished():
                     self.save()
             self.save()
@@ -233,7 +230,8 @@ class Training(Clock):
     def stopped(self):
         """The Interrupted of a run that can go on."""
         return Interrupted(f"stopped after step {self.iteration}; go on with: clsplat train "
-                           f"--resume -o {shlex.quote(str(self.run.path))}")
+                           f"--resume -o {shlex.quote(str(self.run.path))}",
+                           self.stops() or self.callbacks.stop)
 
     def finished(self):
         """Whether all steps are taken, or all time is spent."""
@@ -316,14 +314,18 @@ class Training(Clock):
 
     # --- records
 
+    def place(self):
+        """What every record says of where the training is."""
+        return {"iteration": self.iteration, "train_seconds": round(self.trained(), 3),
+                "wall_seconds": round(self.elapsed(), 3), "level": self.level,
+                "gaussians": self.step.model.count}
+
     def log(self, event, **values):
         """One record of metrics.jsonl; its first keys are those of every record."""
-        self.run.log({
-            "event": event, "iteration": self.iteration,
-            "train_seconds": round(self.trained(), 3),
-            "wall_seconds": round(self.elapsed(), 3), "level": self.level,
-            "gaussians": self.step.model.count, "pixel_pairs": self.step.pixel_pairs,
-            "kernel_bytes": self.moved(), **values})
+        record = {"event": event, **self.place(), "pixel_pairs": self.step.pixel_pairs,
+                  "kernel_bytes": self.moved(), **values}
+        self.run.log(record)
+        self.callbacks.logged(record)
 
     def report(self):
         """The progress line and the step record, where they are due."""

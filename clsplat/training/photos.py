@@ -1,5 +1,6 @@
 """Training photos at one level after another, kept on the device while they fit."""
 
+import functools
 import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,12 @@ from clsplat.io.images import read_photo
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
 THREADS = 2  # each may hold a whole photo as floats
+
+
+@functools.lru_cache(maxsize=2)  # this step's epoch, and the next one's
+def epoch_order(seed, epoch, count):
+    """int[count]: the order of the views in an epoch."""
+    return np.random.default_rng([seed, 1, epoch]).permutation(count)
 
 
 def decode(view):

@@ -1,0 +1,54 @@
+"""`clsplat.Device`: an OpenCL device, opened by what a user calls it."""
+
+import functools
+from html import escape
+
+from clsplat.device import Device as OpenedDevice
+from clsplat.device import choose_device
+from clsplat.errors import InputError
+
+
+class Device(OpenedDevice):
+    """An open OpenCL device.
+
+    Parameters
+    ----------
+    name : which device: "auto" (a GPU if there is one, else the fastest CPU runtime), "cpu", "gpu",
+        its number in `clsplat devices`, or a part of its name.
+    form : of the kernels, "item" (made for CPUs), "group" (for GPUs) or "auto" (by the device).
+    precision : of all numbers on the device, "float" or "double".
+
+    Raises
+    ------
+    clsplat.ClsplatError : where no such device works; the message says why and names the cure.
+    """
+
+    def __init__(self, name: str | int = "auto", *, form: str = "auto",
+                 precision: str = "float") -> None:
+        for word, known in ((form, ("auto", "item", "group")), (precision, ("float", "double"))):
+            if word not in known:
+                raise InputError(f"{word!r}: not one of {', '.join(known)}")
+        opened = choose_device(str(name), form=form, precision=precision)
+        self.__dict__.update(opened.__dict__)
+
+    def __repr__(self) -> str:
+        return f"<clsplat.Device {self.name!r}, {self.form} form>"
+
+    def _repr_html_(self) -> str:
+        memory = self.handle.global_mem_size / 2**30
+        rows = {"device": self.name, "platform": self.handle.platform.name.strip(),
+                "memory": f"{memory:.1f} GiB", "kernels": f"{self.form} form"}
+        return table(rows)
+
+
+@functools.cache
+def best_device() -> Device:
+    """The device that is taken where none is given, opened once."""
+    return Device()
+
+
+def table(rows: dict[str, str]) -> str:
+    """An HTML table of two columns, for notebooks."""
+    return "<table>" + "".join(
+        f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in rows.items()
+    ) + "</table>"

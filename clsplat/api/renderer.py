@@ -1,0 +1,233 @@
+"""`clsplat.render` and `clsplat.Renderer`: images of gaussians, and gradients back to them."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.api.device import Device, best_device
+from clsplat.camera import Camera
+from clsplat.device import Device as OpenedDevice
+from clsplat.errors import InputError
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.images import encode_image
+from clsplat.rendering import pipeline
+from clsplat.rendering.slabs import gaussian_limit, open_model
+from clsplat.scene import NEAR_SHARE
+
+NOT_FINITE = 2**32 - 1  # the row of a gradient that was left out
+
+
+def render(model: Gaussians, camera: Camera, *, device: OpenedDevice | None = None,
+           depth: bool = False, background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+           near: float | None = None, antialiased: bool = False) -> Any:
+    """Render gaussians from a camera.
+
+    A model that is larger than the device is rendered in slabs of depth.
+
+    Parameters
+    ----------
+    model : the gaussians.
+    camera : where they are seen from; its frame may have another offset than the model's.
+    device : an open device; None: the best that works.
+    depth : whether to return depths as well.
+    background : red, green and blue of 0 to 1 where nothing is.
+    near : world units: what is closer to the camera is not drawn; None: 1/500 of the model's size.
+    antialiased : whether opacity is scaled by the area that the low-pass adds (Yu et al. 2024).
+
+    Returns
+    -------
+    float32[H, W, 3], linear in the gaussians' colours, mostly 0 to 1; with `depth` a pair of it and
+    float32[H, W], the mean depth along the camera's axis in world units, 0 where nothing is.
+
+    Raises
+    ------
+    clsplat.ClsplatError : where no device works, or the frame does not fit its memory.
+    """
+    chosen = device or best_device()
+    opened, rows = open_model(chosen, model, _near(model, near), antialiased, background)
+    moved = _in_frame_of(model, camera)
+    blended = opened.render(rows, opened.pack(moved), camera.width, camera.height,
+                            model.sh_degree, with_depth=depth)
+    image = _image(blended.image)
+    if not depth:
+        return image
+    left = blended.blended.transmittance.download()
+    return image, _mean_depth(blended.blended.depth.download(), left)
+
+
+@dataclass(eq=False)
+class Frame:
+    """What `Renderer.forward` gives.
+
+    Attributes
+    ----------
+    image : float32[H, W, 3].
+    depth : float32[H, W], sums of weight times depth, world units; None where it was not asked for.
+    transmittance : float32[H, W], 0 to 1: how much of the background is seen.
+    """
+
+    image: NDArray[np.float32]
+    depth: NDArray[np.float32] | None
+    transmittance: NDArray[np.float32]
+    _frame: Any = field(repr=False)
+
+    def _repr_png_(self) -> bytes:
+        return encode_image(np.uint8(np.clip(self.image, 0, 1) * 255 + 0.5), "png", 100, "PNG")
+
+
+class Renderer:
+    """Renders gaussians that stay on the device, and takes gradients back to them.
+
+    Parameters
+    ----------
+    device : an open device.
+    model : the gaussians to begin with; they must fit the device's memory.
+    background, near, antialiased : as for `clsplat.render`.
+
+    Raises
+    ------
+    clsplat.ClsplatError : where the model does not fit the device.
+    """
+
+    def __init__(self, device: OpenedDevice, model: Gaussians, *,
+                 background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+                 near: float | None = None, antialiased: bool = False) -> None:
+        limit = gaussian_limit(device, model.sh_degree)
+        if model.count > limit:
+            raise InputError(f"{model.count:,} gaussians: the device has memory for {limit:,}; "
+                             "use clsplat.render, which draws larger models in slabs")
+        self.device, self.model = device, model
+        self._pipeline = pipeline.Renderer(device, model.sh_degree, _near(model, near), antialiased,
+                                           background)
+        self._rows = {f.name: device.upload(model.rows[f.name]) for f in LEARNED}
+
+    def update(self, **fields: Any) -> None:
+        """Replace parameters of the gaussians.
+
+        Parameters
+        ----------
+        fields : positions float[N, 3] (world), log_scales float[N, 3], quaternions float[N, 4]
+            (wxyz), opacity_logits float[N], sh_constant float[N, 3], sh_rest float[N, bands, 3];
+            numpy arrays, or what has `__array__` or `__dlpack__`.
+
+        Raises
+        ------
+        clsplat.ClsplatError : for a field that there is not, or one of another shape.
+        """
+        for name, values in fields.items():
+            if name not in self._rows:
+                raise InputError(f"{name}: no field of gaussians; there are "
+                                 f"{', '.join(self._rows)}")
+            array = _as_numpy(values)
+            wanted = self._rows[name].shape
+            if array.shape != tuple(wanted):
+                raise InputError(f"{name}: has shape {array.shape}, not {tuple(wanted)}")
+            self._rows[name].write(array)
+
+    def download(self) -> Gaussians:
+        """The gaussians as they now are, in host memory."""
+        rows = {name: array.download().astype(np.float32) for name, array in self._rows.items()}
+        return Gaussians(rows, self.model.sh_degree, self.model.offset)
+
+    def forward(self, camera: Camera, *, depth: bool = False) -> Frame:
+        """Render from a camera.
+
+        Parameters
+        ----------
+        camera : where the gaussians are seen from.
+        depth : whether the frame gets depths.
+
+        Returns
+        -------
+        The Frame, which `backward` takes.
+        """
+        packed = self._pipeline.pack(_in_frame_of(self.model, camera))
+        frame = self._pipeline.render(self._rows, packed, camera.width, camera.height,
+                                      self.model.sh_degree, with_depth=depth)
+        depths = frame.blended.depth.download().astype(np.float32) if depth else None
+        return Frame(_image(frame.image), depths,
+                     frame.blended.transmittance.download().astype(np.float32), frame)
+
+    def backward(self, frame: Frame, grad_image: Any, grad_depth: Any = None,
+                 grad_transmittance: Any = None) -> dict[str, NDArray[np.float32]]:
+        """Gradients of a loss by the gaussians (the adjoint of `forward`).
+
+        Parameters
+        ----------
+        frame : of the last `forward`; parameters must not have changed since.
+        grad_image : float[H, W, 3], the loss by the image.
+        grad_depth : float[H, W], the loss by `frame.depth`, for a frame with depth.
+        grad_transmittance : float[H, W], the loss by `frame.transmittance`, for one with depth.
+
+        Returns
+        -------
+        Field name -> float32 of the field's shape, a row a gaussian: 0 where the camera does not
+        see it, and where its gradient is not finite.
+
+        Raises
+        ------
+        clsplat.ClsplatError : for gradients of another shape, or of depths that are not there.
+        """
+        height, width, _ = frame.image.shape
+        if frame.depth is None and not (grad_depth is None and grad_transmittance is None):
+            raise InputError("gradients of depth or transmittance want a frame with depth: "
+                             "forward(camera, depth=True)")
+        grads = [self._gradient(grad_image, "grad_image", (height, width, 3))]
+        for name, values in (("grad_depth", grad_depth), ("grad_transmittance",
+                                                          grad_transmittance)):
+            grads.append(None if values is None else
+                         self._gradient(values, name, (height, width)))
+        found = self._pipeline.adjoint(self._rows, frame._frame, *grads)
+        places = found.rows.download()
+        there = places != NOT_FINITE
+        dense = {}
+        for name, values in found.fields.items():
+            dense[name] = np.zeros(self._rows[name].shape, np.float32)
+            dense[name][places[there]] = values.download()[there]
+        return dense
+
+    def _gradient(self, values: Any, name: str, shape: tuple[int, ...]) -> Any:
+        array = _as_numpy(values)
+        if array.shape != shape:
+            raise InputError(f"{name}: has shape {array.shape}, not {shape}")
+        if array.ndim == 3:
+            array = array.transpose(2, 0, 1)
+        return self.device.upload(np.ascontiguousarray(array, self.device.real))
+
+
+def _near(model: Gaussians, near: float | None) -> float:
+    """World units; a share of the median distance of a gaussian from the middle of them."""
+    if near is not None:
+        return near
+    if not model.count:
+        return NEAR_SHARE
+    positions = model.rows["positions"].astype(np.float64)
+    away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    return NEAR_SHARE * (float(np.median(away)) or 1.0)
+
+
+def _in_frame_of(model: Gaussians, camera: Camera) -> Camera:
+    """The camera in the model's local coordinates."""
+    away = np.asarray(model.offset, np.float64) - camera.offset
+    return camera.shifted(away) if away.any() else camera
+
+
+def _image(array: Any) -> NDArray[np.float32]:
+    return np.ascontiguousarray(array.download().transpose(1, 2, 0), np.float32)
+
+
+def _mean_depth(depth: NDArray[Any], left: NDArray[Any]) -> NDArray[np.float32]:
+    opaque = 1 - left
+    return np.where(opaque > 1e-6, depth / np.maximum(opaque, 1e-6), 0).astype(np.float32)
+
+
+def _as_numpy(values: Any) -> NDArray[np.float32]:
+    """A numpy array of what has `__dlpack__` or `__array__`, or of nested numbers."""
+    if not hasattr(values, "__array__") and hasattr(values, "__dlpack__"):
+        values = np.from_dlpack(values)
+    return np.asarray(values, np.float32)
+
+
+__all__ = ["Device", "Frame", "Renderer", "render"]

@@ -1,0 +1,56 @@
+"""`clsplat.train`: a scene in, a run out."""
+
+import tempfile
+from collections.abc import Callable, Iterable
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from clsplat.api.run import Run, finished_or_stopped
+from clsplat.device import Device as OpenedDevice
+from clsplat.device import choose_device
+from clsplat.errors import StopTraining
+from clsplat.io.run import RunFolder
+from clsplat.options import resolve
+from clsplat.scene import Scene
+from clsplat.training import loop
+
+
+def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None = None, *,
+          device: OpenedDevice | None = None, overwrite: bool = False,
+          callbacks: Iterable[Callable[[dict[str, Any]], object]] = (), **options: Any) -> Run:
+    """Train gaussians on a scene; the same as `clsplat train`.
+
+    Parameters
+    ----------
+    scene : a Scene as it was read (the option `downscale` makes its photos smaller), or its path.
+    output : the folder of the run; None: a new one in the folder for temporary files.
+    device : an open device; None: what the option `device` says, by default the best that works.
+    overwrite : whether a run in the folder is replaced.
+    callbacks : functions that are called with each record, a dict with `event`, `iteration`,
+        `train_seconds`, `level` and `gaussians`. Every step has one of event "step" with its
+        `loss`, `l1` and `ssim`; the host waits for the device to have them. Others are as in
+        metrics.jsonl: "plan", "level", "grow", "eval". One that raises `clsplat.StopTraining` ends
+        the training after its step; `Run.resume` goes on.
+    options : as of `clsplat train --help`, with underscores: iterations=7000, max_gaussians=100000.
+
+    Returns
+    -------
+    The Run.
+
+    Raises
+    ------
+    clsplat.ClsplatError : for a scene, an option or a folder that cannot be used.
+    """
+    chosen = resolve({}, options)
+    data = scene if isinstance(scene, Scene) else Scene.read(scene, chosen.images)
+    folder = Path(output if output is not None else tempfile.mkdtemp(prefix="clsplat-run-"))
+    opened = device or choose_device(chosen.device, form=chosen.form)
+    with RunFolder(folder).locked():
+        run = RunFolder.create(folder, overwrite=overwrite)
+        with finished_or_stopped():
+            loop.train(data, chosen, opened, run, callbacks=callbacks)
+    return Run(run)
+
+
+__all__ = ["StopTraining", "train"]
