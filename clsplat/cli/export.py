@@ -46,8 +46,9 @@ def export(run, output, sh_degree, sh_cost, device, scene):
     elif sh_degree != "all":
         degree = int(sh_degree)
     if not keep.any():
-        raise InputError(f"{folder.path}: all {len(keep):,} gaussians are too faint to be seen, so "
-                         "nothing is left to write; train longer, or look at its report")
+        what = f"all {len(keep):,} gaussians are too faint to be seen" if len(keep) else "is empty"
+        raise InputError(f"{folder.path / MODEL}: {what}, so nothing is left to write; train "
+                         "longer, or look at its report")
     if keep.all() and degree == gaussians.sh_degree:
         with open(folder.path / MODEL, "rb") as model, replacing(output) as copy:
             shutil.copyfileobj(model, copy)

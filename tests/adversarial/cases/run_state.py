@@ -47,7 +47,7 @@ CASES = [
     *(refused(f"options-{name}", GO_ON, "options.json", setup=written(OPTIONS, text), **HALF)
       for name, text in (("list", "[]"), ("number", "3"), ("null", "null"),
                          ("nan", '{"seed": NaN}'), ("deep", "[" * 5000), ("bytes", b"\xff\xfe"))),
-    *(refused(f"options-{key}-{str(value)[:6]}", GO_ON, "options.json|" + key,
+    *(refused(f"options-{key}-{str(value)[:6]}", GO_ON, f"options.json|another scene|{key}",
               setup=edited(OPTIONS, **{key: value}), **HALF)
       for key, value in (("iterations", "12"), ("iterations", -1), ("iterations", None),
                          ("levels", 3), ("levels", [0]), ("background", [0]), ("schedule", "nope"),
