@@ -8,7 +8,6 @@ LOUD = {"PYTHONUNBUFFERED": "1"}
 
 CASES = [
     works("stdin-closed", f"{RUN} <&-", same_model(), quick=True),
-    works("stdin-is-folder", f"{RUN} < .", same_model()),
     works("stdout-closed", f"{RUN} >&-", same_model()),
     works("stderr-closed", f"{RUN} 2>&-", same_model(), quick=True),
     works("all-closed", f"{RUN} <&- >&- 2>&-", same_model()),
