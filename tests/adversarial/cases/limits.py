@@ -15,7 +15,8 @@ CASES = [
     # with less memory the compilers of OpenCL runtimes end the process, with fewer files the shell
     *(either(f"memory-{size}", limited(f"-v {size}", RUN)) for size in (1900000, 2600000)),
     *(either(f"files-{count}", limited(f"-n {count}", RUN)) for count in (16, 32, 64)),
-    *(either(f"file-size-{size}", limited(f"-f {size}", RUN))
+    # through a pipe, for the line that says so is no file then
+    *(either(f"file-size-{size}", f"set -o pipefail; {limited(f'-f {size}', RUN)} 2>&1 | cat")
       for size in (0, 1, 16, 64, 200, 380, 900)),
     works("file-size-then-resume", f"{limited('-f 380', RUN)} > log 2>&1; {AGAIN}", same_model(),
           writes=("out", "log")),
@@ -28,7 +29,8 @@ CASES = [
     *(either(f"eval-memory-{size}", limited(f"-v {size}", "clsplat eval run"),
              needs=("sy", "run"), writes=("run/renders", "run/metrics.jsonl"))
       for size in (1200000, 1500000)),  # with less, libraries abort before Python can say why
-    *(either(f"eval-file-size-{size}", limited(f"-f {size}", "clsplat eval run"),
+    *(either(f"eval-file-size-{size}",
+             f"set -o pipefail; {limited(f'-f {size}', 'clsplat eval run')} 2>&1 | cat",
              needs=("sy", "run"), writes=("run/renders", "run/metrics.jsonl")) for size in (0, 8)),
     either("synth-file-size", limited("-f 3", "clsplat synth -o out --views 4 --size 96x64"),
            needs=()),

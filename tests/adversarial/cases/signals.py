@@ -43,12 +43,12 @@ CASES = [
             "merge city) > log 2>&1; clsplat merge city", same_model("city", "city"),
             needs=("sy", "city"), writes=("city", "log")) for number in range(1, 4)),
     works("dask-scheduler-killed", DASK + "(" + during(
-        ON_DASK, "kill -9 $S; sleep 20; kill -INT $P",  # else it waits for it, as it says
+        ON_DASK, "kill -9 $S; sleep 20; kill -TERM $P",  # else it waits for it, as it says
         "out/blocks/000/run/metrics.jsonl") + ") > log 2>&1; [ $? != 1 ] && "
         f"! grep Traceback log && grep 'waiting for it' log; {CITY}", same_model("out", "city"),
         writes=("out", "log", "scheduler.log", "worker.log")),
     works("dask-worker-killed", DASK + "(" + during(
-        ON_DASK, "kill -9 $W; sleep 20; kill -INT $P", "out/blocks/000/run/metrics.jsonl")
+        ON_DASK, "kill -9 $W; sleep 20; kill -TERM $P", "out/blocks/000/run/metrics.jsonl")
         + f") > log 2>&1; {CITY}", same_model("out", "city"),
         writes=("out", "log", "scheduler.log", "worker.log")),
     *(either(f"{signal.lower()}-ignored", during(TRAIN, f"kill -{signal} $P", PHASES["plan"]))
