@@ -11,7 +11,7 @@ CASES = [
     works("stdout-closed", f"{RUN} >&-", same_model()),
     works("stderr-closed", f"{RUN} 2>&-", same_model(), quick=True),
     works("all-closed", f"{RUN} <&- >&- 2>&-", same_model()),
-    works("stdout-full", f"{RUN} > /dev/full; [ $? = 2 ]", same_model()),
+    refused("stdout-full", f"{RUN} > /dev/full", "the output: No space", same_model()),
     works("stderr-full", f"{RUN} 2> /dev/full", same_model()),
     works("both-full", f"{RUN} > /dev/full 2>&1; [ $? = 2 ]", same_model(), environment=LOUD),
     works("stderr-goes-away", f"({RUN} -q; echo $? > code) 2>&1 | true; "
