@@ -206,6 +206,7 @@ def test_kernel_caches_are_apart_and_kept(monkeypatch, tmp_path):
 # --- a training that loses all it has
 
 
+@pytest.mark.slow
 def test_a_training_that_prunes_everything_says_so(tmp_path, float_device):
     scene = read_scene(CITY)  # noqa: F811
     with pytest.raises(InputError, match="all gaussians were pruned after step [23]; there is no "

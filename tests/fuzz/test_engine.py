@@ -49,6 +49,7 @@ def greedy(path):
         raise InputError(f"{path}: damaged; copy it again") from None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("read, words", [
     (lambda path: {}["x"], "KeyError"),
     (lambda path: os.kill(os.getpid(), signal.SIGABRT), "SIGABRT"),
@@ -64,6 +65,7 @@ def test_a_fault_is_noticed(read, words):
     assert all(words in text for text in wrong(read))
 
 
+@pytest.mark.slow
 def test_a_hang_is_noticed(monkeypatch):
     monkeypatch.setattr(engine, "SECONDS", 0.5)
     monkeypatch.setattr(engine, "POLL_SECONDS", 0.01)

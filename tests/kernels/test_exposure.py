@@ -102,6 +102,7 @@ def test_at_the_start_nothing_changes(device):
     assert np.array_equal(exposures.download()["transforms"], np.tile(np.eye(3, 4).ravel(), (2, 1)))
 
 
+@pytest.mark.slow
 def test_sums_over_a_million_pixels_keep_their_digits(device):
     """All of one sign, the worst for sums that lose what is small beside them."""
     run, rng = Run(device, pull=0.0), np.random.default_rng(1)

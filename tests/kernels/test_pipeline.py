@@ -22,7 +22,8 @@ ANTIALIASED = ("plain", "needles", "grazing")
 
 @pytest.mark.parametrize(
     "name, antialiased",
-    [(name, False) for name in cases.SCENES] + [(name, True) for name in ANTIALIASED])
+    [pytest.param(name, False, marks=pytest.mark.slow if name == "many" else ())
+     for name in cases.SCENES] + [(name, True) for name in ANTIALIASED])
 def test_image_and_gradients(device, name, antialiased):
     agrees_with_reference(device, name, antialiased)
 

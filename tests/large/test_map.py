@@ -76,6 +76,7 @@ def test_a_map_can_be_saved():
     assert png.getvalue().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sc$\\frac{$", "a$b", "日本", "x\ny", "_^{}%#&~", " "])
 def test_a_scene_of_any_name_has_a_map(name, recwarn):
     scene, partition, _ = drawn()

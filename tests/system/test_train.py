@@ -68,6 +68,7 @@ def test_growth_helps(item_device, city, tmp_path):
     assert grown < 0.85 * still, (still, grown)
 
 
+@pytest.mark.slow
 def test_growth_is_recorded_and_adds_up(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device)
     rounds = records(run, "grow")

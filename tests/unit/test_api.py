@@ -107,7 +107,7 @@ def test_depth_is_the_distance_of_what_is_seen(item_device):
     assert np.allclose(behind[0, 0], (0.1, 0.2, 0.3))
 
 
-@pytest.mark.parametrize("depth", [False, True])
+@pytest.mark.parametrize("depth", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_backward_is_the_derivative_of_forward(double_device, depth):
     model = blob(3)  # each covers the whole image, for its border would be a step
     model.rows["log_scales"][:] = np.log((2.0, 1.5, 1.8))
@@ -254,6 +254,7 @@ def ran(name, *words):
                           env={**os.environ, "PYTHONPATH": str(ROOT)}).stdout
 
 
+@pytest.mark.slow
 def test_example_of_rendering(run, tmp_path):
     said = ran("render_a_model.py", CITY, run.path / "point_cloud.ply", tmp_path / "image.npy")
     assert "320 x 240 pixels" in said and np.load(tmp_path / "image.npy").shape == (240, 320, 3)
@@ -264,6 +265,7 @@ def test_example_of_fitting_an_image():
     assert quality[0] < 10 and quality[-1] > 27
 
 
+@pytest.mark.slow
 def test_example_of_a_callback(tmp_path):
     said = ran("train_with_a_callback.py", CITY, tmp_path / "run")
     assert "not finished" in said and "step 50: loss" in said

@@ -128,6 +128,7 @@ def test_the_command_of_the_refusal_works(tmp_path):
     assert len(scene.views) == 28 and len(scene.points) == 15689
 
 
+@pytest.mark.slow
 @needs_data
 @pytest.mark.parametrize("name, views, points", [
     ("boruszyn", 28, 15689), ("caliterra", 75, 25683), ("lund", 29, 5552)])

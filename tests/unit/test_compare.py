@@ -201,6 +201,7 @@ def test_runs_are_found_two_levels_down(folder):
     assert read_runs([folder / "sig.0"])[0][0].name == "sig.0"
 
 
+@pytest.mark.slow
 def test_the_command(folder):
     started = RunFolder.create(folder / "sig.2")
     started.write_options({"schedule": "sig"})
@@ -324,6 +325,7 @@ def wanted():
     return combinations({"iterations": 10_000}, {}, "sig,dash", 2)
 
 
+@pytest.mark.slow
 def test_a_campaign_trains_all_and_compares(tmp_path, wanted, capsys):
     trainer = Trainer()
     run_campaign(trainer, wanted, tmp_path / "cmp", "/data/city")
@@ -372,6 +374,7 @@ def test_a_campaign_leaves_other_runs_alone(tmp_path, wanted, scenes, scene, opt
     assert trainer.calls == []
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_does_not_stop_the_others(tmp_path, wanted, capsys):
     trainer = Trainer({"dash.0": DeviceError("no memory")})
     refused(lambda: run_campaign(trainer, wanted, tmp_path, "/data/city"), "dash.0", "1 of 4")

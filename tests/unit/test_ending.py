@@ -57,6 +57,7 @@ def test_output_that_cannot_be_written_is_told():
     assert done.returncode == 2 and line.startswith("error: the output: No space left on device")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_standard_streams_may_be_closed(closed, tmp_path):
     """Services start without; a file that is opened first must not become one of them."""

@@ -156,6 +156,7 @@ def test_where_the_ground_truth_lies(tmp_path, plane):
         ground_truth(tmp_path)
 
 
+@pytest.mark.slow
 def test_evaluations_tell_floaters_where_the_truth_is_known(tmp_path, sample, monkeypatch):
     monkeypatch.setattr(views, "_opened", lambda *_: (None, None, 0))
     monkeypatch.setattr(views, "evaluate_views", lambda *_: {"psnr": 20.0, "per_view": []})

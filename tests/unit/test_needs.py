@@ -154,6 +154,7 @@ def test_points_that_no_two_views_see_leave_the_highest_degree(drift):
     assert result.options.sh_degree == 3 and "nothing is known" in result.reasons["sh_degree"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["city", "caliterra", "boruszyn", "lund"])
 def test_flights_and_walks_keep_all_harmonics(name, drift):
     path = CITY if name == "city" else CITY.parents[2] / "shared" / "data" / name

@@ -104,6 +104,7 @@ def test_a_point_at_a_camera_is_no_shared_point():
         assert adjacent(scene) == [[], []]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [CITY, CALITERRA], ids=lambda path: path.name)
 @pytest.mark.parametrize("tracks", [True, False])
 def test_real_neighbours_are_near_and_look_the_same_way(path, tracks):

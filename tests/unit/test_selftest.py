@@ -100,6 +100,7 @@ def test_a_working_device_passes(float_device, name, test):
     assert error <= bound, f"{name}: {what} {error}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part, broken, line", [
     ("stable_sort", unsorted, "stable sort"),
     ("stable_sort", unstable, "stable sort"),
@@ -130,6 +131,7 @@ def test_what_a_driver_raises_is_one_line(float_device, monkeypatch):
     assert detail == "RuntimeError: clEnqueueNDRangeKernel failed: OUT_OF_RESOURCES"
 
 
+@pytest.mark.slow
 def test_check_covers_both_forms(float_device, monkeypatch):
     monkeypatch.setattr(selftest, "CHECKS", selftest.CHECKS[:1])
     results = selftest.check(float_device)

@@ -367,6 +367,7 @@ def test_what_is_ahead(frequency):
     assert dict(sig().ahead(0)) == pytest.approx({4.0: 1500, 2.0: 1500, 1.0: 3000})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("frequency", [flat, wild])
 def test_stopped_anywhere_it_goes_on_alike(preset, frequency):

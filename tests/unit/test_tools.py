@@ -149,6 +149,7 @@ def test_the_difference_to_full_has_its_standard_error():
     assert [row[3] for row in table.rows if row[0] == "w/o DS"] == ["+0.50 ± 1.32"]
 
 
+@pytest.mark.slow
 def test_effectiveness_orders_the_resolutions(tmp_path, trainings):
     effectiveness.main([str(tmp_path), f"{CITY}:2", "-n", "1000", "--", "--densify-from", "100"])
     assert [(o.downscale, o.schedule, o.reset_every) for o in trainings.options] == [
