@@ -22,19 +22,22 @@ if TYPE_CHECKING:
     from clsplat.gaussians import Gaussians as Gaussians
     from clsplat.scene import Scene as Scene
     from clsplat.scene import View as View
+    from clsplat.schedule.plan import Plan as Plan
+    from clsplat.schedule.plan import Schedule as Schedule
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "Camera": "clsplat.camera", "ClsplatError": "clsplat.errors", "Device": "clsplat.api.device",
     "Frame": "clsplat.api.renderer", "Gaussians": "clsplat.gaussians",
-    "Renderer": "clsplat.api.renderer", "Run": "clsplat.api.run", "Scene": "clsplat.scene",
+    "Plan": "clsplat.schedule.plan", "Renderer": "clsplat.api.renderer",
+    "Run": "clsplat.api.run", "Scene": "clsplat.scene", "Schedule": "clsplat.schedule.plan",
     "Score": "clsplat.api.score", "StopTraining": "clsplat.api.train", "View": "clsplat.scene",
     "evaluate": "clsplat.api.score", "render": "clsplat.api.renderer",
     "train": "clsplat.api.train"}
 
-__all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Renderer", "Run", "Scene",
-           "Score", "StopTraining", "View", "evaluate", "render", "train"]
+__all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Plan", "Renderer", "Run",
+           "Scene", "Schedule", "Score", "StopTraining", "View", "evaluate", "render", "train"]
 
 
 def __getattr__(name: str) -> object:

@@ -10,6 +10,7 @@ import os
 from dataclasses import dataclass, field
 from typing import get_args
 
+from clsplat import extensions
 from clsplat.errors import InputError
 
 try:
@@ -22,18 +23,20 @@ AUTO = "auto"
 
 
 def option(default, group, text, short=None, choices=None, minimum=None, maximum=None, most=None,
-           wish=None, only=None, auto=False):
+           wish=None, only=None, auto=False, extensions=None):
     """A field of `TrainOptions`: its default and what the command line says about it.
 
     choices, minimum, maximum: of a value, or of each element of a tuple; most: the same as maximum,
     where that is no end of a scale but what a training can still be made with (None: MOST of its
     type); wish: what a refusal says is wanted, where these and the type do not say it well; only:
     the schedules it means something to (None: all); auto: whether a number may also be "auto", for
-    training/needs.py to find.
+    training/needs.py to find; extensions: the group of entry points by which other packages add
+    choices.
     """
     return field(default=default, metadata={
         "group": group, "help": text, "short": short, "choices": choices, "minimum": minimum,
-        "maximum": maximum, "most": most, "wish": wish, "only": only, "auto": auto})
+        "maximum": maximum, "most": most, "wish": wish, "only": only, "auto": auto,
+        "extensions": extensions})
 
 
 MOST = {int: 2**63 - 1, float: 1e15}  # squares and their sums stay far within float32
@@ -86,7 +89,8 @@ class TrainOptions:
 
     schedule: str = option("sig", "Method", "how resolution and growth are decided: sig follows "
                            "the scene's frequency; constant is 3DGS",
-                           choices=("sig", "constant", "dash", "taming"))
+                           choices=("sig", "constant", "dash", "taming"),
+                           extensions=extensions.SCHEDULES)
     preset: str = option("ours", "Method", "choices of the SIG paper, its released code, or ours",
                          choices=("ours", "paper", "release"), only=SIG)
     coarse: bool = option(False, "Method", "a scaffold for the blocks of a larger scene: photos at "
@@ -308,7 +312,9 @@ def _checked_one(kind, meta, value):
     if most is not None and value > most:
         raise _TooMuch(f"at most {most:,}" if kind is int else f"at most {most:g}")
     if meta["choices"] and value not in meta["choices"]:
-        raise ValueError(f"one of {', '.join(meta['choices'])}")
+        others = extensions.names(meta["extensions"]) if meta["extensions"] else ()
+        if value not in others:
+            raise ValueError(f"one of {', '.join((*meta['choices'], *others))}")
     if kind is str:
         _check_text(value)
     return value
@@ -330,12 +336,21 @@ def resolve(file_values, flag_values) -> TrainOptions:
     """
     given = {k: checked("command line", k, v) for k, v in {**file_values, **flag_values}.items()}
     chosen = TrainOptions(**given)
-    values = {}
+    values = _defaults_of(chosen.schedule)
     for choice, table in CHOICES.items():
         values |= table.get(getattr(chosen, choice), {})
     options = TrainOptions(**{**values, **given})
     _check_agreement(options, given)
     return options
+
+
+def _defaults_of(schedule):
+    """{option: value} that a schedule of another package sets unless the user says otherwise."""
+    if schedule in TrainOptions.__dataclass_fields__["schedule"].metadata["choices"]:
+        return {}
+    defaults = getattr(extensions.load(extensions.SCHEDULES, schedule), "defaults", {})
+    return {key: checked(f"defaults of the schedule {schedule}", key, value)
+            for key, value in defaults.items()}
 
 
 def _check_agreement(options, given):

@@ -20,6 +20,7 @@ BUILD_OUTPUTS = {"out", "build", "dist", "clsplat.egg-info", "__pycache__"}
 # a module imports from its own package and from the lines above its own
 LAYERS = (
     {"errors"},
+    {"extensions"},
     {"device"},
     {"primitives"},
     {"camera", "options"},

@@ -74,7 +74,8 @@ class Frame:
     _frame: Any = field(repr=False)
 
     def _repr_png_(self) -> bytes:
-        return encode_image(np.uint8(np.clip(self.image, 0, 1) * 255 + 0.5), "png", 100, "PNG")
+        pixels = (np.clip(self.image, 0, 1) * 255 + 0.5).astype(np.uint8)
+        return encode_image(pixels, "png", 100, "PNG")
 
 
 class Renderer:

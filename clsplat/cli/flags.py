@@ -7,6 +7,7 @@ from typing import get_args
 import click
 from click.core import ParameterSource
 
+from clsplat import extensions
 from clsplat.cli.sections import SectionedOption
 from clsplat.options import AUTO, TrainOptions
 
@@ -62,6 +63,19 @@ class NumberOrAuto(click.ParamType):
             self.fail(f"{value!r} is neither auto nor a number.", param, ctx)
 
 
+class ExtensibleChoice(click.Choice):
+    """A choice to which other packages add by entry points, which are asked only if need be."""
+
+    def __init__(self, choices, group):
+        super().__init__(choices)
+        self.group = group
+
+    def convert(self, value, param, ctx):
+        if value not in self.choices and value in extensions.names(self.group):
+            return value
+        return super().convert(value, param, ctx)
+
+
 def training_flags(command):
     """Decorator: one flag for each field of TrainOptions, in order, under its group's heading."""
     for option in reversed(dataclasses.fields(TrainOptions)):
@@ -85,6 +99,8 @@ def _flag(option):
     settings = {"help": meta["help"], "default": default, "show_default": True}
     if isinstance(default, bool):
         name = f"{name}/--no-{name[2:]}"
+    elif meta["extensions"]:
+        settings["type"] = ExtensibleChoice(meta["choices"], meta["extensions"])
     elif meta["choices"]:
         settings["type"] = click.Choice(meta["choices"])
     elif default == ():

@@ -9,7 +9,7 @@ from clsplat.options import seconds_of
 from clsplat.plan.detail import photo_detail
 from clsplat.plan.memory import Memory, predicted_memory
 from clsplat.plan.pace import predicted_seconds
-from clsplat.schedule import SCHEDULES, laid_over, scaled_steps
+from clsplat.schedule import laid_over, scaled_steps, schedule_of
 from clsplat.schedule.course import course, largest
 from clsplat.training.begin import initial_gaussians
 from clsplat.training.needs import Part, find_needs, subject_of
@@ -76,7 +76,7 @@ class Planned:
             subject_of(self.scene, self.views,
                        inverse_distance=mean_inverse_distance(self.scene.points)),
             count=grows, pixels=seen_pixels(self.scene, self.views))
-        schedule = SCHEDULES[options.schedule](options, subject)
+        schedule = schedule_of(options.schedule)(options, subject)
         unknown = set(schedule.levels) - self._details.keys()
         if unknown:
             self._details |= photo_detail(self.views, sorted(unknown))

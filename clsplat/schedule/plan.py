@@ -1,18 +1,33 @@
 """What a schedule is told, and what it says of one step."""
 
-import dataclasses
-from collections.abc import Callable
-from dataclasses import dataclass
+from __future__ import annotations
 
-from clsplat.options import MOST_STEPS
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.options import MOST_STEPS, TrainOptions
 
 
 @dataclass(frozen=True)
 class Plan:
-    """level: down-sampling factor of the training images; degree: of the harmonics; gathers:
-    whether densification statistics are kept; grows, resets_opacity: what follows the step;
-    decay: how far the decay of the position rate is, 0 to 1; regularises: weight of the
-    reprojection loss, 0 where it is left out."""
+    """What a schedule says of one step.
+
+    Attributes
+    ----------
+    level : down-sampling factor of the training images, at least 1.
+    degree : of the spherical harmonics.
+    gathers : whether densification statistics are kept.
+    grows : whether a round of growth follows the step.
+    resets_opacity : whether an opacity reset follows the step.
+    prunes_large : whether rounds of growth remove gaussians that are larger than prune_size.
+    decay : how far the decay of the position rate is, 0 to 1.
+    regularises : weight of the reprojection loss, 0 where it is left out.
+    """
 
     level: float
     degree: int
@@ -37,58 +52,82 @@ class Subject:
     size: tuple[int, int]
     count: int
     inverse_distance: float
-    photos: Callable
+    photos: Callable[[], Iterator[NDArray[np.uint8]]]
     pixels: int
 
 
 class Schedule:
-    """What every schedule answers; `options`, a TrainOptions with scaled steps, may be replaced
-    between steps (a time budget moves the end)."""
+    """What every schedule answers; a subclass in another package becomes `--schedule NAME` by the
+    entry point `NAME = MODULE:CLASS` in the group `clsplat.schedules`.
 
-    levels = (1.0,)  # all factors, in the order they will come
-    selection = "threshold"  # how growth chooses: threshold, highest or score (densify/select.py)
-    look = 100  # steps between calls of `observe`
-    latest = None  # what the last look found, for the record
+    Attributes
+    ----------
+    levels : all down-sampling factors, in the order they will come.
+    defaults : options that the schedule sets unless the user does, by name.
+    selection : how growth chooses, "threshold", "highest" or "score" (densify/select.py).
+    look : steps between calls of `observe`.
+    latest : what the last look found, for the record.
+    options : TrainOptions with scaled steps; may be replaced between steps (a time budget moves the
+        end).
+    subject : what is known of the scene.
+    """
 
-    def __init__(self, options, subject):
+    levels: tuple[float, ...] = (1.0,)
+    defaults: ClassVar[dict[str, Any]] = {}
+    selection = "threshold"
+    look = 100
+    latest: Any = None
+
+    def __init__(self, options: TrainOptions, subject: Subject) -> None:
         self.options, self.subject = options, subject
 
-    def plan(self, iteration):
-        """The Plan of a step, counted from 1."""
+    def plan(self, iteration: int) -> Plan:
+        """The Plan of a step; iteration counts from 1."""
         raise NotImplementedError
 
-    def target(self, iteration, count, above):
-        """How many gaussians a round of growth may reach, or None for as many as deserve it.
+    def target(self, iteration: int, count: int, above: int) -> int | None:
+        """How many gaussians a round of growth after step `iteration` may reach, or None for as
+        many as deserve it.
 
-        count: gaussians after this round's pruning; above: those beyond the growth threshold.
+        Parameters
+        ----------
+        iteration : the step, from 1.
+        count : gaussians after this round's pruning.
+        above : those beyond the growth threshold.
         """
         return None
 
-    def spares_half(self, iteration):
-        """Whether a round of growth prunes only half of its candidates."""
+    def spares_half(self, iteration: int) -> bool:
+        """Whether a round of growth, after step `iteration`, prunes only half of its candidates."""
         return False
 
-    def ahead(self, iteration):
-        """[(level, steps)]: what is still to come after a step, by what is known now."""
+    def ahead(self, iteration: int) -> list[tuple[float, int]]:
+        """[(level, steps)]: what is still to come after step `iteration`, by what is known now."""
         return [(self.levels[-1], self.options.iterations - iteration)]
 
-    def observe(self, iteration, frequency):
-        """Look at the scene frequency after a step; returns a decision to log, or None."""
+    def observe(self, iteration: int, frequency: dict[str, float]) -> dict[str, Any] | None:
+        """Look at the scene frequency after step `iteration`; returns a decision to log, or None.
+
+        Parameters
+        ----------
+        iteration : the step, from 1.
+        frequency : name of a variant -> scene frequency, 1 / world unit.
+        """
         return None
 
-    def state(self):
+    def state(self) -> dict[str, Any]:
         """What a checkpoint must hold, for JSON."""
         return {}
 
-    def load(self, state):
-        """Take over what `state` returned."""
+    def load(self, state: dict[str, Any]) -> None:
+        """Take over the `state` that a checkpoint held."""
 
-    def degree(self, iteration):
-        """Of the harmonics: one more every `sh_every` steps."""
+    def degree(self, iteration: int) -> int:
+        """Of the harmonics at step `iteration`: one more every `sh_every` steps."""
         return min(self.options.sh_degree, (iteration - 1) // self.options.sh_every)
 
-    def decay(self, iteration):
-        """Share of the position rate's decay: even over the run."""
+    def decay(self, iteration: int) -> float:
+        """Share of the position rate's decay at step `iteration`: even over the run."""
         return min(1.0, (iteration - 1) / self.options.iterations)
 
 
@@ -99,7 +138,7 @@ EVERY = 100  # steps between rounds of growth
 TAMING_ROUNDS = 60  # ... but one in 500 of 30,000 steps, so many a run, under `taming`
 
 
-def scaled_steps(options):
+def scaled_steps(options: TrainOptions) -> TrainOptions:
     """TrainOptions with every step count times `steps_scale`, `densify_until` and `densify_every`
     filled in."""
     steps = options.iterations
@@ -110,7 +149,7 @@ def scaled_steps(options):
     every = options.densify_every or (
         0 if by_rounds else max(EVERY, steps // TAMING_ROUNDS) if options.schedule == "taming"
         else EVERY)
-    scaled = {name: getattr(options, name) for name in STEP_COUNTS} | {
+    scaled: dict[str, Any] = {name: getattr(options, name) for name in STEP_COUNTS} | {
         "densify_until": until, "densify_every": every}
     scaled = {name: max(1, round(value * options.steps_scale)) if value else 0
               for name, value in scaled.items()}
@@ -120,14 +159,15 @@ def scaled_steps(options):
 WHOLE = 7000  # steps from which on step counts are as given
 
 
-def laid_over(options, iterations):
+def laid_over(options: TrainOptions, iterations: int) -> TrainOptions:
     """TrainOptions, as of `scaled_steps`, for a run of another length: the end of growth keeps its
     share of it, and step counts shrink with a run of fewer than WHOLE steps. No run has more than
     MOST_STEPS."""
     iterations = min(iterations, MOST_STEPS)
     shrink = min(1.0, iterations / min(WHOLE, options.iterations))
-    counts = {name: max(1, round(getattr(options, name) * shrink)) if getattr(options, name) else 0
-              for name in STEP_COUNTS}
+    counts: dict[str, Any] = {
+        name: max(1, round(getattr(options, name) * shrink)) if getattr(options, name) else 0
+        for name in STEP_COUNTS}
     until = round(options.densify_until * iterations / options.iterations)
     return dataclasses.replace(options, **counts | {"iterations": iterations,
                                                     "densify_until": until})

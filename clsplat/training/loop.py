@@ -23,7 +23,7 @@ from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
 from clsplat.options import checked
 from clsplat.rendering.pipeline import Renderer
-from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule import Subject, scaled_steps, schedule_of
 from clsplat.training import checkpoint
 from clsplat.training.adjacent import Adjacent
 from clsplat.training.begin import initial_exposures, initial_gaussians
@@ -137,7 +137,7 @@ class Training(Clock):
         growing = (int(trains(initial.positions, initial.log_scales).sum()) if trains
                    else initial.count)
         views = self.train_views
-        self.schedule = SCHEDULES[options.schedule](options, Subject(
+        self.schedule = schedule_of(options.schedule)(options, Subject(
             smallest_size(views), growing, mean_inverse_distance(scene.points) / scene.unit,
             lambda: decoded(views), seen_pixels(scene, views)))
         near = options.near / scene.unit or scene.near_plane

@@ -10,7 +10,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
 from clsplat.neighbours import adjacent_views, view_spread
 from clsplat.options import AUTO
-from clsplat.schedule import SCHEDULES, Subject
+from clsplat.schedule import SCHEDULES, Subject, schedule_of
 from clsplat.schedule.course import course, largest
 from clsplat.schedule.sig import SMALLEST_SIDE, chosen_levels
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM
@@ -101,6 +101,8 @@ def _levels(views, options):
     width, height = smallest_size(views)
     if options.schedule == "dash":
         return Part(None, "found in the photos' spectra, where training begins")
+    if options.schedule not in SCHEDULES:
+        return Part(None, f"decided by the schedule {options.schedule}")
     if options.schedule != "sig":
         return Part((1.0,), f"1: {options.schedule} trains at full size, {width} x {height}")
     levels = chosen_levels(options.levels, (width, height))
@@ -167,7 +169,7 @@ def _engine(scene, views, options, device):
     """Where the moments are kept: by the most gaussians there will be, and room to grow."""
     if options.engine != AUTO:
         return _asked(options.engine)
-    count = largest(course(SCHEDULES[options.schedule](
+    count = largest(course(schedule_of(options.schedule)(
         options, subject_of(scene, views, photos=tuple))))
     floats = sum(field.width(options.sh_degree) for field in LEARNED)
     needed = 3 * floats * GROWTH_ROOM * count * device.real.itemsize
