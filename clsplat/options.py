@@ -264,7 +264,8 @@ def checked(source, key, value):
     """
     known = {f.name: f for f in dataclasses.fields(TrainOptions)}
     if key not in known:
-        raise InputError(f"{source}: unknown option {key[:SHOWN]!r}; see `clsplat train --help`")
+        raise InputError(f"{source}: unknown option {key[:SHOWN]!r}; see `clsplat train "
+                         "--help-all`")
     kind, meta = known[key].type, known[key].metadata
     elements = get_args(kind)  # of a tuple; none otherwise
     try:

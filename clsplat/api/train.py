@@ -32,7 +32,7 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
         `loss`, `l1` and `ssim`; the host waits for the device to have them. Others are as in
         metrics.jsonl: "plan", "level", "grow", "eval". One that raises `clsplat.StopTraining` ends
         the training after its step; `Run.resume` goes on.
-    options : as of `clsplat train --help`, with underscores: iterations=7000, max_gaussians=100000.
+    options : as of `clsplat train --help-all`, with underscores: iterations=7000, sh_degree=2.
 
     Returns
     -------

@@ -11,6 +11,10 @@ from clsplat import extensions
 from clsplat.cli.sections import SectionedOption
 from clsplat.options import AUTO, TrainOptions
 
+# what most users choose; --help-all lists the others
+MAIN = {"iterations", "time_budget", "seed", "eval_every", "downscale", "max_resolution", "images",
+        "test_every", "init", "schedule", "preset", "exposure", "sh_degree", "max_gaussians",
+        "device"}
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
 
 
@@ -96,7 +100,8 @@ def flag_name(name):
 
 def _flag(option):
     meta, default, name = option.metadata, option.default, flag_name(option.name)
-    settings = {"help": meta["help"], "default": default, "show_default": True}
+    settings = {"help": meta["help"], "default": default,
+                "show_default": default != ""}
     if isinstance(default, bool):
         name = f"{name}/--no-{name[2:]}"
     elif meta["extensions"]:
@@ -115,4 +120,5 @@ def _flag(option):
     if option.name == "device":
         settings["envvar"] = DEVICE
     names = [name, option.name] if meta["short"] is None else [meta["short"], name, option.name]
-    return click.option(*names, cls=SectionedOption, section=meta["group"], **settings)
+    return click.option(*names, cls=SectionedOption, section=meta["group"],
+                        main=option.name in MAIN, **settings)

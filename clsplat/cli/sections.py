@@ -2,28 +2,53 @@
 
 import click
 
+ALL = "clsplat.help_all"  # in a context: whether its help lists every option
+
 
 class SectionedOption(click.Option):
-    """An option that the help lists under the heading `section`."""
+    """An option that the help lists under the heading `section`; unless it is `main`, only
+    --help-all does."""
 
-    def __init__(self, *args, section, **kwargs):
+    def __init__(self, *args, section, main=True, **kwargs):
         super().__init__(*args, **kwargs)
-        self.section = section
+        self.section, self.main = section, main
 
 
 class SectionedCommand(click.Command):
-    """A command whose help has one section for each heading among its options."""
+    """A command whose help has one section for each heading among its options.
+
+    --help lists those that are `main`; where there are others, --help-all lists these too.
+    """
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.others = sum(not getattr(param, "main", True) for param in self.params)
+        if self.others:
+            self.params.append(click.Option(
+                ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_help_all,
+                help="Show all options and exit."))
 
     def format_options(self, ctx, formatter):
         sections = {}
         for param in self.get_params(ctx):
-            if isinstance(param, click.Option):
+            shown = ALL in ctx.meta or getattr(param, "main", True)
+            if isinstance(param, click.Option) and shown:
                 heading = getattr(param, "section", "Other")
                 sections.setdefault(heading, []).append(param.get_help_record(ctx))
         other = sections.pop("Other")
         for heading, records in [*sections.items(), ("Other", other)]:
             with formatter.section(heading):
                 formatter.write_dl(records)
+        if self.others and ALL not in ctx.meta:
+            formatter.write_paragraph()
+            formatter.write_text(f"{self.others} more options: {ctx.command_path} --help-all")
+
+
+def _help_all(ctx, param, value):
+    if value and not ctx.resilient_parsing:
+        ctx.meta[ALL] = True
+        click.echo(ctx.get_help())
+        ctx.exit()
 
 
 class SectionedGroup(click.Group):

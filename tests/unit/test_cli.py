@@ -105,34 +105,6 @@ def raising(error):
     return group
 
 
-def test_help_lists_every_command_under_a_heading():
-    result = clsplat_("--help")
-    assert result.exit_code == 0
-    for heading in ("Train:", "Data:", "Machine:"):
-        assert f"\n{heading}\n" in result.output
-    listed = result.output[result.output.index("\nTrain:"):].split()
-    for name in ("train", "eval", "render", "export", "synth", "devices", "bench", "completion"):
-        assert name in listed
-    assert clsplat_().output == result.output
-
-
-@pytest.mark.parametrize("name", sorted(main.commands))
-def test_every_command_has_help(name):
-    result = clsplat_(name, "--help")
-    assert result.exit_code == 0 and "--traceback" in result.output
-    assert main.commands[name].get_short_help_str().endswith((".", "..."))
-
-
-def test_help_loads_nothing_heavy():
-    """Start-up must not wait for a driver; the modules are named because times vary."""
-    code = ("import sys\nfrom clsplat.cli.main import main\n"
-            "try:\n    main(['train', '--help'])\nexcept SystemExit:\n    pass\n"
-            "heavy = {'numpy', 'scipy', 'skimage', 'pyopencl', 'pycolmap', 'OpenImageIO', 'tqdm'}\n"
-            "print('heavy:', sorted(heavy & set(sys.modules)))")
-    result = python("-c", code)
-    assert result.stdout.rstrip().endswith("heavy: []"), result.stdout + result.stderr
-
-
 def test_version_and_module_entry():
     assert clsplat_("--version").output == f"clsplat {clsplat.__version__}\n"
     result = python("-m", "clsplat", "--version")

@@ -1,0 +1,55 @@
+"""What `--help` shows, and how soon."""
+
+import dataclasses
+import re
+
+import pytest
+from click.testing import CliRunner
+
+from clsplat.cli.main import main
+from clsplat.options import TrainOptions
+
+
+def clsplat_(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def test_help_lists_every_command_under_a_heading():
+    result = clsplat_("--help")
+    assert result.exit_code == 0
+    for heading in ("Train:", "Data:", "Machine:"):
+        assert f"\n{heading}\n" in result.output
+    listed = result.output[result.output.index("\nTrain:"):].split()
+    for name in ("train", "eval", "render", "export", "synth", "devices", "bench", "completion"):
+        assert name in listed
+    assert clsplat_().output == result.output
+
+
+@pytest.mark.parametrize("name", sorted(main.commands))
+def test_every_command_has_help(name):
+    result = clsplat_(name, "--help")
+    assert result.exit_code == 0 and "--traceback" in result.output
+    assert main.commands[name].get_short_help_str().endswith((".", "..."))
+
+
+def test_help_is_short_and_help_all_is_whole():
+    fields = [option.name.replace("_", "-") for option in dataclasses.fields(TrainOptions)]
+    for name in ("train", "city"):
+        short, whole = (clsplat_(name, flag).output for flag in ("--help", "--help-all"))
+        assert len(short.splitlines()) < 0.6 * len(whole.splitlines())
+        assert "--max-gaussians" in short and "--sphere-reach" not in short
+        assert f"more options: main {name} --help-all" in " ".join(short.split())
+        missing = [f"--{field}" for field in fields if not re.search(rf"--{field}\b", whole)]
+        assert not missing or name == "city", missing
+    assert "more options" not in whole and len(fields) > 50
+
+
+def test_help_loads_nothing_heavy():
+    """Start-up must not wait for a driver; the modules are named because times vary."""
+    code = ("import sys\nfrom clsplat.cli.main import main\n"
+            "try:\n    main(['train', '--help'])\nexcept SystemExit:\n    pass\n"
+            "heavy = {'numpy', 'scipy', 'skimage', 'pyopencl', 'pycolmap', 'OpenImageIO', 'tqdm'}\n"
+            "print('heavy:', sorted(heavy & set(sys.modules)))")
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                            check=False)
+    assert result.stdout.rstrip().endswith("heavy: []"), result.stdout + result.stderr
