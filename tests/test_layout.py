@@ -25,19 +25,16 @@ LAYERS = (
     {"primitives"},
     {"camera", "options"},
     {"gaussians", "region", "scene"},
-    {"drift", "neighbours", "io"},
-    {"rendering", "schedule", "partition", "blocks", "synth", "frequency",
-     "constrain"},
-    {"loss", "optimise", "regularise"},
+    {"covisibility", "io"},
+    {"rendering", "schedule", "partition", "synth"},
+    {"loss", "optimise"},
     {"densify"},
     {"evaluation"},
     {"report"},
     {"training"},
-    {"plan", "merge", "distribute"},
-    {"lod"},
+    {"estimate", "export", "distribute"},
     {"city"},
     {"api"},
-    {"selftest"},
     {"bench"},
     {"cli"},
     {"__main__"},
@@ -45,8 +42,8 @@ LAYERS = (
 LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
 
 # tested without OpenCL, though they stand above the device layer
-NO_DEVICE = {"camera", "options", "gaussians", "region", "scene", "drift", "neighbours", "schedule",
-             "partition", "constrain", "synth", "report"}
+NO_DEVICE = {"camera", "options", "gaussians", "region", "scene", "covisibility", "schedule",
+             "partition", "synth", "report"}
 
 # package -> the only folders that may import it
 WALLS = {
@@ -55,10 +52,10 @@ WALLS = {
     "OpenImageIO": ("clsplat/io/",),
     "click": ("clsplat/cli/",),
     "skimage": ("clsplat/io/", "clsplat/evaluation/"),
-    "dask": ("clsplat/distribute/", "tools/simulate.py"),
-    "distributed": ("clsplat/distribute/", "tools/simulate.py"),
-    "matplotlib": ("clsplat/report/", "tools/"),
-    "tests": (),  # the wheel carries clsplat/ and tools/bench/, not the tests
+    "dask": ("clsplat/distribute/", "tools/studies/simulate.py"),
+    "distributed": ("clsplat/distribute/", "tools/studies/simulate.py"),
+    "matplotlib": ("clsplat/report/", "clsplat/bench/", "tools/"),
+    "tests": (),  # the wheel carries clsplat/, not the tests
 }
 
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
@@ -107,8 +104,6 @@ def imports(path):
 
 def unit_of(root, name):
     """The file or folder of clsplat/ that a path or a dotted import belongs to, or None."""
-    if name.startswith("tools/bench/"):
-        return "bench"
     parts = re.split(r"[./]", name)
     if parts[0] != "clsplat" or len(parts) < 2 or parts[1] == "__init__":
         return None
@@ -118,7 +113,7 @@ def unit_of(root, name):
 
 
 def layers(root):
-    for name, path in sources(root, "clsplat", "tools/bench"):
+    for name, path in sources(root, "clsplat"):
         unit = unit_of(root, name)
         if unit is not None and unit not in LAYER_OF:
             yield f"{name}: '{unit}' has no layer; give it one in tests/test_layout.py"
@@ -170,13 +165,13 @@ def rhyme(root):
     for _, path in sources(root, "cl", suffixes=(".cl",)):
         stem = path.stem
         homes = [name for name, home in sources(root, "clsplat")
-                 if home.stem == stem and not name.startswith("clsplat/cli/")]
+                 if home.stem == stem and not name.startswith(("clsplat/cli/", "clsplat/bench/"))]
         if len(homes) != 1:
             yield f"cl/{stem}.cl: wants one clsplat/**/{stem}.py, there are {len(homes)}"
         for verse in (f"tests/reference/{stem}.py", f"tests/kernels/test_{stem}.py",
-                      f"tools/bench/{stem}.py"):
+                      f"clsplat/bench/{stem}.py"):
             if not (root / verse).exists() and not (
-                    verse.startswith("tools/bench") and stem in NO_BENCHMARK):
+                    verse.startswith("clsplat/bench") and stem in NO_BENCHMARK):
                 yield f"cl/{stem}.cl: {verse} is missing"
 
 
@@ -242,8 +237,8 @@ SMALL = {
     "cl/include/real.h": "real\n",
     "tests/reference/blend.py": "import numpy\n",
     "tests/kernels/test_blend.py": "import tests.reference.blend\n",
-    "tools/bench/blend.py": "from clsplat.rendering import blend\nfrom . import case\n",
-    "tools/bench/case.py": "import numpy\n",
+    "clsplat/bench/blend.py": "from clsplat.rendering import blend\nfrom . import case\n",
+    "clsplat/bench/case.py": "import numpy\n",
 }
 
 
@@ -277,12 +272,12 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/attic.py", "", "'attic' has no layer"),
     ("clsplat/rendering/blend.py", "try:\n    import pyopencl\nexcept E:\n    pass",
      "pyopencl belongs in clsplat/device/"),
-    ("tools/bench/blend.py", "import pyopencl as cl", "pyopencl belongs in clsplat/device/"),
+    ("clsplat/bench/blend.py", "import pyopencl as cl", "pyopencl belongs in clsplat/device/"),
     ("clsplat/rendering/blend.py", "import pycolmap", "pycolmap belongs in"),
     ("clsplat/device/find.py", "from OpenImageIO import x", "OpenImageIO belongs in"),
     ("clsplat/io/colmap.py", "import click", "click belongs in clsplat/cli/"),
     ("clsplat/cli/blend.py", "import skimage.io", "skimage.io belongs in clsplat/io/ and"),
-    ("tools/bench/blend.py", "from tests.cases import x", "tests.cases belongs in tests/"),
+    ("clsplat/bench/blend.py", "from tests.cases import x", "tests.cases belongs in tests/"),
     ("tests/reference/blend.py", "from clsplat.camera import x", "must share no code"),
     ("clsplat/device/find.py", "def f():\n    import numpy", "inside a function"),
     ("clsplat/io/colmap.py", "def f():\n    import numpy", "inside a function"),
@@ -292,7 +287,7 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("cl/sort.cl", "", "wants one clsplat/**/sort.py, there are 0"),
     ("cl/sort.cl", "", "tests/reference/sort.py is missing"),
     ("cl/sort.cl", "", "tests/kernels/test_sort.py is missing"),
-    ("cl/sort.cl", "", "tools/bench/sort.py is missing"),
+    ("cl/sort.cl", "", "clsplat/bench/sort.py is missing"),
     ("clsplat/camera.py", "x = 1\n" * 401, "401 lines"),
     ("cl/include/real.h", "//\n" * 401, "401 lines"),
     ("cl/blend.cl", "//\n" * 401, "401 lines"),

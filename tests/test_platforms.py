@@ -33,7 +33,7 @@ NAMES = {
 # in clsplat's own code
 KEPT = {"getuid", "geteuid", "uname", "sysconf", "statvfs", "pread", "O_NOFOLLOW", "O_CLOEXEC",
         "O_DIRECTORY", "posix_spawn", "chown", "sched_getaffinity", "getgid", "getegid"}
-SHIPPED = ("clsplat", "tools/bench")
+SHIPPED = ("clsplat",)
 
 # sitecustomize.py of every process below, and of its children: hides when clsplat is first imported
 HIDE = f"""
@@ -57,9 +57,9 @@ IMPORT_ALL = """
 import importlib, pkgutil, sys
 import clsplat
 assert sys.modules["fcntl"] is None and not hasattr(__import__("os"), "fork")
-import tools.bench
+import clsplat.bench
 names = []
-for package in (clsplat, tools.bench):
+for package in (clsplat, clsplat.bench):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)

@@ -2,7 +2,7 @@
 
 Each page, help text and string of the code is searched for what stands in `backticks`, in a block
 of commands, or looks like an option; every mention is checked against the command line itself and
-the checkout. `python -m tools.bench` names what only a checkout has, so only pages for developers
+the checkout. `python -m clsplat.bench` names what only a checkout has, so only pages for developers
 may say it.
 """
 
@@ -264,7 +264,7 @@ def test_help():
 def test_messages():
     """And every other string of the package; docstrings may name what only a checkout has."""
     found = []
-    for path, file in sources(ROOT, "clsplat", "tools/bench"):
+    for path, file in sources(ROOT, "clsplat"):
         for line, text, documents in strings(file.read_text("utf-8")):
             place = f"{path}:{line}"
             found += lies(place, text, users=not documents)

@@ -2,15 +2,15 @@
 
 import dataclasses
 
+from clsplat.city.lod import merge_levels
+from clsplat.city.merge import merge, partition_of, seam_table
+from clsplat.city.seams import find_seams
 from clsplat.city.stages import COARSE_FACTOR, draw
 from clsplat.errors import InputError
-from clsplat.evaluation.seams import find_seams
 from clsplat.evaluation.views import evaluate_run, training_pictures
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.io.run import MODEL, RunFolder
-from clsplat.lod import merge_levels
-from clsplat.merge import merge, partition_of, seam_table
 from clsplat.report.page import Table, embedded
 from clsplat.report.run import write_report
 

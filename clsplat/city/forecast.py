@@ -1,8 +1,8 @@
 """What the blocks of a city will take, before one is trained."""
 
+from clsplat.estimate.forecast import MIB, Planned
 from clsplat.gaussians import LEARNED
 from clsplat.io.scenes import read_scene
-from clsplat.plan.forecast import MIB, Planned
 from clsplat.report.page import Table
 from clsplat.training.block import block_options
 from clsplat.training.model import GROWTH_ROOM
@@ -10,7 +10,7 @@ from clsplat.training.model import GROWTH_ROOM
 GIB = 2**30
 COARSE_COST = 0.25  # of the time of one run of the whole, that the coarse run takes
 PLY_BYTES = 248  # a gaussian with all harmonics
-# of a cluster's scheduler, client and workers together, a block: tools/simulate.py
+# of a cluster's scheduler, client and workers together, a block: tools/studies/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
 PIXELS = 40  # of training photos a gaussian, which is where sig ends at the latest

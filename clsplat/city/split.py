@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from clsplat.city.merge import partition_of
 from clsplat.errors import TOO_LARGE
-from clsplat.merge import partition_of
 from clsplat.partition import Partition
 from clsplat.partition.grid import best_cut
 

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 
 import numpy as np
 
-from clsplat.blocks import cut, find_windows
+from clsplat.city.merge import partition_of
 from clsplat.city.split import split_blocks, too_large
 from clsplat.city.visibility import DropTest
 from clsplat.distribute import Task, run
@@ -17,9 +17,9 @@ from clsplat.io.city import CITY, PARTITION
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.merge import partition_of
 from clsplat.options import checked, resolve
 from clsplat.partition import geojson, make_partition
+from clsplat.partition.blocks import cut, find_windows
 from clsplat.partition.site import world_of
 from clsplat.report.map import write_map
 from clsplat.training.block import (

@@ -1,13 +1,9 @@
 """`clsplat bench`: the timings of one kernel family, or error against run time."""
 
 import importlib
-import importlib.util
-import sys
-from pathlib import Path
 
 import click
 
-import clsplat
 from clsplat.errors import InputError
 
 
@@ -22,23 +18,13 @@ def bench(family, as_json, device, arguments):
     `precision` compares approximations by error and time: add --html OUT.html. Further ARGUMENTS go
     to the benchmark, such as --gaussians 200k,1M,4M or --form group; -- --help lists them.
     """
-    package = bench_package()
-    families = package.families()
+    from clsplat.bench import families as listed
+    families = listed()
     if family is None:
         click.echo("\n".join(families))
         return
     if family not in families:
         raise InputError(f"no benchmark is called '{family}'; there are {', '.join(families)}")
     flags = (["--json"] if as_json else []) + (["--device", device] if device else [])
-    importlib.import_module(f"{package.__name__}.{family}").main([*flags, *arguments])
+    importlib.import_module(f"clsplat.bench.{family}").main([*flags, *arguments])
 
-
-def bench_package():
-    """The package of benchmarks: inside the wheel, or tools/bench of the checkout."""
-    if importlib.util.find_spec("clsplat.bench") is None:
-        folder = Path(clsplat.__file__).resolve().parents[1] / "tools" / "bench"
-        spec = importlib.util.spec_from_file_location(
-            "clsplat.bench", folder / "__init__.py", submodule_search_locations=[str(folder)])
-        sys.modules["clsplat.bench"] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules["clsplat.bench"])
-    return importlib.import_module("clsplat.bench")

@@ -190,8 +190,8 @@ def merge(ctx, folder, fill, against, device, scene):
 
 def _finish(folder, data, options, device, fill, against, quiet):
     from clsplat.city.finish import evaluate_city, merge_city
+    from clsplat.city.merge import seam_table
     from clsplat.cli.evaluate import summary
-    from clsplat.merge import seam_table
     merged = merge_city(folder, data, options, device, fill)
     scores, seams = evaluate_city(folder, data, options, device, against)
     if against and seams is None:

@@ -49,8 +49,8 @@ def _notes(entry):
 
 def _passes(entry):
     """Print the self-test of one device; whether all of it passed."""
+    from clsplat.bench.selftest import check
     from clsplat.device import open_device
-    from clsplat.selftest import check
     click.echo(f"\nself-test of {entry.index}, {entry.name} ({entry.platform})")
     results = check(open_device(entry.index))
     for name, passed, detail in results:

@@ -32,10 +32,10 @@ def export(run, output, sh_degree, sh_cost, device, scene):
     if output.suffix.lower() not in FORMATS:
         known = "; ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
         raise InputError(f"{output}: no format has the suffix '{output.suffix}'; known: {known}")
+    from clsplat.export.prune import alive
     from clsplat.io.atomic import replacing
     from clsplat.io.ply import write_part
     from clsplat.io.run import MODEL, RunFolder
-    from clsplat.plan.thin import alive
     folder = RunFolder.open(run)
     if output.exists() and output.samefile(folder.path / MODEL):
         raise InputError(f"{output}: is the run's own model; name another file")
@@ -61,7 +61,7 @@ def export(run, output, sh_degree, sh_cost, device, scene):
 
 def _measured_degree(folder, device, cost, scene):
     from clsplat.device import choose_device
-    from clsplat.plan.thin import needed_sh_degree
+    from clsplat.export.prune import needed_sh_degree
     degree, scores = needed_sh_degree(folder, choose_device(device), cost, scene)
     click.echo("held-out PSNR, dB: " + ", ".join(
         f"degree {number} {score:.3f}" for number, score in enumerate(scores)))

@@ -32,11 +32,11 @@ def plan(ctx, scene, config, photos, margin, **_):
     """
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
+    from clsplat.estimate.forecast import Planned
+    from clsplat.estimate.step_time import load
     from clsplat.io.scenes import read_scene
     from clsplat.options import from_toml, resolve
     from clsplat.partition import PartitionOptions
-    from clsplat.plan.forecast import Planned
-    from clsplat.plan.pace import load
     from clsplat.training.photos import size_note
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
     photos, margin = _numbers(photos), PartitionOptions(margin=margin).margin

@@ -33,7 +33,7 @@ def render(model, scene, output, views, beside, lod, lod_bias, downscale, away, 
     """Render a run or a PLY file from the cameras of a scene."""
     from clsplat.device import choose_device
     if lod:
-        from clsplat.lod import compare_views
+        from clsplat.city.lod import compare_views
         records = compare_views(model, scene, output, choose_device(device), views=views,
                                 beside=beside, bias=lod_bias, away=away, downscale=downscale)
         count = _tell(records, "the full model, 16 samples a pixel" if away else "the photo")

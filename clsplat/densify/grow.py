@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clsplat.constrain.sphere import children as sphere_children
-from clsplat.constrain.sphere import outside
+from clsplat.densify.sphere import children as sphere_children
+from clsplat.densify.sphere import outside
 
 SPLIT_SHRINK = 1.6
 CHILDREN = 2

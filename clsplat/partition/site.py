@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clsplat.covisibility.neighbours import sightings
 from clsplat.errors import InputError
-from clsplat.neighbours import sightings
 from clsplat.partition.frame import ground_axes, quantiles, up_axis
 from clsplat.region import Space, map_axes
 

@@ -6,7 +6,7 @@ have fine detail. The four numbers of that were fitted to runs of 7000 steps on 
 full size), boruszyn, lund and the city. There the most gaussians are foretold to 1.00 to 1.05 of
 what came under sig, 0.73 to 1.42 under constant, 0.52 to 1.01 under dash, 1.00 to 1.26 under
 taming; other scenes may be off by more. `--max-gaussians` makes the end certain.
-`python -m tools.foretold` compares.
+`python -m tools.studies.foretold` compares.
 """
 
 from dataclasses import dataclass

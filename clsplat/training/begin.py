@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from clsplat.constrain.sphere import with_spheres
+from clsplat.densify.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ply import read_ply

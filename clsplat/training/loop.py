@@ -12,16 +12,15 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from clsplat.blocks import seen_pixels, trainable
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.evaluation.views import evaluate_views
-from clsplat.frequency import scene_frequency
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.io.run import OPTIONS
 from clsplat.io.scenes import fingerprint
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
 from clsplat.options import checked
+from clsplat.partition.blocks import seen_pixels, trainable
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Subject, scaled_steps, schedule_of
 from clsplat.training import checkpoint
@@ -30,6 +29,7 @@ from clsplat.training.begin import initial_exposures, initial_gaussians
 from clsplat.training.callbacks import Callbacks
 from clsplat.training.clock import Clock
 from clsplat.training.finish import draw_report, save_model
+from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.model import Model
 from clsplat.training.needs import find_needs, smallest_size

@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 
-from clsplat.drift import DRIFTS, exposure_drift
+from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
+from clsplat.covisibility.neighbours import adjacent_views, view_spread
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
-from clsplat.neighbours import adjacent_views, view_spread
 from clsplat.options import AUTO
 from clsplat.schedule import SCHEDULES, Subject, schedule_of
 from clsplat.schedule.course import course, largest

@@ -1,7 +1,7 @@
-"""The model as a level leaves it: what clsplat/lod.py draws far away."""
+"""The model as a level leaves it: what clsplat/city/lod.py draws far away."""
 
-from clsplat.frequency import VARIANTS, scene_frequency
 from clsplat.training.finish import comments
+from clsplat.training.frequency import VARIANTS, scene_frequency
 
 
 def save_snapshot(training):

@@ -11,10 +11,10 @@ from clsplat.densify.statistics import Statistics
 from clsplat.device import Array
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import image_loss
+from clsplat.loss.reproject import reproject
 from clsplat.optimise.adam import hold_rows
 from clsplat.optimise.batch import batch_mean
 from clsplat.optimise.rates import learning_rates
-from clsplat.regularise.reproject import reproject
 from clsplat.training.skipped import Skipped
 
 RESET_OPACITY = 0.01

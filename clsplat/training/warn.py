@@ -5,7 +5,7 @@ None of this stops a training; a user who knows better goes on.
 
 import numpy as np
 
-from clsplat.drift import LUMA
+from clsplat.covisibility.exposure_drift import LUMA
 from clsplat.scene import LEAST_PARALLAX
 from clsplat.training.photos import at_level, decoded
 

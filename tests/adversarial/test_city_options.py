@@ -10,13 +10,13 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.city import finish, stages
+from clsplat.city.merge import KEPT, TRAINS, merge
 from clsplat.cli.city import _beside
 from clsplat.cli.main import main
 from clsplat.distribute import guarded, local, run
 from clsplat.errors import InputError
 from clsplat.io.lock import Held
 from clsplat.io.scenes import read_scene
-from clsplat.merge import KEPT, TRAINS, merge
 from clsplat.partition import PartitionOptions
 from clsplat.training import loop
 from clsplat.training.silent import WARNING, Silent
@@ -96,7 +96,7 @@ def test_a_city_option_is_refused_before_anything_is_made(tmp_path, capsys, monk
     ("--photos 1,,2", "wants"), ("--photos " + "9" * 400, "wants whole numbers from 1"),
     ("--margin nan", "--margin nan: wants 0 to 10"), ("--margin -1", "--margin -1.0: wants")])
 def test_plan_refuses_before_it_takes_steps(capsys, monkeypatch, flags, said):
-    monkeypatch.setattr("clsplat.plan.forecast.Planned", None)
+    monkeypatch.setattr("clsplat.estimate.forecast.Planned", None)
     assert said in refused(capsys, "plan", CITY, *flags.split(" "))
 
 

@@ -13,10 +13,10 @@ from unittest.mock import patch
 
 import numpy as np
 
+from clsplat.bench.workloads import city
 from clsplat.gaussians import LEARNED
 from clsplat.rendering import pipeline
 from tests.extreme.measure import Error, largest, relative_l2
-from tools.bench.workloads import city
 
 # of alpha, relative: coordinates of 1000 pixels are rounded to 6e-5 pixels, and the logarithm of
 # the alpha of a splat that is all low-pass (sigma 0.55) falls by 6 a pixel at its cutoff, 3.3 sigma

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from skimage.io import imsave
 
-from clsplat.constrain.sphere import with_spheres
+from clsplat.densify.sphere import with_spheres
 from clsplat.gaussians import Gaussians, mean_inverse_distance
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.ply import read_ply, write_ply

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.frequency import scene_frequency
 from clsplat.gaussians import mean_inverse_distance, neighbour_distance
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.scenes import read_scene
 from clsplat.training import step
 from clsplat.training.begin import initial_gaussians
+from clsplat.training.frequency import scene_frequency
 from clsplat.training.warn import find_warnings
 from tests.extreme import stiff
 from tests.extreme.stiff import CASES, copies_of_a_view, moved, rescaled

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from clsplat import frequency
-from clsplat.frequency import scene_frequency
+from clsplat.training import frequency
+from clsplat.training.frequency import scene_frequency
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import precision_of, upload_rows

@@ -1,15 +1,10 @@
-"""Each switch of tools/bench/variants.py does what it says, and nothing where it is not given."""
+"""Each switch of clsplat/bench/variants.py does what it says, and nothing where it is not given."""
 
 import numpy as np
 import pytest
 
-from clsplat.device import Kernel
-from tests import cases
-from tests.kernels.chain import camera_of, depth_order, render, size_of
-from tests.reference import blend as blend_reference
-from tests.reference import project as project_reference
-from tools.bench.precision import Frame, errors
-from tools.bench.variants import (
+from clsplat.bench.precision import Frame, errors
+from clsplat.bench.variants import (
     DEFAULT,
     DOUBLE,
     NO_CUTOFF,
@@ -19,7 +14,12 @@ from tools.bench.variants import (
     Variant,
     VariantDevice,
 )
-from tools.bench.workloads import city
+from clsplat.bench.workloads import city
+from clsplat.device import Kernel
+from tests import cases
+from tests.kernels.chain import camera_of, depth_order, render, size_of
+from tests.reference import blend as blend_reference
+from tests.reference import project as project_reference
 
 EXP = """
 #include "real.h"
@@ -85,7 +85,7 @@ COUNT = 1200
 
 
 def scene():
-    """As tools/bench/precision.py takes it; opaque in places, so that pixels end."""
+    """As clsplat/bench/precision.py takes it; opaque in places, so that pixels end."""
     case = cases.gaussians("many", count=COUNT)
     case["rows"]["opacity_logits"] += 3
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.regularise.reproject import pack_pairs, reproject
+from clsplat.loss.reproject import pack_pairs, reproject
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import (

@@ -8,7 +8,6 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial import cKDTree
 
-from clsplat.blocks import cut, largest_sizes, seen_pixels, trainable
 from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.gaussians import Gaussians
@@ -18,6 +17,7 @@ from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.loss.exposure import Exposures
 from clsplat.options import resolve
+from clsplat.partition.blocks import cut, largest_sizes, seen_pixels, trainable
 from clsplat.region import Region, Space
 from clsplat.scene import Scene, View
 from clsplat.schedule.constant import Constant

@@ -10,6 +10,7 @@ import pytest
 
 from clsplat.city import stages
 from clsplat.city.forecast import gaussians_that_fit, scale_table
+from clsplat.city.merge import partition_of
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
@@ -17,7 +18,6 @@ from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.merge import partition_of
 from clsplat.options import resolve
 from clsplat.partition import make_partition
 from tests.tiny_training import CITY

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from clsplat import lod
 from clsplat.camera import Camera
+from clsplat.city import lod
+from clsplat.city.lod import Levels, merge_levels, moved_away
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
@@ -15,7 +16,6 @@ from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.lod import Levels, merge_levels, moved_away
 from clsplat.partition import Partition
 from clsplat.region import Region, Space
 from tests.reference.frequency import scene_frequency

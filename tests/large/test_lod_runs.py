@@ -5,7 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from clsplat import lod
+from clsplat.city import lod
+from clsplat.city.lod import Levels, compare_views, moved_away
 from clsplat.errors import InputError
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.views import run_options
@@ -14,7 +15,6 @@ from clsplat.io.images import read_image
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.lod import Levels, compare_views, moved_away
 from clsplat.options import resolve
 from clsplat.training.loop import train
 from clsplat.training.step import Step

@@ -6,12 +6,12 @@ import shutil
 import numpy as np
 import pytest
 
+from clsplat.city.merge import joined, merge
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.merge import joined, merge
 from clsplat.partition import Partition
 from clsplat.region import Region, Space
 from tests.tiny_training import CITY

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.evaluation.seams import LEAST_PIXELS, _scores, find_borders, find_seams
+from clsplat.city.merge import cropped, joined, seam_table
+from clsplat.city.seams import LEAST_PIXELS, _scores, find_borders, find_seams
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, SH_C0, Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
-from clsplat.merge import cropped, joined, seam_table
 from clsplat.options import TrainOptions
 from clsplat.partition import Partition
 from clsplat.region import Region, Space

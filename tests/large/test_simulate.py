@@ -5,7 +5,7 @@ import json
 import pytest
 
 pytest.importorskip("distributed")
-from tools import simulate  # noqa: E402
+from tools.studies import simulate  # noqa: E402
 
 
 @pytest.mark.slow

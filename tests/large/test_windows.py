@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.blocks import find_windows, seen_pixels
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -14,6 +13,7 @@ from clsplat.io.city import CityFolder
 from clsplat.io.images import read_image, read_photo, write_image
 from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.partition.blocks import find_windows, seen_pixels
 from clsplat.region import Region, Space
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View

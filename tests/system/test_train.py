@@ -9,7 +9,6 @@ import plyfile
 import pytest
 
 from clsplat.errors import Interrupted
-from clsplat.frequency import AXES, VARIANTS
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.loss.exposure import Exposures
@@ -18,6 +17,7 @@ from clsplat.options import resolve
 from clsplat.scene import Scene, View
 from clsplat.training import budget, clock, loop
 from clsplat.training.begin import initial_gaussians
+from clsplat.training.frequency import AXES, VARIANTS
 from clsplat.training.step import Step
 from tests.tiny_training import (
     CITY,

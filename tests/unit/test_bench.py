@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clsplat.bench import __main__ as entry
+from clsplat.bench import measure, numerics, precision
+from clsplat.bench.ceilings import Ceilings
+from clsplat.bench.variants import KNOBS, VARIANTS
 from clsplat.errors import InputError
-from tools.bench import __main__ as entry
-from tools.bench import measure, numerics, precision
-from tools.bench.ceilings import Ceilings
-from tools.bench.variants import KNOBS, VARIANTS
 
 DEVICE = SimpleNamespace(name="made", form="item",
                          handle=SimpleNamespace(driver_version="1.2", platform=None))

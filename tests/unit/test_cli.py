@@ -319,7 +319,7 @@ def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
     opened = []
     module(monkeypatch, "clsplat.device", open_device=opened.append,
            list_devices=lambda: [entry(0, True), entry(1, False), entry(2, True)])
-    module(monkeypatch, "clsplat.selftest", check=lambda device: [
+    module(monkeypatch, "clsplat.bench.selftest", check=lambda device: [
         ("sort", True, "fine"), ("blend", passed or len(opened) == 2, "3e-7 off")])
     result = clsplat_("devices", "--check")
     assert (opened, result.exit_code) == ([0, 2], code)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clsplat import drift
 from clsplat.camera import Camera
-from clsplat.drift import DRIFTS, exposure_drift
+from clsplat.covisibility import exposure_drift as drift
+from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
 from clsplat.io.scenes import read_scene
 from clsplat.scene import View
 from clsplat.training.photos import decoded

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.drift import DRIFTS
+from clsplat.covisibility.exposure_drift import DRIFTS
 from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
+from clsplat.covisibility.neighbours import adjacent_views
 from clsplat.io.scenes import read_scene
-from clsplat.neighbours import adjacent_views
 from clsplat.scene import Scene, View
 from tests.tiny_training import CITY
 

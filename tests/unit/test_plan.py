@@ -12,16 +12,16 @@ from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.cli.plan import duration
 from clsplat.device.device import Held
+from clsplat.estimate.detail import photo_detail
+from clsplat.estimate.dry_run import DryDevice, block_bytes
+from clsplat.estimate.forecast import Planned
+from clsplat.estimate.memory import Memory
+from clsplat.estimate.step_time import MOST_PIXELS, fitted, foretold, load, pixels, stepped_with
+from clsplat.estimate.trial_steps import Rehearsal, strewn
 from clsplat.gaussians import Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
-from clsplat.plan.detail import photo_detail
-from clsplat.plan.dry import DryDevice, block_bytes
-from clsplat.plan.forecast import Planned
-from clsplat.plan.memory import Memory
-from clsplat.plan.pace import MOST_PIXELS, fitted, foretold, load, pixels, stepped_with
-from clsplat.plan.rehearsal import Rehearsal, strewn
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule import SCHEDULES, Subject, scaled_steps
@@ -333,9 +333,9 @@ def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
 
 
 def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):
-    monkeypatch.setattr("clsplat.plan.forecast.predicted_memory",
+    monkeypatch.setattr("clsplat.estimate.forecast.predicted_memory",
                         lambda *_: Memory(0, 0, 0, True, 0))
-    monkeypatch.setattr("clsplat.plan.forecast.predicted_seconds",
+    monkeypatch.setattr("clsplat.estimate.forecast.predicted_seconds",
                         lambda *_: (3000.0, [(1.0, 4400, 0.1)]))
     options = resolve({}, {"time_budget": "2m", "schedule": "taming", "exposure": "off"})
     forecast = Planned(city, options, item_device).forecast()

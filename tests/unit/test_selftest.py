@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from clsplat import selftest
+from clsplat.bench import selftest
 from clsplat.densify.statistics import Statistics
 from clsplat.loss.image_loss import image_loss
 from clsplat.optimise.adam import DeviceAdam

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.constrain.sphere import children, outside, with_spheres
+from clsplat.densify.sphere import children, outside, with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import SPHERE, Gaussians
 from clsplat.options import TrainOptions, resolve

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from clsplat.estimate.trial_steps import strewn
+from clsplat.export import prune as thin
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
-from clsplat.plan import thin
-from clsplat.plan.rehearsal import strewn
 from clsplat.rendering.pipeline import Renderer
 from tests.tiny_training import CITY
 from tests.unit.test_plan import city, clsplat_

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.frequency import AXES, VARIANTS
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.report.groups import Trained
 from clsplat.report.page import Table
-from tools import ablate, effectiveness, evidence, matrix, runs
+from clsplat.training.frequency import AXES, VARIANTS
+from tools.studies import ablate, effectiveness, evidence, matrix, runs
 
 CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"
 SECONDS = {"sig": 10.0, "constant": 20.0, "dash": 15.0, "taming": 25.0}  # of a made-up run

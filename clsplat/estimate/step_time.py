@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import nnls
 
-from clsplat.plan.rehearsal import Rehearsal, sized, spread_out, strewn
+from clsplat.estimate.trial_steps import Rehearsal, sized, spread_out, strewn
 from clsplat.rendering.pipeline import Renderer
 from clsplat.training.photos import at_level, decode
 from clsplat.training.silent import Silent

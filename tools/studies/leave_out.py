@@ -1,6 +1,6 @@
 """What parts of a training step cost, on and off: writes OUT/leave_out.md and OUT/leave_out.jsonl.
 
-    python -m tools.leave_out OUT SCENE[:DOWNSCALE][@VIEWS] ...
+    python -m tools.studies.leave_out OUT SCENE[:DOWNSCALE][@VIEWS] ...
 
 Times steps of the real training at full size on --gaussians gaussians strewn about the sparse
 points: with everything on, without one part each, with everything off, and then with what a scene
@@ -8,7 +8,7 @@ may need besides. A scene's first VIEWS photos stand for all where so many are a
 has a device of its own, so that memory is that of the row, and rows step in turn. Take it on a
 machine that does nothing else:
 
-    python -m tools.leave_out out/leave ../shared/data/caliterra data_samples/city \\
+    python -m tools.studies.leave_out out/leave ../shared/data/caliterra data_samples/city \\
         ../shared/data/caliterra@10
 """
 
@@ -20,20 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
-from clsplat.constrain.sphere import with_spheres
+from clsplat.bench.timing import in_turn
+from clsplat.densify.sphere import with_spheres
 from clsplat.device import choose_device
 from clsplat.errors import InputError
+from clsplat.estimate.trial_steps import Rehearsal, spread_out, strewn
 from clsplat.io.atomic import replacing
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
-from clsplat.plan.rehearsal import Rehearsal, spread_out, strewn
 from clsplat.report.page import Table
 from clsplat.schedule import scaled_steps
 from clsplat.training.needs import find_needs
 from clsplat.training.photos import decode
-from tools.bench.timing import in_turn
-from tools.evidence import markdown, outermost
-from tools.runs import Scene
+from tools.studies.evidence import markdown, outermost
+from tools.studies.runs import Scene
 
 ON, OFF = "everything on", "everything off"
 # part -> (options with it, options without)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsplat.regularise.reproject import pack_pairs, reproject
+from clsplat.loss.reproject import pack_pairs, reproject
 
 from .measure import Bench
 from .workloads import ring_camera

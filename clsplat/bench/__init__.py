@@ -3,7 +3,7 @@
 Each prints a table, or with --json JSON lines: family, variant, form, device, driver, size, median
 and quartiles in milliseconds, bytes, operations, and both as shares of what the device was measured
 to copy and to compute at most. Times are wall times of work that has finished on the device, after
-warm-up. Run them with `clsplat bench FAMILY`, or from a checkout with `python -m tools.bench
+warm-up. Run them with `clsplat bench FAMILY`, or from a checkout with `python -m clsplat.bench
 FAMILY`. `precision` compares approximations: their error beside their time.
 """
 

@@ -1,6 +1,6 @@
 """Which scene frequency tells when to go on: trains scenes at five fixed resolutions.
 
-    python -m tools.effectiveness OUT SCENE[:DOWNSCALE] ...
+    python -m tools.studies.effectiveness OUT SCENE[:DOWNSCALE] ...
 
 DOWNSCALE is of what counts as full resolution. Each scene's OUT/SCENE/effectiveness.png has the
 nine frequencies over iterations, a line a resolution, as Xue et al. (2026) draw theirs;
@@ -11,13 +11,13 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from clsplat.frequency import AXES, VARIANTS
 from clsplat.io.atomic import replacing
 from clsplat.report.curves import frequency_curves, value_at
 from clsplat.report.drawing import clean_look
 from clsplat.report.page import Table
-from tools.evidence import outermost, parsed, parser, refuse, write
-from tools.runs import trained, wanted
+from clsplat.training.frequency import AXES, VARIANTS
+from tools.studies.evidence import outermost, parsed, parser, refuse, write
+from tools.studies.runs import trained, wanted
 
 FACTORS = (5, 4, 3, 2, 1)
 FLAGS = ("--schedule", "constant", "--reset-every", "0")

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 from clsplat.densify.grow import Growth
+from clsplat.estimate.dry_run import DryAdam, DryDevice
 from clsplat.gaussians import Gaussians
 from clsplat.loss.exposure import Exposures
-from clsplat.plan.dry import DryAdam, DryDevice
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan
 from clsplat.training.adjacent import Adjacent

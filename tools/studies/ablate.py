@@ -1,6 +1,6 @@
 """Trains scenes with the SIG schedule and with each part left out; writes OUT/ablation.md.
 
-    python -m tools.ablate OUT SCENE[:DOWNSCALE] ... [-- FLAGS]
+    python -m tools.studies.ablate OUT SCENE[:DOWNSCALE] ... [-- FLAGS]
 
 Parts, after Xue et al. (2026): FARS, levels that follow the frequency; DS, rounds of growth a
 level; SCG, spheres; DR, reprojection, which is off by default and therefore added. Ours are
@@ -13,7 +13,7 @@ import numpy as np
 
 from clsplat.report.curves import spread
 from clsplat.report.page import Table
-from tools.evidence import (
+from tools.studies.evidence import (
     NOTE,
     SCORES,
     TITLES,
@@ -28,7 +28,7 @@ from tools.evidence import (
     score_cells,
     write,
 )
-from tools.runs import trained, wanted
+from tools.studies.runs import trained, wanted
 
 FULL = "full"
 GROWS_AS_CONSTANT = ["--rounds", "0", "--densify-every", "200"]

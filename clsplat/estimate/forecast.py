@@ -2,13 +2,13 @@
 
 import dataclasses
 
-from clsplat.blocks import seen_pixels, trainable
 from clsplat.errors import InputError
+from clsplat.estimate.detail import photo_detail
+from clsplat.estimate.memory import Memory, predicted_memory
+from clsplat.estimate.step_time import predicted_seconds
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.options import seconds_of
-from clsplat.plan.detail import photo_detail
-from clsplat.plan.memory import Memory, predicted_memory
-from clsplat.plan.pace import predicted_seconds
+from clsplat.partition.blocks import seen_pixels, trainable
 from clsplat.schedule import laid_over, scaled_steps, schedule_of
 from clsplat.schedule.course import course, largest
 from clsplat.training.begin import initial_gaussians

@@ -1,6 +1,6 @@
 """Simulates large scenes on a cluster: the engine and Dask are real, the blocks are not.
 
-    python -m tools.simulate OUT [--photos 1000 10000 100000 1000000] [--workers 40] ...
+    python -m tools.studies.simulate OUT [--photos 1000 10000 100000 1000000] [--workers 40] ...
 
 Every worker is one of Dask's own, all in this process and joined by TCP; in place of a training in
 a child it sleeps, --scale times shorter than a block takes. Tries fail and workers die at random.
@@ -26,7 +26,7 @@ from distributed.comm.tcp import TCP
 from clsplat.distribute import Result, Task, cluster, run
 from clsplat.distribute.task import DONE, FAILED, LOST
 from clsplat.report.page import Table
-from tools.evidence import markdown, outermost
+from tools.studies.evidence import markdown, outermost
 
 # of 30 000 steps, from the 7000 of docs/results.md: about 9.4 s on an H200 and 211 s on two cores
 SECONDS = (40.0, 900.0)

@@ -1,6 +1,6 @@
 """What `clsplat plan` foretells beside what training then takes: writes OUT/foretold.md.
 
-    python -m tools.foretold OUT SCENE[:DOWNSCALE] ... -- --schedule sig
+    python -m tools.studies.foretold OUT SCENE[:DOWNSCALE] ... -- --schedule sig
 
 Each scene is planned, then trained on the same device. Gaussians: the most at a time; memory: the
 most at a time, while the model grows too; time: of training. Take it on a machine that does
@@ -8,11 +8,11 @@ nothing else.
 """
 
 from clsplat.device import choose_device
+from clsplat.estimate.forecast import MIB, Planned
 from clsplat.io.scenes import read_scene
-from clsplat.plan.forecast import MIB, Planned
 from clsplat.report.page import Table
-from tools.evidence import outermost, parsed, parser, refuse, write
-from tools.runs import trained, wanted
+from tools.studies.evidence import outermost, parsed, parser, refuse, write
+from tools.studies.runs import trained, wanted
 
 BOUNDS = {"MiB": 0.15, "s": 0.30}  # relative errors that issue 4 allows
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clsplat.plan.dry import DryDevice
-from clsplat.plan.rehearsal import Rehearsal, settled, spread_out, strewn
+from clsplat.estimate.dry_run import DryDevice
+from clsplat.estimate.trial_steps import Rehearsal, settled, spread_out, strewn
 from clsplat.rendering.pipeline import Renderer
 from clsplat.training.photos import DEVICE_SHARE, at_level
 

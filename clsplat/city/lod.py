@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit
 
+from clsplat.city.merge import cropped, joined, partition_of
 from clsplat.errors import InputError
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.views import photo_of, read_cameras_for, render_view, run_options
@@ -24,7 +25,6 @@ from clsplat.io.images import write_image
 from clsplat.io.ply import read_ply
 from clsplat.io.regular import native
 from clsplat.io.run import MODEL, RunFolder
-from clsplat.merge import cropped, joined, partition_of
 from clsplat.rendering.slabs import open_model
 from clsplat.training.begin import of_degree
 

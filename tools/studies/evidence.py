@@ -11,7 +11,7 @@ from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.report.curves import spread
 from clsplat.report.groups import warnings
-from tools.runs import Scene
+from tools.studies.runs import Scene
 
 # of an evaluation: title, key, digits
 SCORES = (("PSNR cc, dB", "psnr_cc", 2), ("PSNR, dB", "psnr", 2), ("SSIM cc", "ssim_cc", 4),

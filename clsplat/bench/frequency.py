@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from clsplat.frequency import scene_frequency
+from clsplat.training.frequency import scene_frequency
 
 from .measure import Bench
 from .workloads import city

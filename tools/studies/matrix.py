@@ -1,6 +1,6 @@
 """Trains scenes with several schedules and seeds; OUT/matrix.md says how they compare.
 
-    python -m tools.matrix OUT SCENE[:DOWNSCALE] ... [--schedules sig,constant,dash,taming]
+    python -m tools.studies.matrix OUT SCENE[:DOWNSCALE] ... [--schedules sig,constant,dash,taming]
 
 The equal time of a scene is that of its shortest run. gsplat 1.5.3, with whose figures ours are
 compared, never resets opacities (its condition `step % reset_every == 0 & step > 0` is always
@@ -14,7 +14,7 @@ import numpy as np
 from clsplat.errors import InputError
 from clsplat.report.curves import curve, spread, value_at
 from clsplat.report.page import Table
-from tools.evidence import (
+from tools.studies.evidence import (
     NOTE,
     SCORES,
     TITLES,
@@ -29,7 +29,7 @@ from tools.evidence import (
     score_cells,
     write,
 )
-from tools.runs import trained, wanted
+from tools.studies.runs import trained, wanted
 
 STOPS = "500,1000,2000,3000,4000,5000,6000,10000,15000,20000,25000"
 BASE = "constant"  # the schedule that others are set against

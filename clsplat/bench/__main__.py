@@ -1,4 +1,4 @@
-"""`python -m tools.bench FAMILY [--json] [--device SPEC] ...`"""
+"""`python -m clsplat.bench FAMILY [--json] [--device SPEC] ...`"""
 
 import importlib
 import sys

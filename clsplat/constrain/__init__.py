@@ -1,1 +1,0 @@
-"""Where gaussians may be: the sphere around each one's anchor."""

@@ -1,0 +1,1 @@
+"""What leaves clsplat: finished models made smaller for viewers and other programs."""

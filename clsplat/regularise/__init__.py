@@ -1,1 +1,0 @@
-"""What is asked of the gaussians beside looking like the photo at hand."""
