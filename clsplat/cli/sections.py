@@ -40,8 +40,7 @@ class SectionedCommand(click.Command):
             with formatter.section(heading):
                 formatter.write_dl(records)
         if self.others and ALL not in ctx.meta:
-            formatter.write_paragraph()
-            formatter.write_text(f"{self.others} more options: {ctx.command_path} --help-all")
+            formatter.write(f"\n{self.others} more options: {ctx.command_path} --help-all\n")
 
 
 def _help_all(ctx, param, value):
