@@ -61,6 +61,7 @@ WALLS = {
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
 FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None,
                     "clsplat/io/": {"pycolmap", "OpenImageIO"},
+                    "clsplat/bench/": {"gsplat", "torch"},  # to compare with, where they are
                     "clsplat/distribute/": {"distributed"}}  # an extra, seldom asked for
 
 # classes of the Python API that read and write themselves, by functions of this layer above them
@@ -222,8 +223,8 @@ def test_the_house_is_in_order(check):
 
 SMALL = {
     "pyproject.toml": "[build-system]\nrequires = []\n",
-    "setup.cfg": "[options]\npackages =\n  clsplat\n  clsplat.cli\n  clsplat.device\n"
-                 "  clsplat.io\n  clsplat.rendering\n  clsplat.schedule\n",
+    "setup.cfg": "[options]\npackages =\n  clsplat\n  clsplat.bench\n  clsplat.cli\n"
+                 "  clsplat.device\n  clsplat.io\n  clsplat.rendering\n  clsplat.schedule\n",
     "clsplat/__init__.py": "__version__ = '1'\n",
     "clsplat/errors.py": "class E(Exception): ...\n",
     "clsplat/camera.py": "from clsplat.errors import E\n",

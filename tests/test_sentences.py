@@ -118,8 +118,9 @@ def options_of(name):
 
 @cache
 def tools_text():
-    """All code beside the package, which parses options of its own."""
-    return "".join(path.read_text("utf-8") for _, path in sources(ROOT, "tools", "tests"))
+    """All code that parses options of its own."""
+    return "".join(path.read_text("utf-8") for _, path in sources(ROOT, "clsplat/bench", "tools",
+                                                                     "tests"))
 
 
 @cache

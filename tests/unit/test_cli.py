@@ -326,11 +326,9 @@ def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
     assert ("FAILED  blend: 3e-7 off" in result.output) is not passed
 
 
-def test_bench_lists_and_calls(monkeypatch, tmp_path):
-    (tmp_path / "blend.py").write_text("\ndef main(argv):\n    print('timed', argv)\n")
-    package = module(monkeypatch, "made_benches", families=lambda: ["blend"])
-    package.__path__ = [str(tmp_path)]
-    monkeypatch.setattr("clsplat.cli.bench.bench_package", lambda: package)
+def test_bench_lists_and_calls(monkeypatch):
+    module(monkeypatch, "clsplat.bench", families=lambda: ["blend"])
+    module(monkeypatch, "clsplat.bench.blend", main=lambda argv: print("timed", argv))
     assert clsplat_("bench").output == "blend\n"
     result = clsplat_("bench", "blend", "--json", "--device", "cpu", "--size", 4)
     assert result.output == "timed ['--json', '--device', 'cpu', '--size', '4']\n"
