@@ -131,12 +131,12 @@ class TrainOptions:
         "(paper: of the points' mean 1 / distance; release: not used)", minimum=0.0, only=SIG)
     convergence_hits: int = option(2, "Levels", "tests in a row that must agree", minimum=1,
                                    only=SIG)
-    level_share: float = option(0.7, "Levels", "share of the run that the lower levels may take "
+    level_share: float = option(0.7, "Levels", "share of the run that the coarser levels may take "
                                 "together (1: no deadlines)", minimum=0.0, maximum=1.0, only=SIG)
     rounds: int = option(12, "Levels", "at most so many rounds of growth a level (0: grow as "
                          "constant does)", minimum=0, only=SIG)
-    level_reset: bool = option(True, "Levels", "lower all opacities where a level begins: what its "
-                               "images do not ask for again is pruned", only=SIG)
+    level_reset: bool = option(True, "Levels", "reset opacities at the start of each level, so "
+                               "that gaussians the sharper images do not need are pruned", only=SIG)
     pixels_per_gaussian: float = option(
         40.0, "Levels", "training pixels, at the level's size, that a gaussian must have for the "
         "model to grow (0: any)", minimum=0.0, only=SIG)

@@ -31,7 +31,7 @@ class Space:
                 raise ValueError(f"{name} is not {'x'.join(map(str, shape))} finite numbers")
             object.__setattr__(self, name, values)
         if (np.abs(self.rotation @ self.rotation.T - np.eye(3)) > ORTHONORMAL).any():
-            raise ValueError("rotation is none")
+            raise ValueError("rotation is not an orthonormal 3 x 3 matrix")
         if not (self.half > 0).all():
             raise ValueError("half has a side of no length")
 

@@ -21,7 +21,7 @@ from clsplat.schedule import scaled_steps
 from clsplat.schedule.plan import Plan
 from clsplat.training.model import Model
 from clsplat.training.photos import Photos
-from clsplat.training.step import Shot, Step
+from clsplat.training.step import Step, TrainingSample
 
 from .measure import Bench
 from .timing import milliseconds
@@ -48,7 +48,7 @@ def main(argv):
         def one(step=step, cameras=cameras, numbers=numbers):
             number = next(numbers)
             index = (number - 1) % len(views)
-            step.take(number, PLAN, [Shot(index, cameras[index], photos[index])])
+            step.run(number, PLAN, [TrainingSample(index, cameras[index], photos[index])])
 
         times = milliseconds(device, one, len(views), warm_up=len(views))
         width, height = views[0].camera.width, views[0].camera.height

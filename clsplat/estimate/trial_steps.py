@@ -13,7 +13,7 @@ from clsplat.schedule import Plan
 from clsplat.training.adjacent import Adjacent
 from clsplat.training.model import Model
 from clsplat.training.photos import at_level
-from clsplat.training.step import Shot, Step
+from clsplat.training.step import Step, TrainingSample
 
 A_SPLAT, A_TILE = 1.62, 114  # pairs
 SIZES, HALVINGS = 2.0, 6  # logarithm of the size looked for, and how often its range is halved
@@ -67,11 +67,11 @@ class Rehearsal:
             pair = (self.photo(self.device, other), self.adjacent.geometries,
                     self.adjacent.colours, row)
         plan = dataclasses.replace(self.plan, regularises=float(regularises))
-        shots = self.step.options.batch * [Shot(index, camera, photo, pair)]
+        samples = self.step.options.batch * [TrainingSample(index, camera, photo, pair)]
 
         def take():
             self.iteration += 1
-            return self.step.take(self.iteration, plan, shots)
+            return self.step.run(self.iteration, plan, samples)
         return take
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from clsplat.errors import InputError
 from clsplat.io.checks import LARGEST
 from clsplat.io.cloud import read_cloud
-from clsplat.io.posed import Shot, posed_scene
+from clsplat.io.posed import PosedPhoto, posed_scene
 from clsplat.io.reason import clean
 from clsplat.io.regular import read_regular
 from clsplat.io.torch_archive import read_torch
@@ -61,7 +61,7 @@ def _shot(path, part, origin, scale):
     rgbs = path.parents[1] / "rgbs"
     photo = next((rgbs / (path.stem + suffix) for suffix in SUFFIXES
                   if (rgbs / (path.stem + suffix)).exists()), rgbs / f"{path.stem}.jpg")
-    return Shot(f"{part}/{photo.name}", photo, size, (fx, fy), (cx, cy), pose, part == VAL)
+    return PosedPhoto(f"{part}/{photo.name}", photo, size, (fx, fy), (cx, cy), pose, part == VAL)
 
 
 def _table(path):

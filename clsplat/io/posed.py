@@ -15,7 +15,7 @@ UNKNOWN = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class PosedPhoto:
     """A photo as a data set describes it.
 
     pose: float64[3, 4], camera to world, camera axes right, up, back (OpenGL). size: (width,
@@ -34,8 +34,8 @@ class Shot:
 def posed_scene(path, folder, shots, cloud):
     """The recentred scene of a folder; every photo is checked, as `read_colmap` does.
 
-    path: the file that messages name; shots: list of Shot; cloud: `cloud.read_cloud`'s points and
-    colours, or None: then points are drawn where two cameras look, and a warning is logged.
+    path: the file that messages name; shots: list of PosedPhoto; cloud: `cloud.read_cloud`'s points
+    and colours, or None: then points are drawn where two cameras look, and a warning is logged.
     """
     rotations, translations = world_to_camera(np.array([shot.pose for shot in shots]))
     points, colours = cloud or (UNKNOWN, None)
@@ -61,7 +61,7 @@ def posed_scene(path, folder, shots, cloud):
 
 def world_to_camera(poses):
     """Rotations float64[V, 3, 3] and translations float64[V, 3] of `clsplat.camera`, of poses
-    float64[V, 3, 4] as `Shot` has them.
+    float64[V, 3, 4] as `PosedPhoto` has them.
 
     Files round: an error of 1e-6 in a rotation would move a camera at UTM coordinates by metres.
     What is almost a rotation becomes the nearest one; what is none stays, to be refused.

@@ -17,7 +17,7 @@ from clsplat.errors import InputError
 from clsplat.io.checks import CONTROL
 from clsplat.io.cloud import read_cloud
 from clsplat.io.images import image_size
-from clsplat.io.posed import Shot, posed_scene
+from clsplat.io.posed import PosedPhoto, posed_scene
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import native, read_regular
@@ -89,7 +89,7 @@ def _shot(folder, frame, held_out):
     focal_x = _focal(frame, "fl_x", "camera_angle_x", size[0])
     focal_y = _focal(frame, "fl_y", "camera_angle_y", size[1], focal_x)
     centre = (_number(frame, "cx", size[0] / 2), _number(frame, "cy", size[1] / 2))
-    return Shot(name, source, size, (focal_x, focal_y), centre, pose, held_out)
+    return PosedPhoto(name, source, size, (focal_x, focal_y), centre, pose, held_out)
 
 
 def _pose(frame):

@@ -61,8 +61,8 @@ class DeviceAdam:
 
         gradients: `render.pipeline.Gradients`, without rows of what is held (`hold_rows`); step:
         from 1; rates: field -> learning rate; used: field -> leading floats of a row that may
-        change (0 leaves a field alone); held: uint[N] on the device, not 0 where a row and its
-        moments are to stay, unseen as well; None: none is.
+        change (0 leaves a field alone); held: uint[N] mask on the device; rows where it is
+        not 0 keep parameters and moments, even if no view sees them; None: no row is held.
         """
         device, seen, count = self.device, gradients.rows, len(rows["positions"])
         first, second = corrections(step)

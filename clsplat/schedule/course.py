@@ -50,7 +50,7 @@ def course(schedule, detail=None):
             share = 1.0 if detail is None else min(1.0, (detail(plan.level) / SHARP) ** POWER)
             asked = ASKED * share * pixels / plan.level**2 * SETTLES**plan.decay
             count = _grown(schedule, iteration, count, asked)
-        if iteration % schedule.look == 0:
+        if iteration % schedule.observe_every == 0:
             schedule.observe(iteration, flat)
     return [Stretch(steps, *kind) for kind, steps in taken]
 

@@ -65,8 +65,8 @@ class Schedule:
     levels : all down-sampling factors, in the order they will come.
     defaults : options that the schedule sets unless the user does, by name.
     selection : how growth chooses, "threshold", "highest" or "score" (densify/select.py).
-    look : steps between calls of `observe`.
-    latest : what the last look found, for the record.
+    observe_every : steps between calls of `observe`.
+    latest : what the last `observe` found, for the record.
     options : TrainOptions with scaled steps; may be replaced between steps (a time budget moves the
         end).
     subject : what is known of the scene.
@@ -75,7 +75,7 @@ class Schedule:
     levels: tuple[float, ...] = (1.0,)
     defaults: ClassVar[dict[str, Any]] = {}
     selection = "threshold"
-    look = 100
+    observe_every = 100
     latest: Any = None
 
     def __init__(self, options: TrainOptions, subject: Subject) -> None:

@@ -5,7 +5,7 @@ begins (FARS), and each level grows for a number of rounds, then settles (DS), t
 than its pixels can tell apart: at 59 numbers a gaussian and 3 a pixel, fewer than 20 pixels each
 would leave more unknowns than measurements. The paper gives no guards; ours: rounds of growth
 disturb the frequency, so nothing is tested before they are over, several tests in a row must agree,
-and each lower level has a deadline, a share of the run, so that the finest always gets its time.
+and each coarser level has a deadline, a share of the run, so that the finest always gets its time.
 The tests `paper` and `release` are unguarded, as published.
 """
 
@@ -67,7 +67,7 @@ class Sig(Schedule):
         return math.floor(pixels / self.options.pixels_per_gaussian)
 
     @property
-    def look(self):
+    def observe_every(self):
         """Steps between looks at the frequency."""
         share = self.options.level_share * self.options.iterations / len(self.levels)
         return max(1, min(LOOK, int(share / LOOKS_A_LEVEL)))
@@ -150,7 +150,7 @@ class Sig(Schedule):
                        "threshold": verdict.threshold, "hits": self.hits}
         if self.hits >= o.convergence_hits:
             reason = "converged"
-        elif o.level_share < 1 and since + self.look > self.allotment:
+        elif o.level_share < 1 and since + self.observe_every > self.allotment:
             reason = "deadline"
         else:
             return None
@@ -160,7 +160,7 @@ class Sig(Schedule):
         return decision
 
     def ahead(self, iteration):
-        """See `Schedule.ahead`: lower levels until their deadline, the rest at the finest."""
+        """See `Schedule.ahead`: coarser levels until their deadline, the rest at the finest."""
         lower = []
         if not self.last:
             lower = [(level, self.allotment) for level in self.levels[self.index:-1]]
@@ -175,7 +175,7 @@ class Sig(Schedule):
             return since >= GROWS_SHARE * self.allotment
         # rounds that only prune disturb little
         return self.full or (not self._rounds_left(since)
-                             and iteration >= self.grown_at + 2 * self.look)
+                             and iteration >= self.grown_at + 2 * self.observe_every)
 
     def _advance(self, iteration):
         if self.options.convergence == "release":  # its unused rounds pile up, and stay

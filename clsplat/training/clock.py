@@ -41,7 +41,7 @@ class Clock:
             self.budget.begin_steps(self.iteration, self.stepped())
 
     def _unpaused(self):
-        """Seconds of training since `unpause`; compiling kernels is none."""
+        """Seconds of training since `unpause`, without those spent on compiling kernels."""
         return time.perf_counter() - self.device.build_seconds - self._clock
 
     def trained(self):
@@ -53,7 +53,8 @@ class Clock:
         return self.kernel_bytes + self.device.kernel_bytes - self._moved
 
     def stepped(self):
-        """`elapsed` less compiling, by which the first step would foretell a run of few."""
+        """Wall seconds without compiling kernels: else the slow first step would make a time budget
+        predict too few steps."""
         return self.elapsed() - self.device.build_seconds
 
     def elapsed(self):
@@ -126,7 +127,7 @@ class Clock:
         before the last upheaval, where that was better."""
         kept, self.kept = self.kept, None
         if kept and self.iteration < kept.iteration + RECOVERY and kept.restore_if_better(
-                self.step, self.look()[:SAMPLES]):
+                self.step, self.scoring_views()[:SAMPLES]):
             self.log("restored", since=kept.iteration)
             self.progress.message(
                 f"the time ended {self.iteration - kept.iteration} steps after opacities were "

@@ -37,7 +37,7 @@ from clsplat.training.photos import Photos, decoded, epoch_order, size_note
 from clsplat.training.silent import WARNING, Silent
 from clsplat.training.skipped import TOO_MANY
 from clsplat.training.snapshots import save_snapshot
-from clsplat.training.step import Shot, Step
+from clsplat.training.step import Step, TrainingSample
 from clsplat.training.warn import find_warnings
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
@@ -253,10 +253,10 @@ class Training(Clock):
             exposures.recentre()
             if self.adjacent:
                 self.adjacent.compare_colours()
-        self.losses = self.step.take(iteration, plan, (
-            self.shot(taken + place, plan.regularises) for place in range(1, batch + 1)))
+        self.losses = self.step.run(iteration, plan, (
+            self.sample(taken + place, plan.regularises) for place in range(1, batch + 1)))
         self.progress.phase(f"training level {plan.level:g}")
-        event = self.step.follow(iteration, plan, self.schedule, self.look)
+        event = self.step.densify(iteration, plan, self.schedule, self.scoring_views)
         self.iteration = iteration
         if not self.step.model.count:
             raise self.broken(f"all gaussians were pruned after step {iteration}",
@@ -272,8 +272,8 @@ class Training(Clock):
         elif self.evaluates():  # the last one comes once the model is saved
             self.evaluate()
 
-    def shot(self, number, regularises):
-        """The Shot of the number-th view; begins to read the photos of the one after it."""
+    def sample(self, number, regularises):
+        """The sample of the number-th view; begins to read the photos of the one after it."""
         index = self.view_of(number)
         photo = self.photos[index]
         if not self.photos.resident:
@@ -282,15 +282,15 @@ class Training(Clock):
             if regularises:
                 self.photos.expect(self.adjacent.drawn(number + 1, following)[1])
         pair = self.pair(number, index) if regularises else None
-        return Shot(index, self.cameras[index], photo, pair)
+        return TrainingSample(index, self.cameras[index], photo, pair)
 
     def pair(self, number, index):
-        """What a Shot of view `index` is compared with, or None."""
+        """What a TrainingSample of view `index` is compared with, or None."""
         row, other = self.adjacent.drawn(number, index)
         return None if row is None else (
             self.photos[other], self.adjacent.geometries, self.adjacent.colours, row)
 
-    def look(self):
+    def scoring_views(self):
         """[(packed camera, photo), ...]: some training views, others at each step."""
         rng = np.random.default_rng([self.options.seed, 3, self.iteration])
         count = len(self.train_views)
@@ -300,11 +300,11 @@ class Training(Clock):
     def observe(self):
         """Show the schedule the scene frequency where it looks; log what it decides."""
         self.frequency = None
-        if not (self.due(LOG_EVERY) or self.due(self.schedule.look)):
+        if not (self.due(LOG_EVERY) or self.due(self.schedule.observe_every)):
             return
         self.frequency = scene_frequency(self.device, self.step.model.rows,
                                          self.scene.unit)
-        if self.due(self.schedule.look):
+        if self.due(self.schedule.observe_every):
             decision = self.schedule.observe(self.iteration, self.frequency)
             if decision:
                 self.log("level", **decision)
@@ -355,7 +355,7 @@ class Training(Clock):
         if not np.isfinite(values[0]):
             raise self.broken(f"the loss at step {self.iteration} is {values[0]}")
         skipped = self.step.skipped
-        if skipped.look() and self.progress:
+        if skipped.poll() and self.progress:
             self.progress.message(f"step {self.iteration}: {skipped.total:,} gradients were not "
                                   "finite and were skipped; metrics.jsonl counts on, as "
                                   "skipped_rows")

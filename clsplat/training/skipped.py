@@ -1,7 +1,7 @@
 """Gradients that are not finite: the device skips their rows and counts them (cl/project.cl, and
 cl/exposure.cl, whose rows are colour transforms of views).
 
-The host counts the rows it asked for, so nothing waits for the device but a look now and then.
+The host counts the rows it asked for, so nothing waits for the device but a poll now and then.
 """
 
 # Share of the rows between two records above which training stops. Runs that go well skip none, a
@@ -13,7 +13,7 @@ TOO_MANY = 0.01
 class Skipped:
     """counters: each uint[1] on the device, rows skipped since it was made, modulo 2^32.
 
-    total: rows skipped in the whole run, as of the last `look`; asked: rows of gradients since the
+    total: rows skipped in the whole run, as of the last `poll`; asked: rows of gradients since the
     last `close`, to be kept up to date.
     """
 
@@ -22,7 +22,7 @@ class Skipped:
         self._counted = 0  # by all counters, as of the last look
         self.total = self.asked = self._closed = 0
 
-    def look(self):
+    def poll(self):
         """Bring `total` up to date, and whether it has left zero; waits."""
         before, counted = self.total, sum(int(counter.last()) for counter in self._counters)
         self.total += (counted - self._counted) % 2**32
@@ -30,13 +30,13 @@ class Skipped:
         return self.total > before == 0
 
     def close(self):
-        """(skipped, asked) since the last `close`, as of the last `look`."""
+        """(skipped, asked) since the last `close`, as of the last `poll`."""
         since = self.total - self._closed, self.asked
         self._closed, self.asked = self.total, 0
         return since
 
     def state(self):
-        """What a checkpoint must hold, for JSON, as of the last `look`."""
+        """What a checkpoint must hold, for JSON, as of the last `poll`."""
         return {"total": self.total, "closed": self._closed, "asked": self.asked}
 
     def load(self, state):

@@ -21,7 +21,7 @@ RESET_OPACITY = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class TrainingSample:
     """What a step learns from.
 
     view: index of the view; camera: packed; photo: uchar[3, H, W]; pair: (photo, geometries,
@@ -52,11 +52,11 @@ class Step:
         self.hold()
         self.pixel_pairs = 0  # pairs of gaussian and pixel so far: all pixels of a tile it meets
 
-    def take(self, iteration, plan, shots):
+    def run(self, iteration, plan, samples):
         """Step `iteration` (from 1) on the mean loss of options.batch Shots, an iterable; returns
         [(loss sums, still on the device; values of the photo), ...]."""
         losses, used, views = [], self._used(plan.degree), self.options.batch
-        found = (self._look(plan, shot, losses) for shot in shots)
+        found = (self._gradients_of(plan, sample, losses) for sample in samples)
         gradients = (next(found) if views == 1 else
                      batch_mean(self.device, self.model.count, views, found, used))
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
@@ -64,23 +64,23 @@ class Step:
         self.model.adam.step(learned, gradients, iteration, rates, used, self.held)
         return losses
 
-    def _look(self, plan, shot, losses):
-        """The Gradients of one Shot; adds to `losses` and statistics."""
-        rows, exposures, photo = self.model.rows, self.exposures, shot.photo
+    def _gradients_of(self, plan, sample, losses):
+        """The Gradients of one TrainingSample; adds to `losses` and statistics."""
+        rows, exposures, photo = self.model.rows, self.exposures, sample.photo
         _, height, width = photo.shape
-        frame = self.renderer.render(rows, shot.camera, width, height, plan.degree,
-                                     with_depth=shot.pair is not None)
+        frame = self.renderer.render(rows, sample.camera, width, height, plan.degree,
+                                     with_depth=sample.pair is not None)
         self.pixel_pairs += frame.pair_count * self.device.tile**2
-        image = exposures.apply(shot.view, frame.image) if exposures else frame.image
+        image = exposures.apply(sample.view, frame.image) if exposures else frame.image
         sums, grad_image = image_loss(self.device, image, photo, self.options.ssim_weight)
         losses.append((sums, 3 * height * width))
         if exposures:
-            grad_image = exposures.adjoint(shot.view, frame.image, grad_image)
+            grad_image = exposures.adjoint(sample.view, frame.image, grad_image)
         grad_depth = grad_transmittance = None
-        if shot.pair is not None:
+        if sample.pair is not None:
             blended = frame.blended
             _, grad_depth, grad_transmittance = reproject(
-                self.device, blended.depth, blended.transmittance, photo, *shot.pair,
+                self.device, blended.depth, blended.transmittance, photo, *sample.pair,
                 plan.regularises)
         gradients = self.renderer.adjoint(rows, frame, grad_image, grad_depth, grad_transmittance)
         self.skipped.asked += len(gradients.rows) + bool(exposures)
@@ -95,13 +95,13 @@ class Step:
         used = {field.name: field.width(self.model.sh_degree) for field in LEARNED}
         return {**used, "sh_rest": 3 * degree * (degree + 2)}
 
-    def follow(self, iteration, plan, schedule, look):
+    def densify(self, iteration, plan, schedule, scoring_views):
         """Growth and opacity reset after a step; returns what happened, or None.
 
-        look: called without arguments, gives [(packed camera, photo), ...], some training views,
-        for a schedule that scores gaussians.
+        scoring_views: called without arguments, gives [(packed camera, photo), ...] of some
+        training views, for a schedule that scores gaussians.
         """
-        event = self._grow(iteration, plan, schedule, look) if plan.grows else None
+        event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
         if plan.resets_opacity:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
                                      None if self.held is None else self.held.download() == 0)
@@ -113,7 +113,7 @@ class Step:
             rows = (self.model.rows[name].download() for name in ("positions", "log_scales"))
             self.held = self.device.upload((~self.trains(*rows)).astype(np.uint32))
 
-    def _grow(self, iteration, plan, schedule, look):
+    def _grow(self, iteration, plan, schedule, scoring_views):
         model, options = self.model, self.options
         rows = {field.name: model.rows[field.name].download() for field in FIELDS
                 if field.name in model.rows and not field.name.startswith("sh_")}
@@ -126,7 +126,7 @@ class Step:
         prunes = candidates.prunes & ~held
         scores = None
         if schedule.selection == "score":
-            scores = taming_scores(self.renderer, model.rows, look(), plan.degree,
+            scores = taming_scores(self.renderer, model.rows, scoring_views(), plan.degree,
                                    options.ssim_weight, gradient)
             if schedule.spares_half(iteration):
                 prunes = half_of(prunes, scores, rng)

@@ -11,7 +11,7 @@ from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.constant import Constant
 from clsplat.training.model import Model
-from clsplat.training.step import Shot, Step
+from clsplat.training.step import Step, TrainingSample
 from tests.kernels.chain import precision_of
 from tests.system import golden
 
@@ -47,8 +47,8 @@ def test_kernels_give_them(device):
     losses = []
     for iteration in range(1, golden.STEPS + 1):
         view = iteration % 3
-        [(sums, values)] = step.take(iteration, schedule.plan(iteration),
-                                     [Shot(view, packed[view], planes[view])])
+        [(sums, values)] = step.run(iteration, schedule.plan(iteration),
+                                     [TrainingSample(view, packed[view], planes[view])])
         losses.append(loss_value(sums, values, options.ssim_weight)[0])
     assert np.allclose(losses, stored(), rtol=RELATIVE[precision_of(device)], atol=0), (
         f"{losses}\nexpected {stored()}")

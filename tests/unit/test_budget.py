@@ -85,7 +85,7 @@ class Simulated:
             self.model.count = min(4 * COUNT, self.model.count * 21 // 20)
         self.iteration = iteration
         self.steps_at[plan.level] = self.steps_at.get(plan.level, 0) + 1
-        if iteration % self.schedule.look == 0:
+        if iteration % self.schedule.observe_every == 0:
             self.schedule.observe(iteration, FREQUENCIES)
         if self.budget.is_due(self.stepped()):
             self.estimate_end()

@@ -14,7 +14,7 @@ from clsplat.schedule import Plan, Subject
 from clsplat.schedule.constant import Constant
 from clsplat.training import step as train_step
 from clsplat.training.model import Model
-from clsplat.training.step import Shot, Step
+from clsplat.training.step import Step, TrainingSample
 from tests import cases
 from tests.kernels.chain import camera_of, size_of
 
@@ -146,7 +146,7 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
         for iteration in range(1, 6):
             plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False,
                         prunes_large=False, decay=iteration / 100)
-            step.take(iteration, plan, [Shot(0, renderer.pack(camera_of(case)),
+            step.run(iteration, plan, [TrainingSample(0, renderer.pack(camera_of(case)),
                                              device.upload(photo))])
         results.append((model.download().rows, *model.adam.download(model.count)))
     before = given.rows
@@ -192,7 +192,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
     monkeypatch.setattr(renderer, "adjoint", kept)
     monkeypatch.setattr(train_step, "image_loss", spoilt)
     before = model.download().rows, *model.adam.download(count)
-    step.take(1, plan, [Shot(0, renderer.pack(camera_of(case)), photo)])
+    step.run(1, plan, [TrainingSample(0, renderer.pack(camera_of(case)), photo)])
     after = model.download().rows, *model.adam.download(count)
     seen = found[0].visible.download()
     usable = found[0].rows.download() == seen
@@ -202,7 +202,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
         for old, new in zip(before, after):
             assert np.array_equal(new[name][skipped], old[name][skipped]), name
             assert (new[name][unseen] != old[name][unseen]).all(), name
-    step.skipped.look()
+    step.skipped.poll()
     assert step.skipped.close() == (len(skipped) + 1, len(seen) + 1)  # and the view's exposure
 
 
@@ -225,7 +225,7 @@ def test_what_is_held_stays_though_it_has_moments(float_device, engine):
     plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
                 decay=0.5)
     before = model.download().rows
-    step.take(1, plan, [Shot(0, renderer.pack(camera_of(case)), photo)])
+    step.run(1, plan, [TrainingSample(0, renderer.pack(camera_of(case)), photo)])
     seen = step.statistics.seen_count.download() > 0
     assert not seen[:2].any() and seen[3] and not seen[held].any()  # none learns from what is held
     for name, rows in model.download().rows.items():
@@ -256,7 +256,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
     plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
                 decay=0.5)
     camera = renderer.pack(camera_of(case))
-    losses = step.take(1, plan, (Shot(0, camera, photos[i > 2]) for i in range(4)))
+    losses = step.run(1, plan, (TrainingSample(0, camera, photos[i > 2]) for i in range(4)))
     values = [loss_value(sums, pixels, 0.2)[0] for sums, pixels in losses]
     assert len(values) == 4 and values[0] == values[2] != values[3]
     [mean], seen = taken, found[0].visible.download()
@@ -294,7 +294,7 @@ def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
     step.statistics.grad_norm_sum.write(np.array(gradients, np.float32) * 2)
     step.statistics.seen_count.write(np.full(given.count, 2, np.uint32))
     schedule = Constant(options, Subject((640, 480), given.count, 1.0, photos=None, pixels=10**8))
-    event = step.follow(7, GROWS, schedule, look=None)
+    event = step.densify(7, GROWS, schedule, scoring_views=None)
     assert len(step.statistics.grad_norm_sum) == step.model.count
     assert not step.statistics.grad_norm_sum.download().any()
     return event, step.model, given

@@ -96,7 +96,7 @@ def test_the_finest_level_always_gets_its_share(iterations, levels, frequency):
     steps = lengths(taken)
     assert list(steps) == list(levels)
     for level in levels[:-1]:
-        assert steps[level] <= max(share / (len(levels) - 1), schedule.look)
+        assert steps[level] <= max(share / (len(levels) - 1), schedule.observe_every)
     assert steps[1.0] >= iterations - share
     if frequency is rising:
         assert {d["reason"] for _, d in decisions(taken)} == {"deadline"}
@@ -109,7 +109,7 @@ def test_the_finest_level_always_gets_its_share(iterations, levels, frequency):
 def test_the_share_is_an_option(share):
     schedule = sig(level_share=share)
     steps = lengths(drive(schedule, rising))
-    assert abs(sum(steps.values()) - steps[1.0] - share * 6000) <= 2 * schedule.look
+    assert abs(sum(steps.values()) - steps[1.0] - share * 6000) <= 2 * schedule.observe_every
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -127,7 +127,7 @@ def test_a_miss_between_hits_counts_them_anew():
     """The paper's test looks at one difference, so a single jump is a single miss."""
     kind = {"preset": "paper", "convergence_hits": 3}
     first, = {decisions(drive(sig(**kind)))[0][0]}
-    step = sig(**kind).look
+    step = sig(**kind).observe_every
 
     def jumps(iteration):
         return 30.0 + 9.0 * (iteration >= first)
@@ -152,9 +152,9 @@ def test_nothing_is_tested_before_growth_is_over():
     last = rounds(taken, 4.0)[-1]
     assert len([i for i in seen if i < last]) > 5
     for iteration, found in seen.items():
-        if iteration < last + 2 * schedule.look:
+        if iteration < last + 2 * schedule.observe_every:
             assert found["hits"] == 0, iteration
-    assert last + 2 * schedule.look <= end < last + 3 * schedule.look
+    assert last + 2 * schedule.observe_every <= end < last + 3 * schedule.observe_every
 
 
 def test_the_guard_waits_out_growth_at_fixed_intervals_too():
@@ -170,7 +170,7 @@ def test_published_tests_are_not_guarded(preset):
     first = decisions(drive(schedule))[0][1]
     assert first["reason"] == "converged" and first["rounds"] < schedule.options.rounds
     needed = {"paper": 1 + 1, "release": 6 + 4}[preset]
-    assert first["since"] == needed * schedule.look
+    assert first["since"] == needed * schedule.observe_every
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -178,7 +178,7 @@ def test_the_frequency_asked_for_decides(name):
     name = "robust" if name == "ours" else name
     schedule = sig(frequency=name)
     for iteration in range(1, 6001):
-        if iteration % schedule.look == 0 and not schedule.last:
+        if iteration % schedule.observe_every == 0 and not schedule.last:
             values = {f"{v}_mean": flat(0) if v == name else rising(iteration)
                       for v in ("robust", "paper", "release")}
             schedule.observe(iteration, values)
@@ -393,4 +393,4 @@ def test_options_may_change_under_way():
     drive(schedule, rising, until=200)
     schedule.options = dataclasses.replace(schedule.options, iterations=3000)
     taken = drive(schedule, rising, first=201, until=3000)
-    assert abs(lengths(taken)[1.0] - 1500) <= 2 * schedule.look
+    assert abs(lengths(taken)[1.0] - 1500) <= 2 * schedule.observe_every
