@@ -6,6 +6,7 @@ used: a process that was killed leaves its lock, and the next one waits a minute
 """
 
 import hashlib
+import json
 import os
 import time
 from contextlib import suppress
@@ -21,41 +22,43 @@ PLATFORMS = ("Intel(R) OpenCL",)
 KEPT_DAYS = 60  # after its last use
 
 
-def build(context, device, source, options, kernels):
-    """A built program of `source` (text) for one device; pyopencl's errors where it does not build.
+def build(context, device, source, options, kernel, others=()):
+    """(program, checked) of `source` (text) for one device; pyopencl's errors where it does not
+    build.
 
-    kernels: the `Kernel`s declared of it. A binary has no names of arguments, so one is
-    kept only where they fit, and read back for the same declarations only. What cannot be read
-    back, or not be kept, is compiled as if there were no cache.
+    A binary has no names of arguments, by which a kernel's declaration is checked. So it is kept
+    with the declarations that fitted, of `kernel` and `others`, and read back for these only:
+    checked is the set of their signatures, or None for a program whose arguments have names. What
+    cannot be read back, or not be kept, is compiled as if there were no cache.
     """
-    file = _file_of(device, source, options, kernels)
-    content = _read(file) if file else None
-    if content is not None:
+    file = _file_of(device, source, options)
+    checked, content = (file and _read(file)) or (frozenset(), b"")
+    if kernel.signature in checked:
         with suppress(cl.Error):
-            return cl.Program(context, [device], [content]).build(options)
+            return cl.Program(context, [device], [content]).build(options), checked
     program = cl.Program(context, source).build(options)
-    if file and all(_is_declared(program, name, kernels) for name in
-                    program.kernel_names.split(";")):
-        _keep(file, program.get_info(cl.program_info.BINARIES)[0])
-    return program
+    if file:
+        fitting = {each.signature for each in (kernel, *others) if _fits(program, each)}
+        _keep(file, sorted(fitting), program.get_info(cl.program_info.BINARIES)[0])
+    return program, None
 
 
-def _is_declared(program, name, kernels):
-    """Whether a declaration fits: two forms of a kernel share its name, and not their arguments."""
-    for kernel in (each for each in kernels if each.function == name):
-        with suppress(DeviceError):
-            kernel.check_built(cl.Kernel(program, name))
-            return True
+def _fits(program, kernel):
+    """Whether the program has such a kernel; the other form's has the same name at most."""
+    if kernel.function not in program.kernel_names.split(";"):
+        return False
+    with suppress(DeviceError):
+        kernel.check_built(cl.Kernel(program, kernel.function))
+        return True
     return False
 
 
-def _file_of(device, source, options, kernels):
+def _file_of(device, source, options):
     """Where this program is kept; None for a platform without need, or a user without a home."""
     if device.platform.name not in PLATFORMS:
         return None
-    declared = sorted((kernel.function, *kernel.arguments.items()) for kernel in kernels)
-    words = (source, _headers(), options, declared, device.platform.version, device.name,
-             device.version, device.driver_version)
+    words = (source, _headers(), options, device.platform.version, device.name, device.version,
+             device.driver_version)
     try:
         return Path.home() / ".cache" / "clsplat" / "kernels" / _digest(repr(words).encode()).hex()
     except RuntimeError:  # a container's user who has no home
@@ -72,23 +75,25 @@ def _digest(content):
 
 
 def _read(file):
-    """The binary of a file; None where there is none, or it is not as it was written: runtimes
-    crash on damaged ones."""
+    """(signatures, binary) of a file; None where there is none, or it is not as it was written:
+    runtimes crash on damaged ones."""
     try:
-        digest, content = (whole := file.read_bytes())[:32], whole[32:]
-        if digest != _digest(content):
+        digest, rest = (whole := file.read_bytes())[:32], whole[32:]
+        if digest != _digest(rest):
             return None
         os.utime(file)
     except OSError:
         return None
-    return content
+    head, _, content = rest.partition(b"\n")
+    return frozenset(json.loads(head)), content
 
 
-def _keep(file, content):
+def _keep(file, signatures, content):
+    rest = json.dumps(signatures).encode() + b"\n" + content
     made = file.with_name(f"{file.name}-{os.getpid()}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        made.write_bytes(_digest(content) + content)
+        made.write_bytes(_digest(rest) + rest)
         made.replace(file)
         for other in file.parent.iterdir():
             if time.time() - other.stat().st_mtime > KEPT_DAYS * 86400:

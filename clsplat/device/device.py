@@ -151,18 +151,18 @@ class Device:
 
     def _build(self, kernel, defines):
         begin = time.perf_counter()
-        program = self._programs.get((kernel.file, defines))
-        if program is None:
+        program, checked = self._programs.get((kernel.file, defines), (None, None))
+        if program is None or checked is not None and kernel.signature not in checked:
             options = self._base_options + [f"-D{name}={value}" for name, value in defines]
             try:
                 with warnings.catch_warnings():  # runtimes chatter about every successful build
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    program = binaries.build(
-                        self.context, self.handle, kernel_source(kernel.file), options,
+                    program, checked = binaries.build(
+                        self.context, self.handle, kernel_source(kernel.file), options, kernel,
                         kernel.declared[kernel.file])
             except cl.Error as error:
                 raise DeviceError(f"{self.name}: {kernel.file} does not build:\n{error}") from None
-            self._programs[kernel.file, defines] = program
+            self._programs[kernel.file, defines] = program, checked
         built = cl.Kernel(program, kernel.function)
         kernel.check_built(built)
         built.set_scalar_arg_dtypes(

@@ -22,6 +22,7 @@ class Kernel:
     def __init__(self, file, function, **arguments):
         self.file, self.function, self.arguments = file, function, arguments
         self.declared.setdefault(file, []).append(self)
+        self.signature = repr((function, *arguments.items()))
         # (name, dtype or None for the device's real, shape or None for a scalar)
         self._contract = [
             (name, None, None) if isinstance(a, str) else

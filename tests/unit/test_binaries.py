@@ -5,6 +5,7 @@ import pyopencl as cl
 import pytest
 
 from clsplat.device import Device, Kernel, binaries
+from clsplat.errors import DeviceError
 from clsplat.rendering import blend
 
 SOURCE = """
@@ -26,8 +27,8 @@ def folder(float_device, tmp_path, monkeypatch):
     return tmp_path / ".cache" / "clsplat" / "kernels"
 
 
-def build(device, source=SOURCE, options=("-cl-kernel-arg-info",), kernels=(TWICE,)):
-    return binaries.build(device.context, device.handle, source, list(options), kernels)
+def build(device, source=SOURCE, options=("-cl-kernel-arg-info",), kernel=TWICE, others=()):
+    return binaries.build(device.context, device.handle, source, list(options), kernel, others)[0]
 
 
 def was_compiled(program):
@@ -68,10 +69,23 @@ def test_a_damaged_binary_is_not_used(float_device, folder, damage):
     assert not was_compiled(build(float_device)), "and it was replaced"
 
 
-def test_a_kernel_that_is_declared_wrongly_is_not_kept(float_device, folder):
-    assert was_compiled(build(float_device, kernels=(SWAPPED,)))
-    assert was_compiled(build(float_device, kernels=()))
-    assert not folder.exists()
+def test_a_wrong_declaration_is_compiled_each_time_and_so_noticed(float_device, folder):
+    for _ in range(2):
+        assert was_compiled(build(float_device, kernel=SWAPPED, others=(TWICE,)))
+    assert not was_compiled(build(float_device)), "the right one was kept beside it"
+    assert was_compiled(build(float_device, kernel=SWAPPED))
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_wrong_declaration_is_refused_however_often(float_device, folder, tmp_path, times):
+    (tmp_path / "twice.cl").write_text(SOURCE)
+    names = str(tmp_path / "twice.cl")
+    right, wrong = (Kernel(names, "twice", **each.arguments) for each in (TWICE, SWAPPED))
+    for _ in range(times):
+        device = Device(float_device.handle, form=float_device.form)
+        device._build(right, ())
+        with pytest.raises(DeviceError, match="argument 1 is"):
+            device._build(wrong, ())
 
 
 def test_a_home_that_cannot_be_written_costs_nothing(float_device, tmp_path, monkeypatch, folder):
