@@ -47,7 +47,7 @@ def drive(schedule, frequency=flat, first=1, until=None):
         if plan.grows:
             schedule.target(iteration, 1000, 10)
         decision = None
-        if iteration % schedule.look == 0:
+        if iteration % schedule.observe_every == 0:
             values = {f"{v}_{a}": math.nan for v in PRESETS for a in ("mean", "max", "min")}
             decision = schedule.observe(iteration, {
                 **values, f"{schedule.options.frequency}_mean": frequency(iteration)})

@@ -3,6 +3,7 @@
 import numpy as np
 
 from clsplat.io.colmap_format import CAMERA_MODELS, Camera, Image, Points
+from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular
 
 
@@ -45,7 +46,7 @@ class _Lines:
     def complaint(self, error):
         if self.made_by_colmap and not self.last.endswith(b"\n"):
             return f"cut short in line {self.number}"
-        return f"line {self.number} is damaged ({error})"
+        return f"line {self.number} is damaged ({reason(error)})"
 
 
 def _read_cameras(lines):

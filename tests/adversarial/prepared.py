@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,8 +34,11 @@ def environment(scratch: Path) -> dict[str, str]:
     scripts.mkdir(parents=True, exist_ok=True)
     (scratch / "tmp").mkdir(exist_ok=True)
     for name, text in SCRIPTS.items():
-        (scripts / name).write_text(f'#!/bin/sh\nexec {text} "$@"\n')
-        (scripts / name).chmod(0o755)
+        if not (scripts / name).exists():  # it may be running
+            made = scripts / f"{name}-{threading.get_ident()}"
+            made.write_text(f'#!/bin/sh\nexec {text} "$@"\n')
+            made.chmod(0o755)
+            made.rename(scripts / name)
     return {**os.environ, "PATH": f"{scripts}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT),
             "PYTHONDONTWRITEBYTECODE": "1", "TMPDIR": str(scratch / "tmp")}
 

@@ -21,7 +21,7 @@ from clsplat.training.step import Step
 
 # moment -> what is called then; "after": once it has returned
 BEFORE = {
-    "step": (Step, "take"),
+    "step": (Step, "run"),
     "growth": (DeviceAdam, "regrow"),  # the rows have grown, their moments have not
     "checkpoint": (np.lib.format, "write_array"),  # the arrays before it are in the file
     "rename": (os, "replace"),

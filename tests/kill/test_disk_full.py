@@ -1,5 +1,7 @@
 """A full disk ends a training with one line; what was saved before is whole, and goes on."""
 
+import errno
+import os
 import resource
 import shutil
 import signal
@@ -8,6 +10,7 @@ import pytest
 
 from clsplat.cli.main import verdict
 from clsplat.errors import InputError
+from clsplat.io import atomic
 from clsplat.io.run import RunFolder
 from clsplat.training.loop import resume
 from tests.tiny_training import STILL, model_digest, options_of, trained
@@ -32,9 +35,19 @@ def half(runs, tmp_path):
     return RunFolder.open(tmp_path / "run")
 
 
-def full(run, name):
-    """What is written for this file of the run meets a full disk: Linux keeps one for tests."""
-    (run.path / f"{name}.part").symlink_to("/dev/full")
+@pytest.fixture
+def full(monkeypatch):
+    """full(run, name): what is next written for this file of the run meets a full disk."""
+    synced, left = os.fsync, []
+
+    def fsync(number):
+        path = os.readlink(f"/proc/self/fd/{number}")
+        if path in left:
+            left.remove(path)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        synced(number)
+    monkeypatch.setattr(atomic.os, "fsync", fsync)
+    return lambda run, name: left.append(str(run.path.resolve() / f"{name}.part"))
 
 
 def refused(run, city, device, name, every=EVERY):
@@ -47,13 +60,13 @@ def refused(run, city, device, name, every=EVERY):
     assert code == 2 and "\n" not in message
     assert message.startswith(f"error: {run.path / name}: cannot be written (")
     assert "; free some space" in message and "--resume" in message
-    assert not (run.path / f"{name}.part").is_symlink()
+    assert not (run.path / f"{name}.part").exists()
     return run.load_checkpoint()[1]["iteration"]
 
 
 @pytest.mark.parametrize("name, kept", [
     ("checkpoint.npz", STOP), ("report.html", 24), ("point_cloud.ply", 24)])
-def test_full_disk(runs, half, item_device, city, name, kept):
+def test_full_disk(runs, half, full, item_device, city, name, kept):
     """The checkpoint before, or the last, stays; with room again the run ends as if nothing had
     happened."""
     before = (half.path / "checkpoint.npz").read_bytes()

@@ -62,7 +62,7 @@ def test_a_snapshot_is_the_model_as_its_level_ended(item_device, scene, tmp_path
 def test_killed_after_the_snapshot_and_resumed(item_device, scene, tmp_path, run, monkeypatch):
     """The level is left again, with the same bytes."""
     level, = records(run, "level")
-    take = Step.take
+    take = Step.run
 
     def crash(step, iteration, *arguments):
         if iteration == level["iteration"] + 1:
@@ -70,7 +70,7 @@ def test_killed_after_the_snapshot_and_resumed(item_device, scene, tmp_path, run
         return take(step, iteration, *arguments)
 
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="killed"):
-        patch.setattr(Step, "take", crash)
+        patch.setattr(Step, "run", crash)
         trained(tmp_path / "run", scene, item_device, **OPTIONS, checkpoint_every=25)
     half = RunFolder.open(tmp_path / "run")
     (_, path), = half.snapshots()

@@ -102,7 +102,7 @@ def test_batches_stopped_and_resumed(item_device, city, tmp_path):
 @pytest.mark.slow
 def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
     """Steps after the last checkpoint are taken again, and recorded once."""
-    take = Step.take
+    take = Step.run
 
     def crash(step, iteration, *arguments):
         if iteration == 115:
@@ -110,7 +110,7 @@ def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
         return take(step, iteration, *arguments)
 
     with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="crashed"):
-        patch.setattr(Step, "take", crash)
+        patch.setattr(Step, "run", crash)
         trained(tmp_path / "run", city, item_device, eval_every=50, checkpoint_every=60)
     run = RunFolder.open(tmp_path / "run")
     assert [record["iteration"] for record in run.records()][-3:] == [100, 100, 101]

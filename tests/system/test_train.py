@@ -198,7 +198,7 @@ def test_all_views_are_trained_on_where_none_is_held_out(item_device, city):
 def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path, monkeypatch):
     """Each view as often as any other, and recentred once an epoch: 28 steps of 3 on 28 views. The
     loss is that of all three."""
-    seen, recentred, losses, take = [], [], [], Step.take
+    seen, recentred, losses, take = [], [], [], Step.run
 
     def watched(step, iteration, plan, shots):
         shots = list(shots)
@@ -207,7 +207,7 @@ def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path,
         losses.append([loss_value(sums, values, 0.2)[0] for sums, values in found])
         return found
 
-    monkeypatch.setattr(Step, "take", watched)
+    monkeypatch.setattr(Step, "run", watched)
     monkeypatch.setattr(Exposures, "recentre", lambda _: recentred.append(len(seen)))
     options = {**STILL, "batch": 3, "exposure": "on"}
     run = trained(tmp_path / "run", city, item_device, **options, iterations=28)

@@ -34,17 +34,17 @@ def test_counting():
     """Since the last record and over all, each look told of the first only."""
     counter = Counter()
     counts = Skipped(counter)
-    assert not counts.look() and counts.total == 0
+    assert not counts.poll() and counts.total == 0
     told = []
     for rows, asked in ((0, 50), (3, 50), (4, 20)):
         counter.add(rows)
         counts.asked += asked
-        told.append(counts.look())
+        told.append(counts.poll())
     assert told == [False, True, False] and counts.total == 7
     assert counts.close() == (7, 120) and counts.close() == (0, 0)
     counter.add(5)
     counts.asked += 9
-    assert not counts.look() and counts.total == 12 and counts.close() == (5, 9)
+    assert not counts.poll() and counts.total == 12 and counts.close() == (5, 9)
 
 
 def test_counting_past_what_32_bits_hold():
@@ -53,21 +53,21 @@ def test_counting_past_what_32_bits_hold():
     counts = Skipped(counter)
     for _ in range(3):
         counter.add(2**31)
-        counts.look()
+        counts.poll()
     again = Skipped(other)
     again.load(counts.state())
     other.add(1)
-    again.look()
+    again.poll()
     assert counts.total == 3 * 2**31 and again.close() == (3 * 2**31 + 1, 0)
 
 
 def test_counting_on_several_counters():
     rows, exposures = Counter(), Counter(2**32 - 1)
     counts = Skipped(rows, exposures)
-    assert counts.look() and counts.close() == (2**32 - 1, 0)
+    assert counts.poll() and counts.close() == (2**32 - 1, 0)
     rows.add(3)
     exposures.add(2)  # past its 32 bits
-    counts.look()
+    counts.poll()
     assert counts.close() == (5, 0)
 
 
@@ -231,7 +231,7 @@ def test_without_a_checkpoint_none_is_promised(train, poison):
 @pytest.mark.slow
 def test_spoilt_parameters_are_not_saved(train, monkeypatch):
     """A nan that came from elsewhere, behind step 15."""
-    follow = step.Step.follow
+    follow = step.Step.densify
 
     def spoil(self, iteration, *arguments):
         if iteration == 15:
@@ -239,7 +239,7 @@ def test_spoilt_parameters_are_not_saved(train, monkeypatch):
         return follow(self, iteration, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(step.Step, "follow", spoil)
+        patch.setattr(step.Step, "densify", spoil)
         with pytest.raises(InputError, match="run: row.log_scales at step 20: not finite; the "
                                              "last checkpoint is kept: ") as caught:
             train()

@@ -186,8 +186,8 @@ def test_the_frequency_asked_for_decides(name):
 
 
 def test_looks_are_closer_where_levels_are_short():
-    assert sig(iterations=300).look < sig(iterations=3000).look <= LOOK
-    assert sig(iterations=300_000).look == LOOK and sig(iterations=1).look == 1
+    assert sig(iterations=300).observe_every < sig(iterations=3000).observe_every <= LOOK
+    assert sig(iterations=300_000).observe_every == LOOK and sig(iterations=1).observe_every == 1
 
 
 # --- growth
