@@ -26,8 +26,9 @@ def run() -> None:
     try:
         main(prog_name="clsplat")
     finally:
-        if signal.getsignal(signal.SIGINT) is _end:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is left is cleaning up
+        for number in (signal.SIGINT, signal.SIGTERM):  # what is left is cleaning up
+            if signal.getsignal(number) in (_end, signal.SIG_DFL):
+                signal.signal(number, signal.SIG_IGN)
         _flush()
 
 
