@@ -5,8 +5,8 @@ imported when they are first asked for, so that `clsplat --help` need not wait f
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # type checkers take it for true; `typing` would take a while to import
 if TYPE_CHECKING:
     from clsplat.api.device import Device as Device
     from clsplat.api.renderer import Frame as Frame

@@ -1,5 +1,6 @@
 """The process of the command `clsplat`: `python -m clsplat`, and the console script."""
 
+import atexit
 import os
 import signal
 import sys
@@ -25,6 +26,12 @@ def run() -> None:
 
     try:
         main(prog_name="clsplat")
+    except SystemExit as end:
+        if isinstance(end.code, int) and end.code > 128:  # interrupted
+            atexit._run_exitfuncs()
+            _flush()
+            os._exit(end.code)  # Python would not wait for threads of OpenCL, and could crash
+        raise
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):  # what is left is cleaning up
             if signal.getsignal(number) in (_end, signal.SIG_DFL):
