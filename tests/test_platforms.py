@@ -83,6 +83,7 @@ def elsewhere(tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_every_module_can_be_imported(elsewhere):
     done = elsewhere("-c", IMPORT_ALL)
     assert done.returncode == 0, done.stderr

@@ -22,6 +22,8 @@ from clsplat.options import resolve
 from clsplat.partition import make_partition
 from tests.tiny_training import CITY
 
+pytestmark = pytest.mark.slow  # each needs a city that is trained
+
 # PoCL where the tests are not told otherwise
 DEVICE = os.environ.get("CLSPLAT_TEST_DEVICES", "all").replace("all", "Portable")
 FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
