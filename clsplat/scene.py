@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from html import escape
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -220,9 +219,10 @@ class Scene:
                 f"{len(self.points):,} points>")
 
     def _repr_html_(self) -> str:
+        from clsplat.report.notebook import table
+
         sizes = {(view.camera.width, view.camera.height) for view in self.views}
         size = " and ".join(f"{width} x {height}" for width, height in sorted(sizes)[:3])
-        rows = (("scene", self.name), ("views", f"{len(self.views)}, {size} pixels"),
-                ("points", f"{len(self.points):,}"), ("extent", f"{self.extent:.4g} world units"))
-        return "<table>" + "".join(f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>"
-                                   for key, value in rows) + "</table>"
+        return table({"scene": self.name, "views": f"{len(self.views)}, {size} pixels",
+                      "points": f"{len(self.points):,}",
+                      "extent": f"{self.extent:.4g} world units"})

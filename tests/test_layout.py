@@ -64,8 +64,9 @@ FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None,
                     "clsplat/bench/": {"gsplat", "torch"},  # to compare with, where they are
                     "clsplat/distribute/": {"distributed"}}  # an extra, seldom asked for
 
-# classes of the Python API that read and write themselves, by functions of this layer above them
-READS_ITSELF = {"clsplat/scene.py": "clsplat.io", "clsplat/gaussians.py": "clsplat.io"}
+# classes of the Python API that read, write and show themselves, by functions of layers above them
+READS_ITSELF = {"clsplat/scene.py": ("clsplat.io", "clsplat.report.notebook"),
+                "clsplat/gaussians.py": ("clsplat.io",)}
 
 FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}
 LONGEST_FILE = 400

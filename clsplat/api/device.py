@@ -1,11 +1,11 @@
 """`clsplat.Device`: an OpenCL device, opened by what a user calls it."""
 
 import functools
-from html import escape
 
 from clsplat.device import Device as OpenedDevice
-from clsplat.device import choose_device
+from clsplat.device import choose_handle
 from clsplat.errors import InputError
+from clsplat.report.notebook import table
 
 
 class Device(OpenedDevice):
@@ -28,8 +28,7 @@ class Device(OpenedDevice):
         for word, known in ((form, ("auto", "item", "group")), (precision, ("float", "double"))):
             if word not in known:
                 raise InputError(f"{word!r}: not one of {', '.join(known)}")
-        opened = choose_device(str(name), form=form, precision=precision)
-        self.__dict__.update(opened.__dict__)
+        super().__init__(choose_handle(str(name)), precision=precision, form=form)
 
     def __repr__(self) -> str:
         return f"<clsplat.Device {self.name!r}, {self.form} form>"
@@ -45,10 +44,3 @@ class Device(OpenedDevice):
 def best_device() -> Device:
     """The device that is taken where none is given, opened once."""
     return Device()
-
-
-def table(rows: dict[str, str]) -> str:
-    """An HTML table of two columns, for notebooks."""
-    return "<table>" + "".join(
-        f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in rows.items()
-    ) + "</table>"

@@ -6,17 +6,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.api.device import Device, best_device
+from clsplat.api.device import best_device
 from clsplat.camera import Camera
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.images import encode_image
+from clsplat.optimise.adam import NO_ROW
 from clsplat.rendering import pipeline
 from clsplat.rendering.slabs import gaussian_limit, open_model
 from clsplat.scene import NEAR_SHARE
-
-NOT_FINITE = 2**32 - 1  # the row of a gradient that was left out
 
 
 def render(model: Gaussians, camera: Camera, *, device: OpenedDevice | None = None,
@@ -182,7 +181,7 @@ class Renderer:
                          self._gradient(values, name, (height, width)))
         found = self._pipeline.adjoint(self._rows, frame._frame, *grads)
         places = found.rows.download()
-        there = places != NOT_FINITE
+        there = places != NO_ROW
         dense = {}
         for name, values in found.fields.items():
             dense[name] = np.zeros(self._rows[name].shape, np.float32)
@@ -229,6 +228,3 @@ def _as_numpy(values: Any) -> NDArray[np.float32]:
     if not hasattr(values, "__array__") and hasattr(values, "__dlpack__"):
         values = np.from_dlpack(values)
     return np.asarray(values, np.float32)
-
-
-__all__ = ["Device", "Frame", "Renderer", "render"]

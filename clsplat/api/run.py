@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from clsplat.api.device import best_device
 from clsplat.api.score import Score, score_of
 from clsplat.device import Device as OpenedDevice
@@ -22,7 +20,7 @@ from clsplat.options import TrainOptions
 from clsplat.report.notebook import run_page
 from clsplat.scene import Scene
 from clsplat.training import loop
-from clsplat.training.checkpoint import gaussians_of
+from clsplat.training.checkpoint import saved_gaussians
 
 
 class Run:
@@ -69,13 +67,15 @@ class Run:
     @property
     def model(self) -> Gaussians:
         """Its gaussians: the finished model, or else those of the last checkpoint."""
-        record = self._folder.read_options()
-        offset = np.asarray(record.get("offset", (0.0, 0.0, 0.0)), np.float64)
         if self._folder.has_model:
             return self._folder.load_model()
-        arrays, _ = self._folder.load_checkpoint()
-        degree = (record.get("needs") or {}).get("sh_degree", record["sh_degree"])
-        return gaussians_of(arrays, degree).scaled(record["extent"]).located(offset)
+        record = self._folder.read_options()
+        found = saved_gaussians(self._folder, record, *self._folder.load_checkpoint())
+        try:
+            return found.scaled(float(record["extent"])).located(record["offset"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{self.path}: options.json lacks a good {error}; start again with "
+                             "overwrite=True") from None
 
     def scene(self, path: str | Path | None = None) -> Scene:
         """The scene that it was trained on, at the size that it was trained at.

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from typing import Any
 
-from clsplat.api.device import best_device, table
+from clsplat.api.device import best_device
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
 from clsplat.evaluation.views import evaluate_views
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.slabs import open_model
+from clsplat.report.notebook import table
 from clsplat.scene import Scene
 
 

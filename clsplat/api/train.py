@@ -9,7 +9,6 @@ from typing import Any
 from clsplat.api.run import Run, finished_or_stopped
 from clsplat.device import Device as OpenedDevice
 from clsplat.device import choose_device
-from clsplat.errors import StopTraining
 from clsplat.io.run import RunFolder
 from clsplat.options import resolve
 from clsplat.scene import Scene
@@ -51,6 +50,3 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
         with finished_or_stopped():
             loop.train(data, chosen, opened, run, callbacks=callbacks)
     return Run(run)
-
-
-__all__ = ["StopTraining", "train"]

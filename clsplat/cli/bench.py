@@ -27,4 +27,3 @@ def bench(family, as_json, device, arguments):
         raise InputError(f"no benchmark is called '{family}'; there are {', '.join(families)}")
     flags = (["--json"] if as_json else []) + (["--device", device] if device else [])
     importlib.import_module(f"clsplat.bench.{family}").main([*flags, *arguments])
-

@@ -114,10 +114,15 @@ def _ranked(entries):
 
 
 def choose_device(spec="auto", **open_options):
-    """Open a device: "auto", "cpu", "gpu", an index of `list_devices`, or part of a name.
+    """Open the device of `choose_handle`; `open_options` go to `Device`."""
+    return Device(choose_handle(spec), **open_options)
+
+
+def choose_handle(spec="auto"):
+    """pyopencl's device: "auto", "cpu", "gpu", an index of `list_devices`, or part of a name.
 
     Devices are probed best first until one works. Raises DeviceError that says what was skipped and
-    why where none does. `open_options` go to `Device`.
+    why where none does.
     """
     entries = _enumerate()
     if spec.isdigit():
@@ -131,7 +136,7 @@ def choose_device(spec="auto", **open_options):
     for entry in _ranked(wanted):
         reason = probe_working(entry.handle)
         if not reason:
-            return Device(entry.handle, **open_options)
+            return entry.handle
         skipped.append(f"{entry.platform} {entry.name}: {reason}")
     if skipped:
         raise DeviceError(f"no working device for '{spec}' ({'; '.join(skipped)}); {NO_DEVICE}")

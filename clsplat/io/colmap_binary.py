@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from clsplat.io.colmap_format import CAMERA_MODELS, Camera, Image, Points
+from clsplat.io.colmap_format import CAMERA_MODELS, Camera, Image, Points, places_within
 from clsplat.io.regular import open_regular
 
 CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the parameters
@@ -93,8 +93,8 @@ def _read_points(data, count):
     points = _records(data, places, POINT)
     lengths = points["length"].astype(np.int64)
     firsts = places + POINT.itemsize
-    within = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    tracks = _records(data, np.repeat(firsts, lengths) + TRACK.itemsize * within, TRACK)
+    tracks = _records(
+        data, np.repeat(firsts, lengths) + TRACK.itemsize * places_within(lengths), TRACK)
     return Points(points["id"].astype(np.int64), points["position"], points["colour"], lengths,
                   tracks["image"].astype(np.int64))
 

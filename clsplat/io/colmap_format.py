@@ -51,3 +51,8 @@ class Points(NamedTuple):
     colours: np.ndarray
     lengths: np.ndarray
     images: np.ndarray
+
+
+def places_within(lengths):
+    """int[sum of lengths]: 0, 1, ... within each of runs of these lengths, one after the other."""
+    return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)

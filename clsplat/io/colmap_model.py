@@ -4,7 +4,7 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.colmap_binary import read_binary
-from clsplat.io.colmap_format import PARTS, PINHOLES
+from clsplat.io.colmap_format import PARTS, PINHOLES, places_within
 from clsplat.io.colmap_text import read_text
 
 LARGEST_SIZE = 2**31  # pixels; what is more is damaged, and overflows
@@ -104,8 +104,7 @@ def _observations(ids, points, order):
     begins = np.cumsum(points.lengths) - points.lengths
     lengths = points.lengths[order]
     rows = np.repeat(np.arange(len(order)), lengths)
-    within = np.arange(len(rows)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    seen = points.images[np.repeat(begins[order], lengths) + within]
+    seen = points.images[np.repeat(begins[order], lengths) + places_within(lengths)]
     by_id = np.argsort(ids)
     if not len(ids):
         return np.zeros((0, 2), np.int32)

@@ -1,4 +1,4 @@
-"""A run as a notebook shows it: a sentence, the curve of its scores, and the last of them."""
+"""What notebooks show: a table of facts; a run as a sentence, its curve and its scores."""
 
 from html import escape
 
@@ -8,11 +8,18 @@ from clsplat.report.figures import score_figure
 from clsplat.report.run import lead, score_table
 
 
+def table(rows: dict[str, str]) -> str:
+    """An HTML table of two columns."""
+    return "<table>" + "".join(
+        f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in rows.items()
+    ) + "</table>"
+
+
 def run_page(run: RunFolder) -> str:
     """HTML without head and body."""
     options, records = run.read_options(), list(run.past_records())
-    table = score_table(records)
+    scores = score_table(records)
     parts = (f"<p>{escape(lead(options, records))}</p>",
              drawn("PSNR and SSIM over training time", score_figure, records),
-             table and table.html())
+             scores and scores.html())
     return "".join(filter(None, parts))

@@ -4,7 +4,10 @@ import dataclasses
 
 import numpy as np
 
+from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
+from clsplat.io.run import OPTIONS
+from clsplat.options import checked
 
 REALS = (np.float32, np.float64)  # what devices compute in
 # key of the state -> (types, least value of a number)
@@ -79,6 +82,20 @@ def check_state(state):
         if not isinstance(value, kinds) or least is not None and value is not None and (
                 isinstance(value, bool) or not least <= value < 2**63):
             raise ValueError(f"{key} ({str(value)[:20]!r})")
+
+
+def saved_gaussians(run, record, arrays, state) -> Gaussians:
+    """The Gaussians of a run's checkpoint, in the units of training; record: the run's options.
+
+    InputError where the checkpoint, or the options, lack what is needed.
+    """
+    try:
+        check_state(state)
+        degree = (record.get("needs") or {}).get("sh_degree", record["sh_degree"])
+        return gaussians_of(arrays, checked(str(run.path / OPTIONS), "sh_degree", degree))
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{run.path}: its checkpoint lacks a good {error}; "
+                         "start again with --overwrite") from None
 
 
 def gaussians_of(arrays, sh_degree) -> Gaussians:

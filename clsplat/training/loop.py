@@ -15,11 +15,9 @@ import numpy as np
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.evaluation.views import evaluate_views
 from clsplat.gaussians import mean_inverse_distance
-from clsplat.io.run import OPTIONS
 from clsplat.io.scenes import fingerprint
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
-from clsplat.options import checked
 from clsplat.partition.blocks import seen_pixels, trainable
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Subject, scaled_steps, schedule_of
@@ -80,14 +78,8 @@ def resume(scene, options, device, run, progress=None, callbacks=()):
     if state.get("fingerprint") != record["fingerprint"]:
         raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "
                          "or start again with --overwrite")
-    try:
-        checkpoint.check_state(state)
-        degree = (record.get("needs") or {}).get("sh_degree", options.sh_degree)
-        gaussians = checkpoint.gaussians_of(
-            arrays, checked(str(run.path / OPTIONS), "sh_degree", degree))
-    except (KeyError, ValueError) as error:
-        raise InputError(f"{run.path}: its checkpoint lacks a good {error}; "
-                         "start again with --overwrite") from None
+    gaussians = checkpoint.saved_gaussians(
+        run, {"sh_degree": options.sh_degree, **record}, arrays, state)
     try:
         training = Training(scene, options, device, run, progress, gaussians, callbacks)
         checkpoint.load(training, arrays, state)

@@ -275,3 +275,17 @@ def test_example_of_a_callback(tmp_path):
 def test_example_of_torch(tmp_path):
     pytest.importorskip("torch", reason="torch is not installed; it is no dependency")
     assert float(ran("torch_autograd.py").split()[1]) < 0.02
+
+
+def test_a_damaged_checkpoint_is_one_line(scene, item_device, tmp_path):
+    stopped = clsplat.train(scene, tmp_path / "run", device=item_device, stop_at=2, **SMALL)
+    folder = RunFolder.open(stopped.path)
+    arrays, state = folder.load_checkpoint()
+    folder.save_checkpoint({k: v for k, v in arrays.items() if k != "row.positions"}, state)
+    with pytest.raises(clsplat.ClsplatError, match="lacks a good 'row.positions'"):
+        stopped.model  # noqa: B018
+    folder.save_checkpoint(arrays, state)
+    record = folder.read_options()
+    folder.write_options({**record, "extent": "wide"})
+    with pytest.raises(clsplat.ClsplatError, match="options.json lacks"):
+        stopped.model  # noqa: B018
