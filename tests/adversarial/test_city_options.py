@@ -20,13 +20,13 @@ from clsplat.io.scenes import read_scene
 from clsplat.partition import PartitionOptions
 from clsplat.training import loop
 from clsplat.training.silent import WARNING, Silent
-from tests.large.test_merge import (  # noqa: F401  (fixtures)
+from tests.city.test_merge import (  # noqa: F401  (fixtures)
     city,
     scene,
     states,
     trained_city,
 )
-from tests.tiny_training import CITY, trained
+from tests.data.tiny_training import CITY, trained
 
 ROOT = Path(__file__).parents[2]
 CITY_FLAGS = [

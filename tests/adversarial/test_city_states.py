@@ -16,7 +16,7 @@ from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition import PartitionOptions
-from tests.tiny_training import CITY
+from tests.data.tiny_training import CITY
 
 pytestmark = pytest.mark.slow  # each reads a city that was made for it
 

@@ -16,7 +16,7 @@ from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import from_toml, resolve
 from clsplat.training import checkpoint
 from clsplat.training.loop import resume
-from tests.tiny_training import CITY
+from tests.data.tiny_training import CITY
 
 
 @pytest.mark.parametrize("words", [

@@ -21,8 +21,8 @@ from clsplat.io.images import read_photo, write_image
 from clsplat.io.packed import write_packed
 from clsplat.io.scenes import fingerprint, read_scene
 from tests.adversarial.test_photos import exif
-from tests.large import layouts
-from tests.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
+from tests.data import layouts
+from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
 
 
 def renamed(change, text=False):

@@ -15,9 +15,9 @@ from clsplat.io.scenes import read_scene
 from clsplat.rendering.bands import choose_bands, frame_bytes, pair_limit
 from clsplat.rendering.bin import BUCKET, PAIR_LIMIT, count_tiles, tile_grid
 from tests import cases
+from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
 from tests.kernels.chain import gradients_by_row, render, size_of, stored_degree
 from tests.kernels.test_pipeline import assert_same, cotangents
-from tests.tiny_training import CITY, LEVELLED, model_digest, records, trained
 
 SPREAD = "giants"  # 61 x 37 pixels: each gaussian has pairs in most tiles, so in most bands
 

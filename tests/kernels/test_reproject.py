@@ -7,6 +7,7 @@ from clsplat.camera import Camera
 from clsplat.loss.reproject import pack_pairs, reproject
 from tests import cases
 from tests.checks import close
+from tests.data.view_pairs import IDENTITY, view_pair
 from tests.kernels.chain import (
     camera_of,
     gradients_by_row,
@@ -16,7 +17,6 @@ from tests.kernels.chain import (
     upload_rows,
 )
 from tests.reference import reproject as reference
-from tests.view_pairs import IDENTITY, view_pair
 
 COLOUR = cases.single(
     np.array([[0.9, 0.1, -0.05, 0.02], [0.0, 1.1, 0.05, -0.03], [0.1, 0.0, 0.8, 0.01]]))

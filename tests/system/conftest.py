@@ -4,7 +4,7 @@
 import pytest
 
 from clsplat.io.scenes import read_scene
-from tests.tiny_training import CITY, LEVELLED, trained
+from tests.data.tiny_training import CITY, LEVELLED, trained
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from clsplat.io.images import read_image, write_image
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from tests.tiny_model import HEIGHT, WIDTH, reconstruction, write_scene
+from tests.data.tiny_model import HEIGHT, WIDTH, reconstruction, write_scene
 
 TRAIN = ("-q", "-n", "3", "--test-every", "4", "--sh-degree", "0")
 NOISE = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)

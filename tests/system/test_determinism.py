@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.device import Device, device
 from clsplat.rendering.bands import choose_bands
-from tests.tiny_training import LEVELLED, model_digest, records, trained
+from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
 LONG = {"iterations": 500, "densify_until": 400, "densify_every": 40, "max_gaussians": 7000,
         "test_every": 0}

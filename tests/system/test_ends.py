@@ -7,7 +7,7 @@ import pytest
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.run import RunFolder
 from clsplat.training import finish, loop
-from tests.tiny_training import STILL, model_digest, records, resumed, trained
+from tests.data.tiny_training import STILL, model_digest, records, resumed, trained
 
 OPTIONS = {**STILL, "iterations": 12, "test_every": 16}
 

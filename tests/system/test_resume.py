@@ -19,7 +19,7 @@ from clsplat.io.run import RunFolder
 from clsplat.training import loop
 from clsplat.training.loop import resume, train
 from clsplat.training.step import Step
-from tests.tiny_training import (
+from tests.data.tiny_training import (
     CITY,
     LEVELLED,
     flags,

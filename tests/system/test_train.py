@@ -19,7 +19,7 @@ from clsplat.training import budget, clock, loop
 from clsplat.training.begin import initial_gaussians
 from clsplat.training.frequency import AXES, VARIANTS
 from clsplat.training.step import Step
-from tests.tiny_training import (
+from tests.data.tiny_training import (
     CITY,
     EVENTFUL,
     LEVELLED,
@@ -303,7 +303,7 @@ def test_a_level_change_clears_the_statistics(item_device, city):
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, LEVELLED], ids=["constant", "sig"])
 def test_a_time_budget_is_kept_across_a_stop(item_device, city, tmp_path, options):
-    """On a machine that others use too: see tests/unit/test_budget.py for how well."""
+    """On a machine that others use too: see tests/training/test_budget.py for how well."""
     options = {key: value for key, value in {**EVENTFUL, **options}.items() if key != "iterations"}
     options = {**options, "time_budget": "12s"}
     run = RunFolder.create(tmp_path / "run")

@@ -7,6 +7,7 @@ from tests.adversarial.checks import model, same_model
 TRAIN = "clsplat train sy -n 12 --checkpoint-every 4 -q -o out"
 LONG = "clsplat train sy -n 2000 --checkpoint-every 20 -q -o out"
 CITY = "clsplat city sy -n 8 --grid 2x1 -q -o out"
+RENAME = "python -m tests.adversarial.kill.child rename"
 # a background job of a shell ignores SIGINT: this one does not
 LISTENS = ("python -c \"import os, signal, sys; signal.signal(signal.SIGINT, "
            "signal.default_int_handler); os.execvp(sys.argv[1], sys.argv[1:])\" ")
@@ -36,10 +37,10 @@ CASES = [
     *(works(f"kill-while-writing-{name}", "(" + during(TRAIN, "kill -KILL $P", f"out/{file}.part")
             + f") 2> log; {TRAIN} --resume || {TRAIN} --overwrite", same_model(),
             writes=("out", "log")) for name, file in WRITTEN.items()),
-    *(works(f"kill-before-rename-{number}", f"(python -m tests.kill.child rename {number} "
+    *(works(f"kill-before-rename-{number}", f"({RENAME} {number} "
             f"{TRAIN.removeprefix('clsplat ')}) 2> log; {TRAIN} --resume || {TRAIN} --overwrite",
             same_model(), writes=("out", "log")) for number in range(2, 8)),
-    *(works(f"merge-kill-before-rename-{number}", f"(python -m tests.kill.child rename {number} "
+    *(works(f"merge-kill-before-rename-{number}", f"({RENAME} {number} "
             "merge city) > log 2>&1; clsplat merge city", same_model("city", "city"),
             needs=("sy", "city"), writes=("city", "log")) for number in range(1, 4)),
     works("dask-scheduler-killed", DASK + "(" + during(

@@ -1,0 +1,98 @@
+"""`kill -9` at any moment: the resumed run's model has the bytes of one that nothing disturbed."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clsplat.cli.train import resumed_options
+from clsplat.io.run import RunFolder
+from clsplat.training.loop import resume
+from tests.data.tiny_training import CITY, LEVELLED, flags, model_digest, records, trained
+from tests.system.test_resume import history
+
+ROOT = Path(__file__).resolve().parents[3]
+# everything that a run has: two levels, growth at both, exposures, adjacent photos, evaluations
+WHOLE = {**LEVELLED, "iterations": 90, "checkpoint_every": 10, "eval_every": 25}
+SHORT = {"iterations": 30, "densify_from": 10, "checkpoint_every": 9, "test_every": 16}
+
+
+def moments(seed=4):
+    """Twenty: eight at any time, twelve inside of what must be whole or not at all."""
+    rng = np.random.default_rng(seed)
+    anywhere = [("step", f"{rng.integers(1, 70)}.{rng.integers(0, 300):03d}") for _ in range(8)]
+    # kind -> from which on, how often it comes in a run, and how many of them are killed
+    inside = {"checkpoint": (1, 250, 3), "growth": (1, 4, 2), "rename": (2, 11, 2),
+              "renamed": (1, 11, 2), "record": (1, 10, 1), "evaluation": (1, 4, 1),
+              "model": (1, 1, 1)}
+    return anywhere + [(kind, str(first + rng.integers(count)))
+                       for kind, (first, count, many) in inside.items() for _ in range(many)]
+
+
+def begun(device, options):
+    """The command line's words for the options, on the device."""
+    wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "all")
+    return ["--form", device.form, "--device", "auto" if wanted == "all" else wanted,
+            *flags(**options)]
+
+
+def killed(folder, moment, number, *words):
+    """`clsplat train` in a process of its own, until it dies."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.adversarial.kill.child", moment, number, "train", str(CITY),
+         "-o", str(folder), "-q", *words], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    return RunFolder(folder)
+
+
+def resumed(run, city, device):
+    run = RunFolder.open(run.path)
+    resume(city, resumed_options(run.read_options(), {}), device, run)
+    return run
+
+
+@pytest.fixture(scope="module")
+def whole(item_device, city, tmp_path_factory):
+    return trained(tmp_path_factory.mktemp("whole") / "run", city, item_device, **WHOLE)
+
+
+@pytest.mark.slow
+def test_the_run_is_eventful(whole):
+    """Or the moments below would not come."""
+    assert len(moments()) == 20
+    assert len(records(whole, "grow")) == 4 and len(records(whole, "level")) == 1
+    assert len(whole.records()) >= 10 and len(records(whole, "eval")) == 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment, number", moments())
+def test_killed_and_resumed(whole, item_device, city, tmp_path, moment, number):
+    run = killed(tmp_path / "run", moment, number, *begun(item_device, WHOLE))
+    assert moment not in ("checkpoint", "rename") or list(run.path.glob("*.part"))
+    run = resumed(run, city, item_device)
+    assert model_digest(run) == model_digest(whole)
+    assert history(run) == history(whole)
+    assert not list(run.path.glob("*.part"))
+
+
+@pytest.mark.parametrize("deaths", [
+    pytest.param([("checkpoint", "40")], marks=pytest.mark.slow),
+    pytest.param([("rename", "1"), ("renamed", "1"), ("step", "5"), ("growth", "1"),
+                  ("saved", "1"), ("model", "1")], marks=pytest.mark.slow)], ids=["once", "often"])
+def test_killed_again_and_again(item_device, city, tmp_path, deaths):
+    """One run. At `rename 1` it has not begun: the same command begins it; `renamed 1` and
+    `step 5` come before its first checkpoint."""
+    whole = trained(tmp_path / "whole", city, item_device, **SHORT)
+    assert len(records(whole, "grow")) == 1
+    words = begun(item_device, SHORT)
+    for moment, number in deaths:
+        run = killed(tmp_path / "run", moment, number, *words)
+        assert not run.has_model
+        words = ["--resume"] if (run.path / "options.json").exists() else words
+    run = resumed(run, city, item_device)
+    assert model_digest(run) == model_digest(whole)
+    assert history(run) == history(whole)

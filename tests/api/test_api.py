@@ -1,0 +1,291 @@
+"""The public Python API: what `import clsplat` offers, beside what the command line gives."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import clsplat
+from clsplat.evaluation.views import render_view
+from clsplat.io.run import RunFolder
+from clsplat.options import resolve
+from clsplat.rendering.slabs import open_model
+from clsplat.training import loop
+from tests.data.tiny_training import CITY, model_digest
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "docs" / "examples"
+SMALL = {"iterations": 40, "downscale": 8, "schedule": "constant", "exposure": "off"}
+CAMERA = clsplat.Camera.looking_at((0, 0, 0), (0.2, -3, 0.4), width=40, height=28)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return clsplat.Scene.read(CITY)
+
+
+@pytest.fixture(scope="module")
+def run(scene, item_device, tmp_path_factory):
+    """Not to be changed."""
+    return clsplat.train(scene, tmp_path_factory.mktemp("api") / "run", device=item_device, **SMALL)
+
+
+def blob(count=30, degree=1):
+    rng = np.random.default_rng(1)
+    model = clsplat.Gaussians.from_points(
+        rng.uniform(-1, 1, (count, 3)), rng.integers(0, 256, (count, 3), np.uint8), degree)
+    model.rows["sh_rest"][:] = rng.normal(0, 0.1, model.sh_rest.shape)
+    model.rows["log_scales"] += rng.normal(0, 0.3, (count, 3)).astype(np.float32)
+    return model
+
+
+def test_its_names_are_found_and_nothing_is_imported_before():
+    code = ("import sys, clsplat\n"
+            "assert not {'numpy', 'pyopencl', 'scipy'} & set(sys.modules), 'too early'\n"
+            "assert set(clsplat.__all__) <= set(dir(clsplat))\n"
+            "assert all(getattr(clsplat, name).__doc__ for name in clsplat.__all__)\n"
+            "from clsplat import *\n"
+            "assert callable(render) and callable(train) and callable(evaluate)\n"
+            "import clsplat.rendering.blend, clsplat.training.loop, clsplat.evaluation.views\n"
+            "assert callable(clsplat.render) and callable(clsplat.train)\n")
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+    with pytest.raises(AttributeError, match="no attribute 'rendr'"):
+        clsplat.rendr  # noqa: B018
+
+
+def test_what_is_public_says_what_it_takes():
+    """Every argument of every public function and method has a line in its docstring."""
+    import inspect
+    for name in clsplat.__all__:
+        thing = getattr(clsplat, name)
+        functions = [thing] if inspect.isfunction(thing) else [
+            member for key, member in vars(thing).items() if not key.startswith("_")
+            and callable(getattr(member, "__func__", member))]
+        for function in functions:
+            function = getattr(function, "__func__", function)
+            hints, text = inspect.signature(function), inspect.getdoc(function)
+            assert text and hints.return_annotation is not inspect.Signature.empty, function
+            for argument in hints.parameters.values():
+                if argument.name not in ("self", "cls"):
+                    assert argument.annotation is not inspect.Parameter.empty, (function, argument)
+                    assert argument.name in text, (function, argument)
+
+
+def test_a_render_is_what_evaluations_see(run, scene, item_device):
+    camera = scene.reduced(8).views[0].camera
+    image = clsplat.render(run.model, camera, device=item_device, near=scene.near_plane)
+    opened, rows = open_model(item_device, run.model, scene.near_plane)
+    assert image.dtype == np.float32 and image.shape == (camera.height, camera.width, 3)
+    assert np.array_equal(np.clip(image, 0, 1), render_view(opened, rows, 3, camera))
+
+
+def test_model_and_camera_may_have_other_origins(run, scene, item_device):
+    camera, model = scene.reduced(8).views[0].camera, run.model
+    assert np.array_equal(camera.offset, scene.offset) and scene.offset.any()
+    assert np.allclose(model.offset, scene.offset)
+    image = clsplat.render(model, camera, device=item_device)
+    moved = clsplat.render(model.moved((0, 0, 0)), camera, device=item_device)
+    also = clsplat.render(model, camera.shifted((1, 2, 3)), device=item_device)
+    assert np.abs(moved - image).max() < 0.02 and np.abs(also - image).max() < 0.02
+    assert np.abs(image - image.mean()).max() > 0.2, "it shows something"
+    elsewhere = clsplat.render(model.located(model.offset + 1), camera, device=item_device)
+    assert np.abs(elsewhere - image).max() > 0.1
+
+
+def test_depth_is_the_distance_of_what_is_seen(item_device):
+    model = clsplat.Gaussians.from_points(
+        np.array([(0, 0, 0), (0, 0, 0.01)]), np.full((2, 3), 255, np.uint8), 0)
+    model.rows["log_scales"][:] = np.log(0.3)
+    camera = clsplat.Camera.looking_at((0, 0, 0), (0, -5, 0), width=32, height=32)
+    image, depth = clsplat.render(model, camera, device=item_device, depth=True)
+    assert depth[16, 16] == pytest.approx(5, rel=1e-3) and depth[0, 0] == 0
+    assert image[16, 16].min() > image[0, 0].max() == 0
+    behind = clsplat.render(model, camera, device=item_device, background=(0.1, 0.2, 0.3))
+    assert np.allclose(behind[0, 0], (0.1, 0.2, 0.3))
+
+
+@pytest.mark.parametrize("depth", [pytest.param(False, marks=pytest.mark.slow), True])
+def test_backward_is_the_derivative_of_forward(double_device, depth):
+    model = blob(3)  # each covers the whole image, for its border would be a step
+    model.rows["log_scales"][:] = np.log((2.0, 1.5, 1.8))
+    model.rows["positions"] *= 0.2
+    model.rows["opacity_logits"][:] = (-0.5, 0, 0.5)
+    renderer = clsplat.Renderer(double_device, model)
+    frame = renderer.forward(CAMERA, depth=depth)
+    rng = np.random.default_rng(2)
+    weights = rng.normal(size=frame.image.shape)
+    by_depth = rng.normal(size=weights.shape[:2]) if depth else None
+    gradients = renderer.backward(frame, weights, by_depth, by_depth)
+
+    def loss(name, step):
+        renderer.update(**{name: model.rows[name] + step * direction[name]})
+        seen = renderer.forward(CAMERA, depth=depth)
+        renderer.update(**{name: model.rows[name]})
+        return (weights * seen.image).sum() + (
+            0 if not depth else (by_depth * (seen.depth + seen.transmittance)).sum())
+
+    direction = {name: rng.normal(size=values.shape) for name, values in gradients.items()}
+    for name, values in gradients.items():
+        assert values.dtype == np.float32 and values.shape == model.rows[name].shape
+        step = 2e-3  # long, for images come as float32
+        slope = (loss(name, step) - loss(name, -step)) / (2 * step)
+        expected = (values * direction[name]).sum()
+        scale = np.sqrt((values**2 * direction[name]**2).sum())
+        assert abs(slope - expected) < 3e-3 * scale + 1e-4, name
+
+
+def test_parameters_are_replaced_and_read_back(item_device):
+    renderer = clsplat.Renderer(item_device, blob())
+    before = renderer.forward(CAMERA).image
+    renderer.update(positions=np.full((30, 3), 100.0))
+    assert not renderer.forward(CAMERA).image.any() and before.any()
+    assert renderer.forward(CAMERA).transmittance.min() == 1
+    assert (renderer.download().positions == 100).all()
+
+    class Exporting:  # as tensors of other libraries do
+        def __init__(self, values):
+            self.values = values
+
+        def __dlpack__(self, **how):
+            return self.values.__dlpack__(**how)
+
+        def __dlpack_device__(self):
+            return self.values.__dlpack_device__()
+    renderer.update(positions=Exporting(blob().positions))
+    assert np.array_equal(renderer.forward(CAMERA).image, before)
+
+
+@pytest.mark.parametrize("wrong, words", [
+    (lambda r: r.update(place=np.zeros(3)), "place: no field"),
+    (lambda r: r.update(positions=np.zeros((3, 3))), r"\(3, 3\), not \(30, 3\)"),
+    (lambda r: r.backward(r.forward(CAMERA), np.zeros((28, 40))), "grad_image"),
+    (lambda r: r.backward(r.forward(CAMERA), np.zeros((28, 40, 3)), np.zeros((28, 40))),
+     "depth=True")])
+def test_what_does_not_fit_is_said(item_device, wrong, words):
+    with pytest.raises(clsplat.ClsplatError, match=words):
+        wrong(clsplat.Renderer(item_device, blob()))
+
+
+def test_training_is_that_of_the_command_line(run, scene, item_device, tmp_path):
+    same = RunFolder.create(tmp_path / "run")
+    loop.train(scene, resolve({}, SMALL), item_device, same)
+    assert (run.path / "point_cloud.ply").read_bytes() == (
+        same.path / "point_cloud.ply").read_bytes()
+    assert run.is_finished and run.options.iterations == 40 and len(run.metrics) > 2
+    assert clsplat.Run.open(run.path).model.count == run.model.count
+
+
+def test_callbacks_see_every_step_and_may_stop_it(run, scene, item_device, tmp_path):
+    seen = []
+
+    def stop(record):
+        seen.append(record)
+        if record["event"] == "step" and record["iteration"] == 4:
+            raise clsplat.StopTraining
+    stopped = clsplat.train(scene, tmp_path / "run", device=item_device, callbacks=[stop], **SMALL)
+    steps = [record for record in seen if record["event"] == "step"]
+    assert [record["iteration"] for record in steps] == [1, 2, 3, 4]
+    assert all(0 < record["loss"] < 1 and record["gaussians"] == 4400 for record in steps)
+    assert not stopped.is_finished and stopped.model.count == 4400
+    assert np.allclose(stopped.model.offset, scene.offset)
+    with pytest.raises(clsplat.ClsplatError, match="no finished model"):
+        stopped.evaluate(item_device)
+    between = clsplat.evaluate(stopped.model, scene.reduced(8), device=item_device)
+    stopped.resume(device=item_device)
+    assert stopped.is_finished and model_digest(stopped) == model_digest(run)
+    assert stopped.evaluate(item_device).psnr > between.psnr
+
+
+def test_scores_are_those_of_the_run(run, item_device):
+    ours, theirs = clsplat.evaluate(run.model, run.scene(), device=item_device), run.evaluate(
+        item_device)
+    assert ours.views == theirs.views == 4 and ours.psnr == pytest.approx(theirs.psnr, abs=1e-6)
+    assert ours.per_view[0]["name"] == "000.jpg"
+
+
+def test_models_come_back_from_files(tmp_path):
+    model = blob().located((5e5, 4e6, 100))
+    model.save(tmp_path / "model.ply")
+    again = clsplat.Gaussians.load(tmp_path / "model.ply")
+    assert np.abs(again.positions - model.positions).max() < 1e-6
+    assert np.array_equal(again.offset, model.offset)
+    with pytest.raises(clsplat.ClsplatError, match="written as .ply"):
+        model.save(tmp_path / "model.spz")
+    with pytest.raises(clsplat.ClsplatError, match="none.ply"):
+        clsplat.Gaussians.load(tmp_path / "none.ply")
+
+
+@pytest.mark.parametrize("wrong, words", [
+    (lambda: clsplat.Device("no such device"), "no device matches"),
+    (lambda: clsplat.Device(form="itme"), "itme"), (lambda: clsplat.Device(99), "99"),
+    (lambda: clsplat.Scene.read("no/such/folder"), "no such scene"),
+    (lambda: clsplat.train("no/such/folder", iteratons=3), "iteratons"),
+    (lambda: clsplat.Run.open("no/such/folder"), "no/such/folder"),
+    (lambda: clsplat.Camera.looking_at((0, 0, 0), (0, 0, 3)), "another `up`")])
+def test_mistakes_are_one_line(wrong, words):
+    with pytest.raises(clsplat.ClsplatError, match=words) as caught:
+        wrong()
+    assert "\n" not in str(caught.value)
+
+
+def test_objects_show_themselves_in_notebooks(run, scene, item_device):
+    assert "32, 320 x 240 pixels" in scene._repr_html_() and "4,400 points" in repr(scene)
+    assert "data:image/svg+xml" in run._repr_html_() and "finished" in repr(run)
+    frame = clsplat.Renderer(item_device, blob()).forward(CAMERA)
+    assert frame._repr_png_().startswith(b"\x89PNG")
+    assert "dB" in run.evaluate(item_device)._repr_html_()
+    assert "30, SH degree 1" in repr(blob())
+
+
+def test_a_camera_looks_at_its_target():
+    pixels, depths = CAMERA.project([(0, 0, 0), (0, 0, 0.1)])
+    assert np.allclose(pixels[0], (20, 14)) and pixels[1, 1] < pixels[0, 1], "up is upwards"
+    assert depths[0] == pytest.approx(np.sqrt(0.04 + 9 + 0.16))
+    assert np.allclose(CAMERA.rotation @ CAMERA.rotation.T, np.eye(3))
+    assert np.linalg.det(CAMERA.rotation) == pytest.approx(1)
+
+
+def ran(name, *words):
+    return subprocess.run([sys.executable, EXAMPLES / name, *map(str, words)], check=True,
+                          capture_output=True, text=True, cwd=ROOT,
+                          env={**os.environ, "PYTHONPATH": str(ROOT)}).stdout
+
+
+@pytest.mark.slow
+def test_example_of_rendering(run, tmp_path):
+    said = ran("render_a_model.py", CITY, run.path / "point_cloud.ply", tmp_path / "image.npy")
+    assert "320 x 240 pixels" in said and np.load(tmp_path / "image.npy").shape == (240, 320, 3)
+
+
+def test_example_of_fitting_an_image():
+    quality = [float(line.split()[2]) for line in ran("fit_an_image.py").splitlines()]
+    assert quality[0] < 10 and quality[-1] > 27
+
+
+@pytest.mark.slow
+def test_example_of_a_callback(tmp_path):
+    said = ran("train_with_a_callback.py", CITY, tmp_path / "run")
+    assert "not finished" in said and "step 50: loss" in said
+
+
+@pytest.mark.slow
+def test_example_of_torch(tmp_path):
+    pytest.importorskip("torch", reason="torch is not installed; it is no dependency")
+    assert float(ran("torch_autograd.py").split()[1]) < 0.02
+
+
+def test_a_damaged_checkpoint_is_one_line(scene, item_device, tmp_path):
+    stopped = clsplat.train(scene, tmp_path / "run", device=item_device, stop_at=2, **SMALL)
+    folder = RunFolder.open(stopped.path)
+    arrays, state = folder.load_checkpoint()
+    folder.save_checkpoint({k: v for k, v in arrays.items() if k != "row.positions"}, state)
+    with pytest.raises(clsplat.ClsplatError, match="lacks a good 'row.positions'"):
+        stopped.model  # noqa: B018
+    folder.save_checkpoint(arrays, state)
+    record = folder.read_options()
+    folder.write_options({**record, "extent": "wide"})
+    with pytest.raises(clsplat.ClsplatError, match="options.json lacks"):
+        stopped.model  # noqa: B018

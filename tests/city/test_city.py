@@ -1,0 +1,271 @@
+"""`clsplat city` from scene to report: stages, going on after failures, and what it refuses."""
+
+import json
+import os
+import shutil
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clsplat.city import stages
+from clsplat.city.forecast import gaussians_that_fit, scale_table
+from clsplat.city.merge import partition_of
+from clsplat.cli.city import partition_options
+from clsplat.cli.main import main
+from clsplat.errors import TOO_LARGE, DeviceError
+from clsplat.io.city import CityFolder
+from clsplat.io.ply import read_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from clsplat.partition import make_partition
+from tests.data.tiny_training import CITY
+
+pytestmark = pytest.mark.slow  # each needs a city that is trained
+
+# PoCL where the tests are not told otherwise
+DEVICE = os.environ.get("CLSPLAT_TEST_DEVICES", "all").replace("all", "Portable")
+FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
+         "--grid", "2x1", "--least-views", "3", "--device", DEVICE, "--form", "item")
+
+
+def city(folder, *flags, code=0):
+    with pytest.raises(SystemExit) as ended:
+        main(["city", str(CITY), "-o", str(folder), "-q", *FLAGS, *flags])
+    assert ended.value.code == code
+    return CityFolder(folder)
+
+
+def command(*words, code=0):
+    with pytest.raises(SystemExit) as ended:
+        main([*map(str, words)])
+    assert ended.value.code == code
+
+
+def model(folder):
+    return (folder.path / "point_cloud.ply").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return city(tmp_path_factory.mktemp("city") / "city")
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    shutil.copytree(made.path, tmp_path / "city", symlinks=True)
+    return CityFolder(tmp_path / "city")
+
+
+def test_the_folder_is_a_run_like_any_other(made):
+    run = RunFolder.open(made.path)
+    last = [record for record in run.records() if record["event"] == "eval"][-1]
+    parts = [RunFolder.open(path).records()[-1] for path in (
+        made.coarse, *(block.run for block in made.blocks()))]
+    assert len(parts) == 3
+    assert last["iteration"] == sum(part["iteration"] for part in parts)
+    assert last["train_seconds"] == pytest.approx(sum(part["train_seconds"] for part in parts))
+    assert last["psnr"] > 12 and last["views"] == 4 and last["gaussians"] == run.load_model().count
+    page = (made.path / "report.html").read_text()
+    assert "map of the blocks" in page and "Seams" in page
+    assert "Growth and loss" not in page and "Held-out views" in page  # no empty charts
+    assert json.loads(made.map.read_text())["type"] == "FeatureCollection"
+    command("eval", made.path, "--no-images", "--device", DEVICE)
+    levels = RunFolder(made.path).snapshots()
+    assert levels[-1][0] == 2  # the coarse model is the last but the whole
+    coarse = read_ply(made.coarse / "point_cloud.ply")
+    assert np.array_equal(read_ply(levels[-1][1]).positions, coarse.positions)
+
+
+def test_every_gaussian_is_owned_once(made):
+    partition, offset = partition_of(made), np.array(
+        RunFolder.open(made.path).read_options()["offset"])
+    merged = read_ply(made.path / "point_cloud.ply", offset)
+    owner = partition.owner(merged.positions.astype(float) + offset)
+    owned = [block.read()["number"] for block in made.blocks()
+             for _ in range(int((partition.owner(read_ply(
+                 block.run / "point_cloud.ply", offset).positions.astype(float) + offset)
+                 == block.read()["number"]).sum()))]
+    assert owner.tolist() == owned
+
+
+def test_blocks_take_as_many_steps_a_view_as_one_run_would(made):
+    training = 28  # of 32 views
+    for block in made.blocks():
+        record = block.read()
+        assert record["options"]["iterations"] == round(60 * record["views"] / training)
+        assert record["options"]["test_every"] == 0 and record["options"]["levels"] == [1.0]
+    assert RunFolder.open(made.coarse).read_options()["downscale"] == 8
+    assert stages.block_steps(resolve({}, {"iterations": 900}), 1 / 3)["iterations"] == 300
+
+
+@pytest.mark.slow
+def test_blocks_see_the_parts_of_photos_that_show_them(made):
+    whole = {view.name: view.camera for view in read_scene(CITY).views}
+    for block in made.blocks():
+        shares = [view.camera.width * view.camera.height / (320 * 240)
+                  for view in read_scene(block.path).views]
+        assert min(shares) < 0.6 and np.mean(shares) < 0.95
+        for view in read_scene(block.path).views:
+            assert (view.camera.whole is None) == (view.camera.width * view.camera.height == (
+                whole[view.name].width * whole[view.name].height))
+
+
+def test_a_chosen_grid_has_a_block_a_worker():
+    params = {"method": "citygs", "grid": None, "up": (), "bounds": (), "margin": 0.1,
+              "threshold": 0.1, "least_views": 3, "starved": "refuse", "block_gaussians": 10**9}
+    scene, options = read_scene(CITY), resolve({}, {})
+    for workers, grid in ((1, 1), (2, 2), (6, 6)):
+        wanted = partition_options({**params, "workers": workers}, scene, options, None)
+        assert len(make_partition(scene, wanted).regions) == grid
+    assert partition_options(params, scene, options, None).least_blocks == 1
+
+
+def test_again_changes_nothing(copy, monkeypatch):
+    before = model(copy)
+    times = {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
+    monkeypatch.setattr(stages, "train", None)  # nothing is begun
+    city(copy.path)
+    assert model(copy) == before
+    assert times == {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}
+
+
+@pytest.mark.slow
+def test_goes_on_where_it_was(copy):
+    before = model(copy)
+    shutil.rmtree(copy.block(1).run)
+    shutil.rmtree(copy.block(0).path)
+    (copy.path / "point_cloud.ply").unlink()
+    city(copy.path)
+    assert model(copy) == before
+
+
+@pytest.mark.slow
+def test_stages_one_by_one_end_in_the_same(made, tmp_path):
+    flags = [flag for flag in FLAGS if flag not in ("--grid", "2x1", "--least-views", "3")]
+    flags[flags.index("-n") + 1], flags[flags.index("-r") + 1] = "30", "8"
+    command("train", CITY, "--coarse", "--snapshots", "-o", tmp_path / "coarse", "-q", *flags)
+    command("partition", tmp_path, "--grid", "2x1", "--least-views", "3")
+    for block in CityFolder(tmp_path).blocks():
+        command("block", block.path, "-q")
+    command("merge", tmp_path, "--device", DEVICE)
+    assert model(CityFolder(tmp_path)) == model(made)
+
+
+def test_a_missing_block_is_named_and_may_be_filled(copy, capsys):
+    shutil.rmtree(copy.block(1).run)
+    command("merge", copy.path, code=2)
+    error = capsys.readouterr().err
+    assert "1 of 2 blocks cannot be merged: 001 unfinished" in error and error.count("\n") == 1
+    command("merge", copy.path, "--fill", "--device", DEVICE)
+    assert "unfinished: its run has no model yet" in (copy.path / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_photos_of_a_block_that_are_gone_are_named(copy, capsys):
+    shutil.rmtree(copy.block(1).run)
+    next((copy.block(1).path / "images").iterdir()).unlink()
+    city(copy.path, code=2)
+    error = capsys.readouterr().err
+    assert "block 001 failed" in error and "images" in error and "001 unfinished" in error
+
+
+@pytest.mark.parametrize("flags, cause", [
+    (("--grid", "1x2"), "was cut with grid [2, 1], not [1, 2]"),
+    (("-n", "70"), "was begun with iterations 60"),
+    (("--init", "random"), "--init, --coarse")])
+def test_other_options_are_refused(copy, capsys, flags, cause):
+    city(copy.path, *flags, code=2)
+    assert cause in capsys.readouterr().err
+
+
+def test_a_block_of_another_city_is_refused(copy, capsys):
+    path = copy.block(1).path / "block.json"
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps({**record, "city": "0" * 64}))
+    command("merge", copy.path, code=2)
+    assert "of another city" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_starving_grid_and_empty_bounds_are_refused(copy, capsys):
+    (copy.path / "partition.json").unlink()
+    command("partition", copy.path, "--grid", "6x6", code=2)
+    assert "is starved" in capsys.readouterr().err
+    command("partition", copy.path, "--grid", "2x1", "--bounds", 900, 900, 901, 901, code=2)
+    assert "no points within the bounds" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch, killed):
+    shutil.rmtree(copy.block(0).run)
+    real, refused = stages.train_block, []
+
+    def train_block(block, options, progress):
+        if block.read()["number"] == 0 and not refused:
+            refused.append(block.read()["own"])
+            raise DeviceError(f"a small device: {TOO_LARGE}: no memory for 1 MiB more")
+        return real(block, options, progress)
+
+    monkeypatch.setattr(stages, "train_block", train_block)
+    other = (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns
+    if killed:  # between the new partition and the folders that it changes
+        def adopt(there):
+            if "replaces" in there.read_partition():
+                raise SystemExit(9)
+        with monkeypatch.context() as patch:
+            patch.setattr(CityFolder, "adopt", adopt)
+            city(copy.path, code=9)
+    city(copy.path)
+    assert (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns == other
+    partition = partition_of(copy)
+    assert len(partition.regions) == 3 and "cut in two" in partition.notes[-1]
+    records = {block.read()["number"]: block.read() for block in copy.blocks()}
+    halves = records[0]["own"], records[2]["own"]
+    assert sum(halves) == refused[0] and abs(halves[0] - halves[1]) <= 1
+    assert RunFolder.open(copy.path).read_options()["blocks"] == 3
+
+
+def test_what_ten_times_the_photos_take():
+    device = SimpleNamespace(name="a card", real=np.dtype(np.float32),
+                             handle=SimpleNamespace(global_mem_size=2**30))
+    view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
+    options = resolve({}, {"iterations": 1000})
+    planned = SimpleNamespace(views=[view] * 100, needs=SimpleNamespace(options=options))
+    limit = gaussians_that_fit(device, options)
+    forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0)
+    head, *_ = table = scale_table(planned, forecast, device, 0.5, [200, 2000]).rows
+    small, large = (dict(zip(("photos", "blocks", "views", "steps", "gaussians", "model", "pixels",
+                              "hours"), row)) for row in table)
+    assert head[0] == "200" and small["blocks"] == "1" and small["hours"] == "2.0"
+    assert small["steps"] == "2,000" and small["views"] == "200"
+    # twenty times the scene, each part of it in four blocks
+    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * 4.25:.1f}"
+    assert large["steps"] in ("2,000", "2,051")
+
+
+@pytest.mark.slow
+def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
+    """While a block is trained and while the blocks are merged: the same command goes on."""
+    before = model(copy)
+    (copy.block(1).run / "point_cloud.ply").unlink()
+    for folder, words in ((copy.block(1).run, "block 001 failed"), (copy.path, "")):
+        blocking = folder / "point_cloud.ply.part"
+        blocking.mkdir()
+        city(copy.path, code=2)
+        error = capsys.readouterr().err
+        assert words in error and "cannot be written" in error
+        blocking.rmdir()
+    city(copy.path)
+    assert model(copy) == before
+
+
+@pytest.mark.slow
+def test_two_workers_end_in_the_same(copy):
+    before = model(copy)
+    for block in copy.blocks():
+        shutil.rmtree(block.run)
+    city(copy.path, "--workers", "2")
+    assert model(copy) == before

@@ -1,0 +1,241 @@
+"""The folder of a city: what is written is read back, whole or not at all."""
+
+import errno
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io import city as module
+from clsplat.io.city import BlockFolder, CityFolder, attached
+from clsplat.io.packed import write_packed
+from clsplat.io.ply import read_ply
+from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.region import Region, Space
+from tests.data.tiny_training import CITY
+
+VIEWS = [3, 9, 8, 11]  # in no order
+WEST = Region(Space(np.eye(3), np.zeros(3), np.ones(3)), high=[0.0, np.inf, np.inf], margin=0.1)
+OPTIONS = {"iterations": 30, "levels": (2.0, 1.0), "exposure": "on"}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return read_scene(CITY).part(range(12))
+
+
+@pytest.fixture
+def city(tmp_path, scene):
+    folder = CityFolder(tmp_path / "city")
+    folder.path.mkdir()
+    folder.write({"fingerprint": fingerprint(scene), "scene": str(scene.path)})
+    folder.write_partition({"method": "by hand"})
+    return folder
+
+
+@pytest.fixture(scope="module")
+def gaussians(scene):
+    return Gaussians.from_points(scene.points[:50], scene.colours[:50], 1)
+
+
+def exposures_of(scene):
+    return {view.name: np.eye(3, 4) + 0.01 * i / 3 for i, view in enumerate(scene.views[:10])}
+
+
+def written(folder, scene, gaussians, number=0, views=VIEWS, **identity):
+    return folder.write_block(number, scene, views, WEST, {}, gaussians, exposures_of(scene),
+                              OPTIONS, {**folder.identity(), **identity})
+
+
+def files(block):
+    return {path.relative_to(block.path).as_posix() for path in block.path.rglob("*")}
+
+
+def sightings(scene):
+    """{(place of the point to 1e-4, view)} of the observations."""
+    point, view = scene.observations.T
+    places = np.round((scene.points + scene.offset)[point], 4)
+    return {(*place, scene.views[v].name) for place, v in zip(places.tolist(), view)}
+
+
+def check_part(block, scene, views=VIEWS):
+    """The block's folder holds the part of the scene that its views show, in the same world."""
+    read = read_scene(block.path)
+    chosen = [scene.views[i] for i in sorted(views)]
+    assert [view.name for view in read.views] == [view.name for view in chosen]
+    for view, other in zip(read.views, chosen):
+        assert view.camera.width == other.camera.width
+        assert np.allclose(view.camera.rotation, other.camera.rotation, atol=1e-12)
+        moved = view.camera.position + read.offset - other.camera.position - scene.offset
+        assert np.abs(moved).max() < 1e-6
+        assert bytes_of(view) == bytes_of(other)
+    assert sightings(read) == {row for row in sightings(scene)
+                               if row[3] in {view.name for view in chosen}}
+    assert read.region.record() == WEST.record()
+    return read
+
+
+def bytes_of(view):
+    return view.source if isinstance(view.source, bytes) else view.source.read_bytes()
+
+
+@pytest.mark.parametrize("away", [0.0, 5e6])
+def test_a_block_is_a_scene(city, scene, gaussians, away):
+    far = replace(scene, offset=scene.offset + away)
+    block = written(city, far, gaussians)
+    read = check_part(block, far)
+    assert 0 < len(read.points) < len(scene.points)
+    assert all(view.source.is_symlink() for view in read.views)
+    expected = exposures_of(scene)
+    assert set(read.exposures) == {scene.views[i].name for i in (3, 8, 9)}
+    assert all(np.array_equal(read.exposures[name], expected[name]) for name in read.exposures)
+    there = read_ply(block.initial, far.offset)
+    assert np.allclose(there.positions, gaussians.positions, atol=1e-4)
+    assert block.read() == {"number": 0, **city.identity(),
+                            "options": {**OPTIONS, "levels": [2.0, 1.0]}}
+    block.check()
+    model = pycolmap.Reconstruction(str(block.path / "sparse" / "0"))
+    assert model.compute_mean_reprojection_error() < 1e-6  # tracks lie on their points
+
+
+def test_a_block_of_a_packed_scene_is_packed(city, scene, gaussians, tmp_path):
+    write_packed(scene, tmp_path / "city.npz")
+    packed = read_scene(tmp_path / "city.npz")
+    block = written(city, packed, gaussians)
+    read = check_part(block, packed)
+    assert read.path == block.path and read.name == "000"
+
+
+def test_a_block_of_a_scene_without_tracks(city, scene, gaussians):
+    """Its points are those that fall into the views' images."""
+    block = written(city, replace(scene, observations=None), gaussians, views=[3, 4])
+    read = read_scene(block.path)
+    assert read.observations is None
+    seen = np.any([scene.views[i].sees(scene.points) for i in (3, 4)], axis=0)
+    assert len(read.points) == seen.sum() < len(scene.points)
+
+
+def test_photos_in_folders(city, scene, gaussians):
+    views = tuple(replace(view, name=f"north/{view.name}") for view in scene.views)
+    block = written(city, replace(scene, views=views), gaussians)
+    assert read_scene(block.path).views[0].source.parent == block.path / "images" / "north"
+
+
+@pytest.mark.parametrize("refused", ["links", "all links"])
+def test_where_links_are_refused(city, scene, gaussians, monkeypatch, refused):
+    def refuse(*_):
+        raise OSError(errno.EPERM, "no links here")
+    monkeypatch.setattr(Path, "symlink_to", refuse)
+    if refused == "all links":
+        monkeypatch.setattr(os, "link", refuse)
+    first = check_part(written(city, scene, gaussians), scene).views[0]
+    linked = first.source.stat().st_ino == scene.views[3].source.stat().st_ino
+    assert not first.source.is_symlink() and linked == (refused == "links")
+
+
+@pytest.mark.parametrize("moment", ["write_colmap", "_link", "write_exposures", "write_ply",
+                                    "os.rename"])
+@pytest.mark.parametrize("trouble", [
+    KeyboardInterrupt(), OSError(errno.ENOSPC, "disk full"),
+    InputError("file: cannot be written (disk full); free some space")],
+    ids=["interrupted", "full", "a full file"])
+def test_a_block_is_whole_or_not_there(city, scene, gaussians, monkeypatch, moment, trouble):
+    def end(*_, **__):
+        raise trouble
+    holder = os if moment == "os.rename" else module
+    with monkeypatch.context() as patch:
+        patch.setattr(holder, moment.removeprefix("os."), end)
+        with pytest.raises((InputError, KeyboardInterrupt)) as caught:
+            written(city, scene, gaussians)
+    assert caught.value is trouble or str(caught.value).startswith(
+        f"{city.block(0).path}: cannot be written (disk full); ")
+    assert not list((city.path / "blocks").iterdir()) and city.blocks() == []
+    block, other = written(city, scene, gaussians), written(city, scene, gaussians, number=1)
+    assert files(block) == files(other) and "block.json" in files(block)
+    assert sorted(path.name for path in (city.path / "blocks").iterdir()) == ["000", "001"]
+
+
+def test_a_block_that_is_there_is_left_alone(city, scene, gaussians):
+    block = written(city, scene, gaussians)
+    (block.path / "run").mkdir()
+    before = block.initial.stat().st_mtime_ns
+    assert written(city, scene, gaussians).path == block.path
+    assert block.initial.stat().st_mtime_ns == before and (block.path / "run").exists()
+    city.write_partition({"method": "another"})
+    with pytest.raises(InputError, match="holds a block of another partition"):
+        written(city, scene, gaussians)
+    assert (block.path / "run").exists()
+
+
+def test_views_that_see_no_points(city, scene, gaussians):
+    few = scene.observations[scene.observations[:, 1] != 5]
+    with pytest.raises(InputError, match="001: the 1 views of block 1 see none of the sparse"):
+        written(city, replace(scene, observations=few), gaussians, number=1, views=[5])
+
+
+def test_blocks_come_by_number(city):
+    for number in (1000, 7, 999):
+        city.block(number).path.mkdir(parents=True)
+        (city.block(number).path / "block.json").write_text("{}")
+    (city.path / "blocks" / "003").mkdir()  # one without a record is none
+    assert [block.path.name for block in city.blocks()] == ["007", "999", "1000"]
+
+
+@pytest.mark.parametrize("other", ["city", "partition"])
+def test_a_block_of_another_city_is_refused(city, scene, gaussians, other):
+    block = written(city, scene, gaussians, **{other: "0" * 64})
+    with pytest.raises(InputError, match=f"000: a block of another {other} than that of "):
+        block.check()
+    (city.path / "city.json").unlink()  # without a city beside it there is none to be another of
+    block.check()
+
+
+DAMAGED = ["", "{", "[]", "null", '{"number": "1"}', '{"fingerprint": 3}', '{"a": NaN}', "\xff"]
+
+
+@pytest.mark.parametrize("text", DAMAGED, ids=repr)
+@pytest.mark.parametrize("name", ["city.json", "blocks/000/block.json", "blocks/000/region.json",
+                                  "blocks/000/exposures.json"])
+def test_damaged_files(city, scene, gaussians, name, text):
+    if name.endswith("exposures.json") and text.startswith('{"n'):
+        text = json.dumps({scene.views[3].name: [1.0] * 11})
+    block = written(city, scene, gaussians)
+    (city.path / name).write_text(text, encoding="latin-1")
+    readers = {"city.json": city.identity, "block.json": block.read}
+    with pytest.raises(InputError, match=f"{Path(name).name}: .*damaged") as caught:
+        readers.get(Path(name).name, lambda: attached(scene, block.path))()
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_missing_is_named(tmp_path):
+    with pytest.raises(InputError, match="block.json: no such file; give a folder CITY/blocks"):
+        BlockFolder(tmp_path).check()
+    with pytest.raises(InputError, match=r"partition.json: no such file; make it with `clsplat p"):
+        CityFolder(tmp_path).identity()
+    with pytest.raises(InputError, match=r"city.json: no such file; give a folder that"):
+        CityFolder(tmp_path).read()
+
+
+def test_a_city_begins_in_a_folder_of_its_own(tmp_path):
+    folder = CityFolder(tmp_path / "out")
+    folder.check_free()
+    for name in ("coarse", ".lock"):
+        (folder.path / name).mkdir(parents=True)
+    folder.check_free()
+    (folder.path / "images").mkdir()
+    with pytest.raises(InputError, match="holds images, but no city"):
+        folder.check_free()
+
+
+def test_a_block_without_its_region_is_no_scene(city, scene, gaussians):
+    block = written(city, scene, gaussians)
+    block.check()
+    (block.path / "region.json").unlink()
+    with pytest.raises(InputError, match="region.json: missing from the block"):
+        block.check()

@@ -1,0 +1,246 @@
+"""Levels of detail: every cell at the level that its distance asks for, and no gaussian lost."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from clsplat.camera import Camera
+from clsplat.city import lod
+from clsplat.city.lod import Levels, merge_levels, moved_away
+from clsplat.cli.main import main
+from clsplat.errors import InputError
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.city import CityFolder
+from clsplat.io.ply import read_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.partition import Partition
+from clsplat.region import Region, Space
+from tests.data.tiny_training import CITY
+from tests.reference.frequency import scene_frequency
+
+SIGMAS = (0.4, 0.1, 0.02)  # world units, of the levels below
+LENGTH = 100.0  # of the strip that they lie along
+
+
+def strip(count, sigma, seed=0, degree=1):
+    """Gaussians, all of one sigma, along x from 0 to LENGTH and about 1 thick."""
+    rng = np.random.default_rng([seed, count])
+    rows = {f.name: rng.normal(size=(count, *f.row_shape(degree))).astype(np.float32)
+            for f in LEARNED}
+    rows["positions"] = rng.uniform((0, 0, 0), (LENGTH, 1, 1), (count, 3)).astype(np.float32)
+    rows["log_scales"] = np.full((count, 3), np.log(sigma), np.float32)
+    return Gaussians(rows, degree)
+
+
+@pytest.fixture(scope="module")
+def models():
+    return [strip(count, sigma) for count, sigma in zip((40, 200, 1000), SIGMAS)]
+
+
+@pytest.fixture(scope="module")
+def levels(models):
+    return Levels.of(models, limit=64)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return read_scene(CITY)
+
+
+def at(x, focal=100.0):
+    """A camera at x on the strip's axis that looks along it."""
+    rotation = np.array([[0, 1.0, 0], [0, 0, 1], [1, 0, 0]])
+    return Camera(64, 48, (focal, focal), (32.0, 24.0), rotation, -rotation @ [x, 0.5, 0.5])
+
+
+def table(gaussians):
+    """Rows float[N, numbers], in an order that depends on them only."""
+    rows = np.concatenate([gaussians.rows[f.name].reshape(gaussians.count, -1)
+                           for f in LEARNED], axis=1)
+    return rows[np.lexsort(rows.T)]
+
+
+# --- cells
+
+def test_each_level_has_each_of_its_gaussians_in_one_cell(models, levels):
+    cells = len(levels.firsts)
+    assert 1000 / 64 <= cells <= 4 * 1000 / 64
+    assert (np.diff(levels.firsts, axis=1)[:, -1] <= 64).all()
+    for number, model in enumerate(models):
+        whole = levels.take(np.full(cells, number))
+        assert whole.sh_degree == 1 and np.array_equal(table(whole), table(model))
+
+
+def test_a_cell_has_what_lies_between_its_planes_at_every_level(levels):
+    """Along a strip the cells are intervals, and those of the levels are the same."""
+    ends = np.array([[(x.min(), x.max()) if len(x) else (np.nan, np.nan) for x in (
+        levels.rows["positions"][first:end, 0] for first, end in zip(f, f[1:]))]
+        for f in levels.firsts])
+    low, high = np.nanmin(ends[..., 0], axis=1), np.nanmax(ends[..., 1], axis=1)
+    order = np.argsort(low)
+    assert (high[order][:-1] <= low[order][1:]).all()
+    assert ((levels.high - levels.low)[:, 0] <= high - low).all()
+
+
+def test_gaussians_at_one_place_share_a_cell():
+    model = strip(100, 0.1)
+    model.rows["positions"][:] = 5
+    assert len(Levels.of([model, model], limit=10).firsts) == 1
+
+
+def test_outliers_do_not_stretch_a_box():
+    model = strip(1000, 0.1)
+    model.rows["positions"][7] = 1e4
+    assert (Levels.of([model], limit=2000).high < 1.01 * LENGTH).all()
+
+
+def test_blocks_do_not_share_cells_and_one_may_lack_a_level(models):
+    def owner(positions):
+        return (positions[:, 0] > 30).astype(int)
+
+    coarse = models[0].rows["positions"][:, 0] <= 30
+    lacking = Gaussians({name: rows[coarse] for name, rows in models[0].rows.items()}, 1)
+    levels = Levels.of([lacking, *models[1:]], owner, limit=64)
+    assert ((levels.low[:, 0] > 30) | (levels.high[:, 0] <= 30)).all()
+    far = levels.choose(at(-1e5), pixels=1.0)
+    there = np.diff(levels.firsts, axis=1)[:, 0] > 0
+    assert np.array_equal(far, np.where(there, 0, 1)) and 0 < there.sum() < len(there)
+    assert len(levels.take(far).positions) == coarse.sum() + sum(
+        np.diff(levels.firsts, axis=1)[~there, 1])
+
+
+def test_levels_of_different_degrees_get_the_highest(models):
+    levels = Levels.of([strip(40, 0.4, degree=0), models[-1]], limit=64)
+    coarse = levels.take(np.zeros(len(levels.firsts), int))
+    assert coarse.sh_degree == 1 and coarse.sh_rest.shape == (40, 3, 3)
+    assert not coarse.sh_rest.any()
+
+
+# --- choice
+
+def test_the_frequency_is_the_robust_one():
+    rng = np.random.default_rng(0)
+    scales, logits = rng.normal(-3, 2, (50, 3)), rng.normal(0, 3, 50)
+    expected = scene_frequency(scales, logits)["robust_mean"]
+    assert lod.frequency(scales, logits) == pytest.approx(expected, rel=1e-12)
+    assert lod.frequency(scales[:0], logits[:0]) == 0
+
+
+@pytest.mark.parametrize("level", range(len(SIGMAS) - 1))
+def test_a_level_is_enough_up_to_its_pixels(levels, level):
+    """At the very distance where its sigma is so many pixels wide, and not before."""
+    pixels, focal, first = 1.5, 100.0, np.argmin(levels.low[:, 0])
+    distance = focal * SIGMAS[level] / pixels
+    for share, expected in ((1.001, level), (0.999, level + 1)):
+        camera = at(levels.low[first, 0] - share * distance, focal)
+        assert levels.choose(camera, pixels)[first] == expected
+
+
+def test_near_cells_are_fine_and_far_ones_coarse(levels):
+    choice = levels.choose(at(-1.0), pixels=1.7)[np.argsort(levels.low[:, 0])]
+    assert set(choice) == {0, 1, 2} and (np.diff(choice) <= 0).all()
+    drawn = levels.take(levels.choose(at(-1.0), pixels=1.7))
+    # sigma tells the level of what is drawn: none coarser than its place asks for
+    distance = drawn.positions[:, 0] + 1.0
+    sigma = np.exp(drawn.log_scales[:, 0])
+    assert (sigma[sigma > 0.03] <= 1.7 / 100 * distance[sigma > 0.03] * 1.001).all()
+    inside = levels.choose(at(50.0), pixels=1.7)
+    assert (inside[(levels.low[:, 0] <= 50) & (levels.high[:, 0] >= 50)] == 2).all()
+    assert (levels.choose(at(-1e6), pixels=1.7) == 0).all()
+
+
+# --- far views
+
+def test_moved_away_shows_what_it_saw_in_the_part_that_it_names(scene):
+    camera = scene.views[3].camera
+    for factor in (0.5, 3.0):
+        moved, part = moved_away(camera, scene.points, factor)
+        pixel, depth = camera.project(scene.points)
+        size = camera.width, camera.height
+        seen = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < size).all(axis=1)
+        distance = np.median(depth[seen])
+        after, further = moved.project(scene.points)
+        assert np.allclose(further, depth + factor * distance)
+        rows, columns = part
+        assert columns.stop - columns.start == pytest.approx(size[0] / (1 + factor), abs=2)
+        assert rows.stop - rows.start == pytest.approx(size[1] / (1 + factor), abs=2)
+        at_it = seen & (abs(depth - distance) < 0.02 * distance)
+        inside = (after[at_it] >= (columns.start - 1, rows.start - 1)).all(axis=1) & (
+            after[at_it] < (columns.stop + 1, rows.stop + 1)).all(axis=1)
+        assert at_it.sum() > 5 and inside.all()
+
+
+def test_a_view_that_sees_no_points_cannot_move_away(scene):
+    camera = scene.views[0].camera
+    turned = replace(camera, rotation=np.diag([1, -1, -1.0]) @ camera.rotation,
+                     translation=np.diag([1, -1, -1.0]) @ camera.translation)
+    with pytest.raises(InputError, match="^--away: a view sees none of the sparse points, .*; "):
+        moved_away(turned, scene.points, 1)
+
+
+# --- a city
+
+def test_levels_of_a_city_are_those_of_its_blocks_cropped(scene, tmp_path):
+    city = CityFolder(tmp_path)
+    space = Space(np.eye(3), scene.offset, np.full(3, 30.0))
+    low, high = np.full(3, -np.inf), np.full(3, np.inf)
+    middle = np.array([0, np.inf, np.inf])
+    regions = (Region(space, low, middle, 0.1), Region(space, -middle, high, 0.1))
+    city.write({"fingerprint": fingerprint(scene)})
+    city.write_partition(Partition("citygs", regions, (np.arange(4),) * 2).record())
+    models = [strip(300, 0.2, seed) for seed in (1, 2)]
+    for model in models:
+        model.rows["positions"][:, 0] -= LENGTH / 2
+    for number, model in enumerate(models):
+        block = city.write_block(number, scene, np.arange(4), regions[number], {}, model, None, {},
+                                 city.identity())
+        for factor in (4.0, 2.0)[number:]:  # the second has no level 4
+            RunFolder.create(block.run).save_snapshot(factor, model, scene.offset)
+    assert merge_levels(city, scene) == [4.0, 2.0]
+    left = models[0].positions[:, 0] < 0
+    right = models[1].positions[:, 0] >= 0
+    four, two = (read_ply(path, scene.offset) for _, path in RunFolder(city.path).snapshots())
+    assert four.count == left.sum() and two.count == left.sum() + right.sum()
+    assert np.allclose(two.positions, np.concatenate([models[0].positions[left],
+                                                      models[1].positions[right]]), atol=1e-4)
+
+
+# --- the command
+
+def refused(*words):
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 2 and result.output.count("\n") == 1, result.output
+    return result.output
+
+
+@pytest.mark.parametrize("flag", ["--lod-bias", "--downscale", "--away"])
+def test_flags_of_lod_want_lod(tmp_path, flag):
+    assert f"{flag}: means nothing without --lod" in refused(
+        "render", tmp_path, "-o", tmp_path / "out", flag, 2)
+
+
+def test_the_table_has_a_line_a_view_and_their_mean(monkeypatch):
+    record = {"gaussians": 2000, "share": 0.25, "psnr_full": 30.0, "psnr": 25.5, "full_psnr": 25.0,
+              "seconds": 0.5, "full_seconds": 1.0}
+    asked = []
+
+    def views(*arguments, **named):
+        asked.append((*map(str, arguments), named))
+        return iter([{"name": "a.jpg", **record},
+                     {"name": "b.jpg", **{key: 3 * value for key, value in record.items()}}])
+
+    monkeypatch.setattr(lod, "compare_views", views)
+    monkeypatch.setattr("clsplat.device.choose_device", lambda name: f"device {name}")
+    result = CliRunner().invoke(main, ["render", "run", "--lod", "-o", "out", "--views", "test",
+                                       "-r", "2", "--away", "3", "--lod-bias", "0.5", "--beside"])
+    assert result.exit_code == 0, result.output
+    assert asked == [("run", "None", "out", "device auto", {
+        "views": "test", "beside": True, "bias": 0.5, "away": 3.0, "downscale": 2.0})]
+    lines = [line.split() for line in result.output.splitlines()]
+    assert "full model, 16 samples a pixel" in result.output
+    assert lines[2] == ["a.jpg", "2,000", "25.0%", "30.00", "25.50", "25.00", "0.500", "1.000"]
+    assert lines[4] == ["mean", "4,000", "50.0%", "60.00", "51.00", "50.00", "1.000", "2.000"]
+    assert lines[5] == ["2", "pictures:", "out"]

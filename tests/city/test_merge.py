@@ -1,0 +1,247 @@
+"""Blocks to one model: every gaussian owned once, and nothing missing in silence."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from clsplat.city.merge import joined, merge
+from clsplat.errors import InputError
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.city import CityFolder
+from clsplat.io.ply import read_ply, write_ply
+from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.partition import Partition
+from clsplat.region import Region, Space
+from tests.data.tiny_training import CITY
+
+BLOCKS = 4
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return read_scene(CITY)
+
+
+def quarters(scene, margin=0.1, middle=(0.0, 0.0)):
+    """Partition of the sample city in 2 x 2 cells that meet above `middle`, local."""
+    space = Space(np.eye(3), scene.offset, np.full(3, 30.0))
+    x, y = np.array(middle) / 30
+    inf = np.inf
+    cells = [([-inf, -inf], [x, y]), ([x, -inf], [inf, y]), ([-inf, y], [x, inf]),
+             ([x, y], [inf, inf])]
+    regions = tuple(Region(space, np.array([*low, -inf]), np.array([*high, inf]), margin)
+                    for low, high in cells)
+    everything = np.arange(len(scene.views))
+    return Partition("citygs", regions, (everything,) * BLOCKS, {3: "it sees nothing"})
+
+
+def strewn(count, degree=1, seed=0):
+    """Gaussians all over the city and beyond, in its local frame."""
+    rng = np.random.default_rng(seed)
+    rows = {field.name: rng.normal(size=(count, *field.row_shape(degree))).astype(np.float32)
+            for field in LEARNED}
+    rows["positions"] *= 40
+    return Gaussians(rows, degree)
+
+
+@pytest.fixture(scope="module")
+def trained_city(scene, tmp_path_factory):
+    """A city whose four blocks all ended with the same model, `strewn(2000)`, uncropped."""
+    folder = CityFolder(tmp_path_factory.mktemp("trained"))
+    folder.write({"fingerprint": fingerprint(scene)})
+    partition = quarters(scene)
+    folder.write_partition(partition.record())
+    initial = strewn(10)
+    for number in range(BLOCKS):
+        block = folder.write_block(number, scene, partition.views[number][:4],
+                                   partition.regions[number], {}, initial, None, {},
+                                   folder.identity())
+        finish(block, strewn(2000), scene.offset)
+    folder.coarse.mkdir()
+    write_ply(folder.coarse / "point_cloud.ply", strewn(600, seed=5), scene.offset)
+    return folder
+
+
+@pytest.fixture
+def city(trained_city, tmp_path):
+    return CityFolder(shutil.copytree(trained_city.path, tmp_path / "city", symlinks=True))
+
+
+def finish(block, gaussians, offset):
+    block.run.mkdir(exist_ok=True)
+    write_ply(block.run / "point_cloud.ply", gaussians, offset)
+
+
+def sorted_rows(gaussians):
+    table = np.concatenate([gaussians.rows[f.name].reshape(gaussians.count, -1)
+                            for f in LEARNED], axis=1)
+    return table[np.lexsort(table.T)]
+
+
+def states(merged):
+    return [share.state for share in merged.shares]
+
+
+def test_every_gaussian_is_owned_once(city, scene):
+    """Four times the same model is once that model again."""
+    merged = merge(city, scene)
+    merged.check()
+    whole = read_ply(city.block(0).run / "point_cloud.ply", scene.offset)
+    assert np.array_equal(sorted_rows(merged.gaussians), sorted_rows(whole))
+    assert sum(share.gaussians for share in merged.shares) == 2000
+    assert min(share.gaussians for share in merged.shares) > 300
+
+
+def test_blocks_come_in_order_and_within_their_cells(city, scene):
+    merged, partition = merge(city, scene), quarters(scene)
+    ends = np.cumsum([share.gaussians for share in merged.shares])
+    for number, (end, share) in enumerate(zip(ends, merged.shares)):
+        own = merged.gaussians.positions[end - share.gaussians:end] + scene.offset
+        assert partition.regions[number].owns(own).all()
+    points = sum(share.points for share in merged.shares)
+    assert points == len(scene.points)
+    assert merged.dropped == {scene.views[3].name: "it sees nothing"}
+    assert scene.views[3].name in merged.table().text()
+    assert json.loads(json.dumps(merged.record()))["gaussians"] == 2000
+
+
+def test_a_block_has_its_own_offset(city, scene):
+    """A block is recentred by itself: what its file says in the world is what counts."""
+    block = city.block(1)
+    path = block.run / "point_cloud.ply"
+    before = merge(city, scene).gaussians
+    write_ply(path, Gaussians(
+        {**strewn(2000).rows, "positions": strewn(2000).positions - np.float32(8)}, 1),
+        scene.offset + 8)
+    after = merge(city, scene).gaussians
+    assert after.count == before.count
+    assert np.allclose(after.positions, before.positions, atol=1e-4)
+
+
+def test_harmonics_are_brought_to_the_highest_degree(city, scene):
+    finish(city.block(2), strewn(2000, degree=3), scene.offset)
+    finish(city.block(3), strewn(2000, degree=0), scene.offset)
+    merged = merge(city, scene)
+    gaussians, shares = merged.gaussians, merged.shares
+    assert gaussians.sh_degree == 3 and gaussians.sh_rest.shape[1:] == (15, 3)
+    first = shares[0].gaussians
+    plain = joined([strewn(2000)])
+    assert (gaussians.sh_rest[:first, 3:] == 0).all()
+    assert np.isin(gaussians.sh_rest[:first, :3], plain.sh_rest).all()
+    assert (gaussians.sh_rest[-shares[3].gaussians:] == 0).all()
+    assert (gaussians.sh_rest[-shares[3].gaussians - 1, 3:] != 0).any()
+
+
+def test_nothing_joined_is_an_empty_model():
+    assert joined([]).count == 0
+
+
+# --- what is missing
+
+
+def broken(city, scene, fault):
+    if fault == "missing":
+        shutil.rmtree(city.block(2).path)
+    elif fault == "unfinished":
+        (city.block(2).run / "point_cloud.ply").unlink()
+    elif fault == "starved":
+        finish(city.block(2), strewn(40), scene.offset)
+    elif fault == "damaged":
+        path = city.block(2).run / "point_cloud.ply"
+        path.write_bytes(path.read_bytes()[:-100])
+    elif fault in ("city", "partition"):
+        path = city.block(2).path / "block.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), fault: "another"}))
+
+
+@pytest.mark.parametrize("fault", ["missing", "unfinished", "starved"])
+def test_a_block_that_lacks_is_named_and_can_be_filled(city, scene, fault):
+    broken(city, scene, fault)
+    merged = merge(city, scene)
+    assert states(merged) == ["merged", "merged", fault, "merged"]
+    assert merged.shares[2].gaussians == 0 and fault in merged.table().text()
+    with pytest.raises(InputError, match=f"1 of 4 blocks .*: 002 {fault}; .*blocks/002.*--fill"):
+        merged.check()
+    assert not quarters(scene).regions[2].owns(merged.gaussians.positions + scene.offset).any()
+
+    filled = merge(city, scene, fill=True)
+    filled.check()
+    assert states(filled) == ["merged", "merged", "coarse", "merged"]
+    assert filled.shares[2].note.startswith(fault)
+    coarse = strewn(600, seed=5).positions
+    inside = quarters(scene).regions[2].owns(coarse + scene.offset)
+    assert filled.shares[2].gaussians == inside.sum() > 50
+    assert filled.gaussians.count == merged.gaussians.count + inside.sum()
+    begin = sum(share.gaussians for share in filled.shares[:2])
+    assert np.allclose(filled.gaussians.positions[begin:begin + inside.sum()], coarse[inside],
+                       atol=1e-5)
+
+
+@pytest.mark.parametrize("fault, cause", [
+    ("damaged", "damaged or cut short"), ("city", "a block of another city"),
+    ("partition", "a block of another partition")])
+def test_a_block_that_must_not_be_merged_is_refused_even_when_filling(city, scene, fault, cause):
+    broken(city, scene, fault)
+    for fill in (False, True):
+        merged = merge(city, scene, fill)
+        assert states(merged)[2] == "refused" and cause in merged.shares[2].note
+        with pytest.raises(InputError, match=f"002 refused; .*{cause}"):
+            merged.check()
+
+
+def test_all_that_lacks_is_in_one_line(city, scene):
+    shutil.rmtree(city.block(0).path)
+    (city.block(3).run / "point_cloud.ply").unlink()
+    with pytest.raises(InputError, match="2 of 4 .*000 missing, 003 unfinished") as caught:
+        merge(city, scene).check()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cell_without_points_may_be_empty(city, scene):
+    """At the border of a city there may be nothing to train."""
+    partition = quarters(scene, middle=(500.0, 500.0))
+    city.write_partition(partition.record())
+    for number in range(BLOCKS):
+        path = city.block(number).path / "block.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), **city.identity()}))
+    merged = merge(city, scene)
+    merged.check()
+    assert [share.gaussians for share in merged.shares] == [2000, 0, 0, 0]
+
+
+# --- cities that are none
+
+
+def test_overlapping_cells_are_refused(city, scene):
+    record = city.read_partition()
+    record["regions"][0]["high"][0] = 0.01
+    city.write_partition(record)
+    with pytest.raises(InputError, match="partition.json: damaged .*overlap.*clsplat partition"):
+        merge(city, scene)
+
+
+def test_cells_with_a_gap_are_refused(city, scene):
+    record = city.read_partition()
+    record["regions"][0]["high"][0] = -0.01
+    city.write_partition(record)
+    with pytest.raises(InputError, match="partition.json: damaged .*gap"):
+        merge(city, scene)
+
+
+@pytest.mark.parametrize("name, number", [("007", 7), ("0000", 0), ("003", 2)])
+def test_a_folder_of_another_partition_is_refused(city, scene, name, number):
+    target = city.path / "blocks" / name
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(city.block(1).path, target, symlinks=True)
+    record = json.loads((target / "block.json").read_text())
+    (target / "block.json").write_text(json.dumps({**record, "number": number}))
+    with pytest.raises(InputError, match=f"{name}: says that it is block {number} of 4; two part"):
+        merge(city, scene)
+
+
+def test_a_city_of_another_scene_is_refused(city, scene):
+    city.write({"fingerprint": "another"})
+    with pytest.raises(InputError, match="is a city of another scene than"):
+        merge(city, scene)

@@ -1,0 +1,80 @@
+"""How the command ends when it is interrupted, or when nobody can read what it says."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from tests.cli.test_cli import python, raising
+
+
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code):
+    """Fault M5 of the hostile trial: KeyboardInterrupt raised in a callback of C code."""
+    group = raising(None)
+
+    @click.command("burn")
+    def burn():
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(5)
+        except KeyboardInterrupt:
+            raise SystemError("<built-in> returned a result with an exception set") from None
+
+    group.add_section("Burn", burn)
+    before = signal.getsignal(number)
+    if before is signal.SIG_IGN:  # of a job in the background of a shell
+        pytest.skip("this process was started with the signal ignored, and leaves it so")
+    result = CliRunner().invoke(group, ["burn"])
+    assert result.exit_code == code and "bug" not in result.stderr
+    assert result.stderr.startswith("interrupted; what was saved is kept: give the same command")
+    assert signal.getsignal(number) is before
+
+
+def test_ctrl_c_while_the_program_starts():
+    """Before the command line is there: no traceback, and the same exit code."""
+    result = python("-c", "import os, signal, sys\nimport clsplat.__main__ as entry\n"
+                    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+                    "class Kill:\n"
+                    "    def find_spec(self, name, path=None, target=None):\n"
+                    "        if name == 'clsplat.cli': os.kill(os.getpid(), signal.SIGINT)\n"
+                    "sys.meta_path.insert(0, Kill())\nentry.run()")
+    assert (result.returncode, result.stderr) == (
+        130, "interrupted: give the same command again\n")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="only Linux has a full device")
+def test_output_that_cannot_be_written_is_told():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, "-m", "clsplat", "train", "--help"], stdout=full,
+                              stderr=subprocess.PIPE, text=True, check=False)
+    line, = done.stderr.splitlines()
+    assert done.returncode == 2 and line.startswith("error: the output: No space left on device")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_standard_streams_may_be_closed(closed, tmp_path):
+    """Services start without; a file that is opened first must not become one of them."""
+    done = subprocess.run(["sh", "-c", f'"{sys.executable}" -m clsplat export nothing -o a.ply '
+                           f"{closed}"], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+
+
+def test_a_reader_who_leaves_is_no_error():
+    done = subprocess.run(["sh", "-c", f'"{sys.executable}" -m clsplat train --help 2>&1 | '
+                           "true; echo done"], capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stdout + done.stderr and "done" in done.stdout
+
+
+@pytest.mark.parametrize("error, said, code", [
+    (OSError(28, "No space left on device", "/data/a.ply"), "/data/a.ply: No space left", 2),
+    (MemoryError(), "not enough memory left", 2), (BrokenPipeError(32, "Broken pipe"), "", 141)])
+def test_what_the_machine_lacks_is_no_bug(error, said, code):
+    result = CliRunner().invoke(raising(error), ["fail"])
+    assert result.exit_code == code and said in result.stderr and "bug" not in result.stderr

@@ -1,0 +1,58 @@
+"""In place of `clsplat` in tests of the engine: a "training" of some steps that can be interrupted,
+goes on where it was, and writes down what it lives through.
+
+    python -m tests.distribute.stub_command FOLDER [--steps N] [--fail N] [--code N] [--forget]
+
+fails the first --fail times with exit code --code; a negative one is a signal. On the device
+NO_DEVICE, it refuses.
+"""
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+DONE, STATE, STARTS, ENDS = "done.txt", "state.txt", "starts.txt", "ends.txt"
+NO_DEVICE = "no such device"
+STEP_SECONDS, SAVE_SECONDS = 0.05, 0.1
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--steps", type=int, default=1)
+    parser.add_argument("--fail", type=int, default=0)
+    parser.add_argument("--code", type=int, default=1)
+    parser.add_argument("--forget", action="store_true", help="to write what says it is done")
+    given = parser.parse_args()
+    folder, state = given.folder, given.folder / STATE
+    seen = [os.environ.get(name, "-") for name in ("CLSPLAT_DEVICE", "POCL_CACHE_DIR")]
+    note(folder / STARTS, os.getppid(), *seen)
+    if NO_DEVICE in seen:
+        sys.exit(2)
+    if len((folder / STARTS).read_text().splitlines()) <= given.fail:
+        print("error: as asked for", file=sys.stderr, flush=True)
+        if given.code < 0:
+            os.kill(os.getpid(), -given.code)
+        sys.exit(given.code)
+    step = int(state.read_text()) if state.exists() else 0
+    try:
+        while step < given.steps:
+            time.sleep(STEP_SECONDS)
+            step += 1
+    finally:  # as a training saves its state when it is interrupted; twice, and it does not
+        time.sleep(SAVE_SECONDS)
+        state.write_text(str(step))
+    note(folder / ENDS)
+    if not given.forget:
+        (folder / DONE).touch()
+
+
+def note(path, *words):
+    with open(path, "a") as file:
+        file.write(f"{time.time()} {' '.join(map(str, words))}\n")
+
+
+if __name__ == "__main__":
+    main()

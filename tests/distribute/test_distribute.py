@@ -1,0 +1,241 @@
+"""The engine on one machine: which tasks run, how often, where, and what ends them."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import clsplat
+from clsplat.distribute import Task, cluster, guarded, run
+from clsplat.distribute.child import LOG
+from clsplat.distribute.ledger import LOSSES, Ledger
+from clsplat.distribute.task import HELD, INTERRUPTED, LOST, Result
+from clsplat.errors import InputError, Interrupted
+from clsplat.io.lock import exclusive
+from tests.data.tiny_training import CITY, flags
+from tests.distribute.driver import PROGRAM, stub_tasks
+from tests.distribute.stub_command import ENDS, NO_DEVICE, STARTS, STATE, STEP_SECONDS
+from tests.lock_holder import held_elsewhere
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def caches(monkeypatch, tmp_path):
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "kernels"))
+
+
+def lines(task, name):
+    path = task.folder / name
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def starts(task):
+    return len(lines(task, STARTS))
+
+
+def eventually(condition, seconds=20.0):
+    """Wait for it; whether it came."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+# --- in this process
+
+
+def test_in_process_the_tasks_run_in_order_and_once(tmp_path):
+    tasks, called, seen = stub_tasks(tmp_path, 3), [], []
+
+    def call(task):
+        called.append(task.name)
+        task.done.touch()
+
+    tasks[1].folder.mkdir()
+    tasks[1].done.touch()
+    outcomes = run(tasks, call=call, progress=seen.append)
+    assert called == ["000", "002"] == [outcome.task.name for outcome in seen]
+    assert [(o.task.name, o.ok, o.tries) for o in outcomes] == [
+        ("000", True, 1), ("001", True, 0), ("002", True, 1)]
+    assert run(tasks, call=call, progress=seen.append)[0].tries == 0 and len(called) == len(seen)
+
+
+@pytest.mark.parametrize("error, tries, message", [
+    (InputError("no photos: add some"), 1, "no photos: add some"),
+    (ValueError("a bug"), 3, "ValueError: a bug"),
+    (None, 3, "did not write")])
+def test_in_process_failures_are_told_and_the_others_go_on(tmp_path, error, tries, message):
+    def call(task):
+        if task.name == "001":
+            task.done.touch()
+        elif error:
+            raise error
+
+    bad, good = run(stub_tasks(tmp_path, 2), call=call)
+    assert good.ok and not bad.ok
+    assert bad.tries == tries and message in bad.message
+
+
+def test_in_process_an_interrupt_ends_the_run(tmp_path):
+    def call(task):
+        raise Interrupted("saved")
+
+    with pytest.raises(Interrupted, match="saved"):
+        run(stub_tasks(tmp_path, 2), call=call)
+
+
+def test_two_tasks_of_one_name_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="000"):
+        run(stub_tasks(tmp_path, 1) * 2)
+
+
+def test_no_workers_are_refused(tmp_path):
+    with pytest.raises(InputError, match="wants 1 to 1024"):
+        run(stub_tasks(tmp_path, 1), workers=0)
+
+
+def test_a_worker_that_goes_away_is_no_failure_but_not_for_ever(tmp_path):
+    ledger = Ledger(stub_tasks(tmp_path, 1), 0, None)
+    for _ in range(LOSSES):
+        assert not ledger.outcomes
+        ledger.settle(ledger.waiting.popleft(), Result(LOST, "it died"))
+    assert ledger.in_order()[0].message == "it died" and not ledger.waiting
+
+
+# --- in children
+
+
+def test_children_so_many_at_a_time_each_with_its_device_and_cache(tmp_path):
+    tasks = stub_tasks(tmp_path, 4, "--steps", 8)
+    outcomes = run(tasks, workers=2, devices=("0", "gpu"), program=PROGRAM)
+    assert all(outcome.ok and outcome.tries == 1 for outcome in outcomes)
+    assert all(outcome.seconds > 8 * STEP_SECONDS for outcome in outcomes)
+    assert {outcome.worker.split()[-1] for outcome in outcomes} == {"0", "gpu"}
+    spans = [(*lines(task, STARTS)[0].split(), float(lines(task, ENDS)[0].split()[0]))
+             for task in tasks]
+    for begin, *_ in spans:
+        here = [span for span in spans if float(span[0]) <= float(begin) < span[-1]]
+        assert len(here) <= 2
+        assert len({span[3] for span in here}) == len(here) == len({span[2] for span in here})
+
+
+def test_a_child_that_fails_is_tried_again(tmp_path):
+    [outcome] = run(stub_tasks(tmp_path, 1, "--fail", 2), program=PROGRAM)
+    assert outcome.ok and outcome.tries == 3 == starts(outcome.task)
+
+
+@pytest.mark.parametrize("code, tries, message", [
+    (1, 2, "as asked for"), (2, 1, "as asked for"), (-signal.SIGSEGV, 2, "SIGSEGV")])
+def test_a_child_that_fails_for_good_says_why(tmp_path, code, tries, message):
+    words = "--fail", 9, "--code", code
+    [outcome] = run(stub_tasks(tmp_path, 1, *words), retries=1, program=PROGRAM)
+    assert not outcome.ok and outcome.tries == tries == starts(outcome.task)
+    assert message in outcome.message and str(outcome.task.folder / LOG) in outcome.message
+    assert "\n" not in outcome.message and not outcome.message.startswith("error")
+
+
+@pytest.mark.parametrize("words, devices, message", [
+    (("--forget",), (), "did not write"), ((), (NO_DEVICE,), "it ended with code 2")])
+def test_a_child_that_fails_without_a_word(tmp_path, words, devices, message):
+    [task] = stub_tasks(tmp_path, 1, *words)
+    task.folder.mkdir()
+    (task.folder / LOG).write_text("what an earlier try said\n")
+    [outcome] = run([task], retries=0, devices=devices, program=PROGRAM)
+    assert not outcome.ok and message in outcome.message
+
+
+def guarded_child(task, program=PROGRAM):
+    """A child as the engine starts it, and no other knows of it."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "clsplat.distribute.guarded", str(task.done), program,
+         *task.command], stdin=subprocess.PIPE, cwd=ROOT)
+
+
+def test_two_children_on_one_task_work_once(tmp_path):
+    task = stub_tasks(tmp_path, 1, "--steps", 10)[0]
+    task.folder.mkdir()
+    children = [guarded_child(task), guarded_child(task)]
+    assert [child.wait() for child in children] == [0, 0]
+    assert starts(task) == 1 and task.done.exists()
+
+
+def test_a_folder_that_stays_locked_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(guarded, "PATIENCE_SECONDS", 0.3)
+    monkeypatch.setattr(guarded, "_follow_parent", lambda: None)
+    with held_elsewhere(tmp_path) as other, pytest.raises(SystemExit) as ended:
+        guarded.main(str(tmp_path / "done"), PROGRAM, str(tmp_path))
+    assert ended.value.code == HELD
+    assert f"process {other} on" in capsys.readouterr().err
+
+
+def test_a_worker_that_has_another_clsplat_or_not_the_files_is_unfit(tmp_path):
+    [task] = stub_tasks(tmp_path, 1)
+    assert "does not see" in cluster._fault(task, str(tmp_path), clsplat.__version__)
+    task.folder.mkdir()
+    assert cluster._fault(task, str(tmp_path), clsplat.__version__) == ""
+    assert "not 0.0; install" in cluster._fault(task, str(tmp_path), "0.0")
+
+
+def driver(*words, on_interrupt=signal.SIG_DFL):
+    """The engine in a process of its own; jobs of a shell's background ignore Ctrl-C."""
+    return subprocess.Popen([sys.executable, "-m", "tests.distribute.driver", *map(str, words)],
+                            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                            start_new_session=True,
+                            preexec_fn=lambda: signal.signal(signal.SIGINT, on_interrupt))
+
+
+@pytest.mark.parametrize("number, on_interrupt", [
+    (signal.SIGINT, signal.SIG_DFL), (signal.SIGKILL, signal.SIG_IGN)], ids=["Ctrl-C", "kill -9"])
+def test_children_save_and_end_with_their_parent(tmp_path, number, on_interrupt):
+    tasks = stub_tasks(tmp_path, 3, "--steps", 9999)
+    parent = driver(tmp_path, 3, 9999, 2, on_interrupt=on_interrupt)
+    assert eventually(lambda: all(starts(task) for task in tasks[:2]))
+    time.sleep(0.3)
+    os.killpg(parent.pid, number)  # as a terminal does: everyone in its foreground
+    said = parent.communicate(timeout=20)[1]
+    assert parent.returncode == (2 if number == signal.SIGINT else -number)
+    if number == signal.SIGINT:
+        assert "Interrupted: stopped, 0 of 3 tasks finished" in said
+        assert "the same command goes on" in said
+    assert eventually(lambda: all((task.folder / STATE).exists() for task in tasks[:2]))
+    with exclusive(tasks[0].folder, 5), exclusive(tasks[1].folder, 5):
+        pass  # nobody is left
+    steps = int((tasks[0].folder / STATE).read_text())
+    assert steps > 0 and starts(tasks[2]) == 0
+    again = [Task(task.name, (*task.command[:-1], str(steps + 1)), task.done) for task in tasks[:1]]
+    assert run(again, program=PROGRAM)[0].ok
+    assert int((tasks[0].folder / STATE).read_text()) == steps + 1
+
+
+# --- the cluster, without one
+
+
+def test_without_dask_the_cure_is_told(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match="pip install dask distributed"):
+        run(stub_tasks(tmp_path, 1), scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.slow
+def test_a_real_training_saves_when_its_parent_goes_and_ends_in_the_same_bytes(tmp_path):
+    words = "train", str(CITY), "-q", *flags(checkpoint_every=10)
+    tasks = [Task(name, (*words, "-o", str(tmp_path / name)), tmp_path / name / "point_cloud.ply")
+             for name in ("plain", "stopped")]
+    assert run(tasks[:1])[0].ok
+    stopped = tmp_path / "stopped"
+    stopped.mkdir()
+    child = guarded_child(tasks[1], "clsplat")
+    assert eventually(lambda: (stopped / "checkpoint.npz").exists(), 60)
+    child.stdin.close()
+    assert child.wait(60) == INTERRUPTED
+    assert not tasks[1].done.exists()
+    assert run([Task("stopped", ("train", str(CITY), "-q", "-o", str(stopped), "--resume"),
+                     tasks[1].done)])[0].ok
+    assert tasks[0].done.read_bytes() == tasks[1].done.read_bytes()

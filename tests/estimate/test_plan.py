@@ -1,0 +1,342 @@
+"""What is foretold of a training: its course, its memory, its time."""
+
+import os
+
+import numpy as np
+import pyopencl.tools
+import pytest
+from click.testing import CliRunner
+from scipy.spatial import cKDTree
+
+from clsplat.camera import Camera
+from clsplat.cli.main import main
+from clsplat.cli.plan import duration
+from clsplat.device.device import Held
+from clsplat.estimate.detail import photo_detail
+from clsplat.estimate.dry_run import DryDevice, block_bytes
+from clsplat.estimate.forecast import Planned
+from clsplat.estimate.memory import Memory
+from clsplat.estimate.step_time import MOST_PIXELS, fitted, foretold, load, pixels, stepped_with
+from clsplat.estimate.trial_steps import Rehearsal, strewn
+from clsplat.gaussians import Gaussians
+from clsplat.io.images import write_image
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from clsplat.rendering.pipeline import Renderer
+from clsplat.scene import View
+from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule.course import Stretch, course, largest
+from clsplat.training.needs import find_needs
+from clsplat.training.photos import size_note
+from tests.data.tiny_training import CITY, options_of, records, trained
+
+
+@pytest.fixture(scope="module")
+def city():
+    return read_scene(CITY).reduced(4)
+
+
+def emptied(device, monkeypatch):
+    """The device, as if nothing had been allocated on it; what is built stays. Older pytest leaves
+    methods on it that another test had replaced, which a DryDevice would take over."""
+    for name in [name for name in vars(device) if callable(getattr(type(device), name, None))]:
+        delattr(device, name)
+    monkeypatch.setattr(device, "_pool", pyopencl.tools.MemoryPool(
+        pyopencl.tools.ImmediateAllocator(device.queue), leading_bits_in_bin_id=1))
+    monkeypatch.setattr(device, "_held", Held())
+    return device
+
+
+@pytest.fixture
+def own_device(float_device, monkeypatch):
+    return emptied(float_device, monkeypatch)
+
+
+# --- course
+
+
+def course_of(count, pixels, size=(512, 382), **options):
+    options = scaled_steps(resolve({}, options))
+    subject = Subject(size, count, 20.0, tuple, pixels)
+    return course(SCHEDULES[options.schedule](options, subject))
+
+
+@pytest.mark.parametrize("count, views, size, steps, ended", [
+    (15689, 24, (512, 382), 7000, 117_220), (25683, 65, (509, 383), 30000, 316_781),
+    (4400, 28, (320, 240), 7000, 53_677)], ids=["boruszyn", "caliterra", "city"])
+def test_runs_that_meet_their_ceiling_end_as_foretold(count, views, size, steps, ended):
+    stretches = course_of(count, views * size[0] * size[1], size, iterations=steps)
+    assert largest(stretches) == pytest.approx(ended, rel=0.01)
+    assert sum(stretch.steps for stretch in stretches) == steps
+    levels = list(dict.fromkeys(stretch.level for stretch in stretches))
+    assert levels == sorted(levels, reverse=True) and levels[-1] == 1
+
+
+def test_taming_ends_at_its_budget():
+    assert largest(course_of(4400, 10**7, schedule="taming", iterations=7000)) == pytest.approx(
+        15 * 4400, rel=0.01)
+
+
+def test_a_limit_is_kept():
+    for schedule in SCHEDULES:
+        stretches = course_of(4400, 10**7, schedule=schedule, iterations=7000, max_gaussians=9000)
+        assert 8900 < largest(stretches) <= 9000
+
+
+def test_demand_is_that_of_fine_detail():
+    """Of few gaussians a share asks; later a share of the pixels, less where photos are blurred and
+    positions have settled."""
+    def counts(detail=None, **limits):
+        options = scaled_steps(resolve({}, {"schedule": "constant", "iterations": 30000, **limits}))
+        schedule = SCHEDULES["constant"](options, Subject((512, 382), 1000, 20.0, tuple, 10**6))
+        return [s.gaussians for s in course(schedule, detail)]
+
+    sharp = counts()
+    assert sharp[1] == 1400
+    added = np.diff(sharp)
+    assert added.max() < 9000 and 9000 * 0.03**0.5 < added[-1] < 9000 * 0.03**0.48
+    assert counts(lambda level: 1.0) == sharp
+    blurred = np.diff(counts(lambda level: 0.00625))
+    assert blurred[-1] == pytest.approx(added[-1] / 8, rel=0.01)
+    limited = counts(max_gaussians=30_000)
+    assert limited[:9] == sharp[:9]  # room is not demand
+
+
+def test_detail_is_what_half_the_size_would_not_show(tmp_path):
+    board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((1, 1)))[..., None].repeat(3, 2)
+    lines = np.zeros((8, 8, 3))
+    lines[:, ::2] = 255
+    cases = (("board", 255 * board, 0.5), ("columns", lines, 0.5),
+             ("rows", lines.transpose(1, 0, 2), 0.5), ("flat", 0 * board + 90, 0.0),
+             ("blocks", np.kron(255 * board, np.ones((2, 2, 1))), 0.0))
+    for name, image, expected in cases:
+        write_image(tmp_path / f"{name}.png", image.astype(np.uint8))
+        height, width = image.shape[:2]
+        camera = Camera(width, height, (10.0, 10.0), (4.0, 4.0), np.eye(3), np.zeros(3))
+        view = View(name, camera, tmp_path / f"{name}.png")
+        assert photo_detail([view], [1.0])[1.0] == pytest.approx(expected, abs=1e-6), name
+
+
+def test_photos_are_compared_while_growing_only():
+    stretches = course_of(4400, 10**6, iterations=3000, reproject="on")
+    assert {s.regularises for s in stretches} == {True, False} and not stretches[-1].regularises
+    assert not any(s.regularises for s in course_of(4400, 10**6, iterations=3000))
+
+
+# --- memory
+
+
+def test_blocks_are_those_of_the_pool(own_device):
+    pool, seen = own_device._pool, set()
+    for size in (64, 65, 95, 96, 97, 127, 128, 1000, 3 << 16, (3 << 16) - 1, (1 << 20) + 1):
+        before = pool.managed_bytes
+        pool.allocate(size)  # and give back
+        seen.add(block_bytes(size))
+        assert pool.managed_bytes == sum(seen) and pool.managed_bytes - before in (
+            0, block_bytes(size)) and block_bytes(size) >= size
+
+
+PARTS = [{}, {"exposure": "on", "reproject": "on"}, {"batch": 3},
+         {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]
+
+
+@pytest.mark.parametrize("options", PARTS, ids=str)
+def test_counting_is_exact(own_device, city, options):
+    """The same steps on a device and on one that counts, growth between them, are the same bytes.
+    """
+    views = city.views[:6]
+    options = scaled_steps(resolve({}, {"exposure": "off", **options}))
+    needs = find_needs(city, views, options)
+    gaussians = strewn(city, 3000, options.sh_degree)
+    dry = DryDevice(own_device)
+    real, counted = (
+        Rehearsal(device, city, views, needs, gaussians,
+                  lambda device, view: device.upload(
+                      np.full((3, view.camera.height, view.camera.width), 90, np.uint8)))
+        for device in (own_device, dry))
+    frames = []
+    bin_splats_of = real.step.renderer.render
+
+    def noted(*arguments, **more):
+        frame = bin_splats_of(*arguments, **more)
+        dry.visible, dry.pairs = len(frame.visible), frame.pairs.count
+        frames.append(dry.pairs)
+        return frame
+    real.step.renderer.render = noted
+    for level, count in ((2.0, 3000), (1.0, 3000), (1.0, 5000)):
+        for rehearsal in (real, counted):
+            rehearsal.use(level)
+            if count != rehearsal.step.model.count:
+                rehearsal.grow(count)
+        for index in (0, 3):
+            regularises = options.reproject == "on"
+            real.prepare(index, regularises)()
+            counted.prepare(index, regularises)()
+            assert dry.memory_bytes == own_device.memory_bytes > 0
+    assert dry.peak_bytes > dry.memory_bytes - dry._pool.managed_bytes
+    assert len(frames) == 6 * options.batch
+
+
+def measured_peak(device, monkeypatch):
+    """A list whose last element is the most that was allocated on a device so far."""
+    allocate, peaks = device._allocate, [0]
+
+    def noting(*arguments):
+        array = allocate(*arguments)
+        peaks.append(max(peaks[-1], device.memory_bytes + array.nbytes))
+        return array
+    monkeypatch.setattr(device, "_allocate", noting)
+    return peaks
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [
+    {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
+    {"schedule": "taming", "downscale": 4.0, "iterations": 400, "taming_budget": 4.0}], ids=str)
+def test_a_run_takes_what_was_foretold(tmp_path, own_device, monkeypatch, options):
+    """Memory within 15 %; of the time no more is asked for than a busy machine can keep."""
+    scene = read_scene(CITY)
+    options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,
+               "densify_every": 25, "grow_threshold": 2e-5, "densify_until": 0, **options}
+    forecast = Planned(scene, options_of(**options), own_device).forecast()
+    peaks = measured_peak(emptied(own_device, monkeypatch), monkeypatch)
+    run = trained(tmp_path, scene, own_device, **options)
+    steps = records(run, "step")
+    assert steps[-1]["gaussians"] == pytest.approx(forecast.gaussians, rel=0.15)
+    assert forecast.memory.steps == pytest.approx(
+        max(step["memory_bytes"] for step in steps), rel=0.15)
+    assert forecast.memory.total == pytest.approx(peaks[-1], rel=0.15)
+    assert 0.2 < forecast.seconds / steps[-1]["train_seconds"] < 5
+
+
+# --- time
+
+
+def test_three_costs_are_found_again():
+    cost = (2e-3, 3e-8, 4e-7)
+    made = [(image, count, np.dot(cost, (1, image, count)))
+            for image in (1e4, 2e5) for count in (1000, 5000)]
+    assert fitted(made) == pytest.approx(cost)
+    a, b, c = fitted([row for row in made if row[0] == 1e4])
+    assert (a + b * 1e4, c) == pytest.approx((2e-3 + 3e-8 * 1e4, 4e-7))
+    assert (fitted([(1e4, 10, 2.0), (1e4, 20, 1.0)]) >= 0).all()
+
+
+def test_a_course_costs_what_its_steps_do(city):
+    stretches = [Stretch(10, 2.0, 100, False), Stretch(5, 1.0, 200, False)]
+    small, large = pixels(city.views, 2.0), pixels(city.views, 1.0)
+    assert (small, large) == (40 * 30, 80 * 60)
+    assert foretold((1.0, 0.1, 0.01), city.views, stretches) == pytest.approx(
+        10 * (1 + 0.1 * small + 1) + 5 * (1 + 0.1 * large + 2))
+
+
+@pytest.mark.parametrize("count", [50, 4400, 6000])
+def test_strewn_gaussians_are_about_the_points(city, count):
+    gaussians = strewn(city, count, 1)
+    assert gaussians.count == count and gaussians.sh_degree == 1
+    away, _ = cKDTree(city.points).query(gaussians.positions)
+    size = np.exp(Gaussians.from_points(city.points, city.colours).log_scales[:, 0])
+    assert np.median(away) < 0.1 * np.median(size) and (away < 3 * size.max()).all()
+    assert (away > 1e-3).sum() == pytest.approx(max(0, count - len(city.points)), rel=0.01)
+
+
+def sized_views(width, height):
+    camera = Camera(width, height, (width, width), (width / 2, height / 2), np.eye(3), np.zeros(3))
+    return (View("a.jpg", camera, "a.jpg"),)
+
+
+@pytest.mark.parametrize("levels", [(1.0,), (5.0, 1.0)], ids=str)
+def test_large_photos_are_timed_at_two_smaller_sizes(levels):
+    stretches = [Stretch(10, level, 50_000, False) for level in levels]
+    for views in (sized_views(5472, 4088), sized_views(54720, 40880)):
+        sizes = stepped_with(views, 1000, stretches)
+        images = {round(pixels(views, level)) for level, _ in sizes}
+        assert max(images) < 1.001 * MOST_PIXELS and len(images) == 2
+        assert min(images) < 0.26 * max(images)  # far enough apart to extrapolate from
+    small = stepped_with(sized_views(1600, 1195), 1000, stretches)
+    assert {level for level, _ in small} == set(levels)
+
+
+def test_pairs_are_counted_as_rendering_finds_them(float_device, city):
+    renderer, camera = Renderer(float_device, 0, city.near_plane), city.views[3].camera
+    gaussians = strewn(city, 3000, 0)
+    rows = {name: float_device.upload(values) for name, values in gaussians.rows.items()}
+    packed = renderer.pack(camera)
+    frame = renderer.render(rows, packed, camera.width, camera.height, 0)
+    expected = len(frame.visible), frame.pair_count
+    assert renderer.count(rows, packed, camera.width, camera.height) == expected
+    assert renderer.count_splats(rows, packed) == expected[0] and min(expected) > 100
+
+
+@pytest.mark.parametrize("average, cores, busy", [(0.9, 2, None), (1.1, 2, (1.1, 2)),
+                                                  (3.0, 64, None)])
+def test_a_busy_machine_is_named(monkeypatch, average, cores, busy):
+    monkeypatch.setattr(os, "getloadavg", lambda: (average, 9, 9), raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    assert load() == busy
+    monkeypatch.delattr(os, "getloadavg")  # as on Windows
+    assert load() is None
+
+
+@pytest.mark.parametrize("seconds, text", [
+    (44.6, "45 s"), (725, "12 min 05 s"), (3599.7, "1 h 00 min"), (23821, "6 h 37 min"),
+    (154_320, "42 h 52 min")])
+def test_long_times_are_hours(seconds, text):
+    assert duration(seconds) == text
+
+
+def test_photos_that_are_reduced_are_named():
+    options = resolve({}, {})
+    assert options.max_resolution == 1600
+    large, small = sized_views(5472, 4088), sized_views(1600, 1200)
+    assert size_note((*small, *large), options) == (
+        "photos of 5472x4088 are reduced to 1600x1195; --max-resolution 0 keeps their size")
+    assert size_note(small, options) is None
+    assert size_note(large, resolve({}, {"max_resolution": 0})) is None
+    assert size_note(large, resolve({}, {"downscale": 4.0})) is None  # -r does it already
+
+
+# --- the command
+
+
+def clsplat_(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.mark.slow
+def test_the_command_says_it_all(monkeypatch, item_device):
+    monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: item_device)
+    result = clsplat_("plan", CITY, "-r", 8, "-n", 60, "--schedule", "constant", "--sh-degree",
+                      "auto")
+    assert result.exit_code == 0, result.output
+    lines = [line.split() for line in result.stdout.splitlines()]
+    assert result.stderr.startswith("reading the scene\nplanning: looking at the photos\n")
+    assert result.stdout.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
+    assert " ".join(line[0] for line in lines[1:]) == (
+        "levels sh antialiased exposure reproject engine photos memory time")
+    assert "exposure      off: asked for\n" in result.output
+    assert "sh degree     3: 99% of the points are seen from within 7" in result.output
+    assert "for 60 steps: a step takes " in result.output
+
+
+@pytest.mark.parametrize("words, complaint", [
+    ((CITY / "nothing",), "no such scene"), ((CITY, "--test-every", 1), "0 photos to train on"),
+    ((CITY, "--sh-degree", "x"), "neither auto nor a number"),
+    ((CITY, "--levels", "90,1"), "less than a tile")])
+def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
+    monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: None)
+    result = clsplat_("plan", *words)
+    assert result.exit_code == 2 and complaint in result.stderr
+    said = [line for line in result.stderr.splitlines() if line not in (
+        "reading the scene", "planning: looking at the photos")]
+    assert len(said) == 1 and said[0].startswith("error: ")
+
+
+def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):
+    monkeypatch.setattr("clsplat.estimate.forecast.predicted_memory",
+                        lambda *_: Memory(0, 0, 0, True, 0))
+    monkeypatch.setattr("clsplat.estimate.forecast.predicted_seconds",
+                        lambda *_: (3000.0, [(1.0, 4400, 0.1)]))
+    options = resolve({}, {"time_budget": "2m", "schedule": "taming", "exposure": "off"})
+    forecast = Planned(city, options, item_device).forecast()
+    assert (forecast.steps, forecast.seconds) == (1200, 120)

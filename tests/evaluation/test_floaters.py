@@ -1,0 +1,188 @@
+"""Floaters: which gaussians count, by how much, and where the ground truth is looked for."""
+
+import shutil
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from clsplat.cli.evaluate import summary
+from clsplat.cli.main import main
+from clsplat.errors import InputError
+from clsplat.evaluation import floaters, views
+from clsplat.evaluation.floaters import floater_share, ground_truth
+from clsplat.gaussians import Gaussians
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.synth.cameras import looking, survey
+from clsplat.synth.geometry import City, distance, save
+from clsplat.synth.layout import city as lay_out
+from tests.data.tiny_model import write_scene
+from tests.data.tiny_training import CITY, options_of
+
+NOTHING = np.zeros(3)
+
+
+@pytest.fixture
+def plane():
+    """The ground and nothing else."""
+    return City(0, (1, 1), np.zeros((1, 1), bool), np.zeros((0, 2, 3)), np.zeros(0, int),
+                np.zeros((0, 4)))
+
+
+def down(x, height, width=200):
+    """A camera that looks straight down and 30 degrees to each side, at y = 0."""
+    return looking(np.array([x, 0, height], float), np.array([0, 0, -1.0]), np.array([0, 1.0, 0]),
+                   width, 200)
+
+
+def gaussians(positions, opacity=0.5):
+    opacity = np.broadcast_to(np.asarray(opacity, float), len(positions))
+    return Gaussians({"positions": np.array(positions, np.float32).reshape(-1, 3),
+                      "opacity_logits": np.log(opacity / (1 - opacity)).astype(np.float32)}, 0)
+
+
+def shares(*arguments):
+    return tuple(round(share, 6) for share in floater_share(*arguments).values())
+
+
+def test_thresholds_are_multiples_of_a_pixel(plane):
+    camera = down(0, 100)
+    pixel = 100 / camera.focal[0]
+    heights = pixel * np.array([0, 0.9, -0.9, 1.1, -1.1, 2.8, -2.8, 3.4, 9, -9, 13])
+    found = floater_share(plane, gaussians([[0, 0, h] for h in heights]), [camera], NOTHING)
+    assert found == pytest.approx({"floaters": 8 / 11, "floaters_3": 4 / 11, "floaters_10": 1 / 11})
+
+
+def test_a_gaussian_weighs_its_opacity(plane):
+    model = gaussians([[0, 0, 0], [0, 0, 50], [1, 0, 50]], [0.9, 0.2, 0.1])
+    assert shares(plane, model, [down(0, 100)], NOTHING) == (0.25, 0.25, 0.25)
+
+
+def test_extreme_opacities_and_no_gaussians(plane):
+    model = gaussians([[0, 0, 0], [0, 0, 50]])
+    model.rows["opacity_logits"][:] = 3e38, -3e38
+    assert shares(plane, model, [down(0, 100)], NOTHING) == (0, 0, 0)
+    assert shares(plane, gaussians([]), [down(0, 100)], NOTHING) == (0, 0, 0)
+
+
+def test_the_offset_brings_local_coordinates_home(plane):
+    offset = np.array([500, -30, 70.0])
+    model = gaussians([[0, 0, 0] - offset, [0, 0, 50] - offset])
+    assert shares(plane, model, [down(0, 100).shifted(offset)], offset) == (0.5, 0.5, 0.5)
+
+
+def test_the_closest_camera_that_sees_decides(plane):
+    near, far = down(0, 10), down(0, 1000)
+    height = 0.5 * 1000 / far.focal[0]  # half a pixel for one camera, some fifty for the other
+    model = gaussians([[0, 0, height]])
+    assert shares(plane, model, [far], NOTHING) == (0, 0, 0)
+    assert shares(plane, model, [near, far], NOTHING) == (1, 1, 1)
+    assert shares(plane, model, [far, near], NOTHING) == (1, 1, 1)
+    aside = gaussians([[100, 0, height]])  # the lower camera is nearer but does not see it
+    assert shares(plane, aside, [near, far], NOTHING) == (0, 0, 0)
+    behind = gaussians([[0, 0, 11], [0, 0, 11]])  # above the lower camera, in the higher's image
+    assert shares(plane, behind, [near, far], NOTHING) == (1, 0, 0)  # 1.9 of its pixels
+
+
+def test_what_no_camera_sees_takes_the_nearest_camera(plane):
+    # at 100 units from the first camera: 6.9 of its pixels; the others are twice as far
+    for width in (100, 800):  # 1.7 and 14 of theirs
+        cameras = [down(300, 10, width), down(0, 10), down(-200, 10, width)]
+        assert shares(plane, gaussians([[100, 0, 4]]), cameras, NOTHING) == (1, 1, 0)
+
+
+def test_leaving_out_solids_and_cameras_changes_nothing(monkeypatch):
+    city = lay_out((2, 2), 1)
+    cameras = survey(city, 20, 64, 48)
+    rng = np.random.default_rng(0)
+    positions = np.concatenate([rng.uniform((-30, -30, -2), (30, 30, 12), (3000, 3)),
+                                rng.uniform(-200, 200, (300, 3))]).astype(np.float32)
+    model = gaussians(positions, rng.uniform(0.01, 0.9, len(positions)))
+    footprint = np.full(len(positions), np.inf)
+    for camera in cameras:
+        pixels, depth = camera.project(positions)
+        sees = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= (64, 48)).all(axis=1)
+        footprint[sees] = np.minimum(footprint[sees], depth[sees] / camera.focal[0])
+    reach = np.min([np.linalg.norm(positions - c.position, axis=1) for c in cameras], axis=0)
+    footprint = np.where(np.isinf(footprint), reach / cameras[0].focal[0], footprint)
+    opacity = 1 / (1 + np.exp(-model.opacity_logits.astype(float)))
+    away = distance(city, positions)
+    expected = [opacity @ (away > k * footprint) / opacity.sum() for k in floaters.PIXELS]
+    assert 0.05 < expected[2] < expected[0] < 0.95
+    for chunk in (50, 100_000):
+        monkeypatch.setattr(floaters, "CHUNK", chunk)
+        assert list(floater_share(city, model, cameras, NOTHING).values()) == pytest.approx(
+            expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("low, high", [((4, 4, -9), (6, 6, -1)), ((-40, 0, 0), (0, 40, 30)),
+                                       ((-5, -5, 0), (5, 5, 0.5)), ((90, 0, -3), (120, 20, 40))])
+def test_solids_left_out_are_never_the_nearest(low, high):
+    city = lay_out((2, 2), 1)
+    points = np.random.default_rng(2).uniform(low, high, (500, 3))
+    around = floaters._around(city, points)
+    assert len(around.boxes) == len(around.kinds) < len(city.boxes) or low[0] < -30
+    assert np.array_equal(distance(around, points), distance(city, points))
+
+
+@pytest.fixture(scope="module")
+def sample():
+    return read_scene(CITY)
+
+
+def test_the_sample_city_sparse_points_do_not_float(sample):
+    model = Gaussians.from_points(sample.points, sample.colours)
+    cameras = [view.camera for view in sample.views]
+    city = ground_truth(sample.path)
+    assert max(shares(city, model, cameras, sample.offset)) < 0.02
+    model.rows["positions"][:] += np.float32([0, 0, 8])
+    assert min(shares(city, model, cameras, sample.offset)) > 0.5
+
+
+def test_where_the_ground_truth_lies(tmp_path, plane):
+    assert len(ground_truth(CITY).boxes) > 100
+    folder = write_scene(tmp_path / "town")
+    assert ground_truth(folder) is None
+    packed = ["pack", str(folder), "-o", str(tmp_path / "town.npz"), "--overwrite"]
+    assert CliRunner().invoke(main, packed).exit_code == 0
+    assert ground_truth(tmp_path / "town.npz") is None
+    save(plane, folder / "geometry.json")
+    assert CliRunner().invoke(main, [*packed, "-r", "2"]).exit_code == 0
+    assert ground_truth(folder).blocks == ground_truth(tmp_path / "town.npz").blocks == (1, 1)
+    (tmp_path / "geometry.json").write_text("{}")
+    assert ground_truth(tmp_path / "other.npz") is None  # it may be another scene's
+    with pytest.raises(InputError, match="geometry.json"):
+        ground_truth(tmp_path)
+
+
+@pytest.mark.slow
+def test_evaluations_tell_floaters_where_the_truth_is_known(tmp_path, sample, monkeypatch):
+    monkeypatch.setattr(views, "_opened", lambda *_: (None, None, 0))
+    monkeypatch.setattr(views, "evaluate_views", lambda *_: {"psnr": 20.0, "per_view": []})
+    model = Gaussians.from_points(sample.points, sample.colours, 0)
+    lift = np.random.default_rng(0).exponential(5, model.count)  # from none to many pixels
+    model.rows["positions"][:, 2] += lift.astype(np.float32)
+    elsewhere = tmp_path / "plain"
+    shutil.copytree(CITY, elsewhere, ignore=shutil.ignore_patterns("geometry.json"))
+    results = []
+    for scene in (CITY, elsewhere):
+        run = RunFolder.create(tmp_path / f"run_{scene.name}")
+        run.write_options({**vars(options_of(sh_degree=0)), "scene": scene})
+        run.save_model(model, sample.offset)
+        results.append(views.evaluate_run(run, None, save_images=False))
+    cameras = [view.camera for view in sample.reduced(8).split(8)[0]]
+    expected = floater_share(ground_truth(CITY), model, cameras, sample.offset)
+    assert 0 < expected["floaters_10"] < expected["floaters_3"] < expected["floaters"] < 1
+    for result in results:
+        del result["pictures"], result["per_view"]
+    assert results == [{"psnr": 20.0, **expected}, {"psnr": 20.0}]
+
+
+def test_the_summary_has_floaters_only_if_known():
+    scores = {"views": 3, "psnr": 20, "ssim": 0.5, "psnr_cc": 25, "ssim_cc": 0.75}
+    assert "floaters" not in summary(scores)
+    text = summary({**scores, "floaters": 0.25, "floaters_3": 0.05, "floaters_10": 0.00125})
+    rows = [line.split() for line in text.splitlines()]
+    assert rows[-2:] == [["pixels", "off", ">", "1", ">", "3", ">", "10"],
+                         ["floaters", "25.00%", "5.00%", "0.12%"]]

@@ -1,0 +1,144 @@
+"""Pictures of a report: which views, how they are made, and where they stand in the page."""
+
+import base64
+import re
+import types
+
+import matplotlib
+import numpy as np
+import pytest
+
+from clsplat.evaluation import views
+from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR, error_map
+from clsplat.evaluation.pictures import LONGEST, Pictures, chosen_views, shown_view
+from clsplat.io.images import read_image
+from clsplat.io.run import RunFolder
+from clsplat.report.page import Table
+from clsplat.report.run import renew_pictures, write_report
+from tests.report.test_report import Balanced, headings
+
+
+def scored(name, psnr, size=(8, 6)):
+    """(its part of per_view, fitted render, photo) of a made-up view."""
+    width, height = size
+    photo = np.linspace(0, 1, height * width * 3).reshape(height, width, 3)
+    scores = {"name": name, "psnr": psnr - 1, "ssim": 0.7, "psnr_cc": psnr, "ssim_cc": 0.8}
+    return scores, np.clip(photo + 0.1, 0, 1), photo
+
+
+def pictures(held_out=True, size=(8, 6), names=("a.jpg", "b.jpg", "c.jpg")):
+    return Pictures([shown_view(place, *scored(name, psnr, size)) for place, name, psnr in zip(
+        ("worst", "median", "best"), names, (18.0, 22.0, 25.0))], held_out, 7)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run that was evaluated once, so that its page has no figures, which take time."""
+    run = RunFolder.create(tmp_path / "run")
+    run.write_options({"scene": "/data/city"})
+    run.log({"event": "eval", "iteration": 9, "psnr_cc": 21.0})
+    return run
+
+
+@pytest.mark.parametrize("scores, chosen", [
+    ([20, 30, 10, 25, 15], [("worst", 2), ("median", 0), ("best", 1)]),
+    ([20, float("nan"), 30], [("worst", 1), ("median", 0), ("best", 2)]),
+    ([20, 30, 25, float("inf")], [("worst", 0), ("median", 1), ("best", 3)]),
+    ([30, 20], [("worst", 1), ("best", 0)]), ([20], [("only", 0)]), ([], [])])
+def test_which_views_are_shown(scores, chosen):
+    assert chosen_views([{"psnr_cc": score} for score in scores]) == chosen
+
+
+def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
+    asked = []
+
+    def evaluate_views(renderer, rows, degree, chosen, keep=None):
+        asked.append([view.name for view in chosen])
+        found = [scored(view.name, view.psnr) for view in chosen]
+        for _, fitted, photo in found if keep else ():
+            keep(None, None, fitted, photo)
+        return {"per_view": [scores for scores, *_ in found]}
+
+    def named(*scores):
+        return [types.SimpleNamespace(name=f"{psnr}.jpg", psnr=psnr) for psnr in scores]
+
+    monkeypatch.setattr(views, "evaluate_views", evaluate_views)
+    held_out = named(25, 18, 20, 30)
+    known = evaluate_views(None, None, None, held_out)["per_view"]
+    asked.clear()
+    found = views.pictures_of(None, None, 0, held_out, named(1, 2), known)
+    assert asked == [["18.jpg"], ["25.jpg"], ["30.jpg"]] and found.held_out and found.count == 4
+    assert [(view.place, view.scores["name"]) for view in found.shown] == [
+        ("worst", "18.jpg"), ("median", "25.jpg"), ("best", "30.jpg")]
+    asked.clear()
+    found = views.pictures_of(None, None, 0, [], named(*range(100)))
+    assert not found.held_out and found.count == len(asked[0]) <= views.SAMPLED
+    assert [view.scores["name"] for view in found.shown][0] == "0.jpg"  # spread over all of them
+    assert int(asked[0][-1].removesuffix(".jpg")) > 90
+
+
+def test_the_error_map_has_a_scale_that_is_even():
+    photo = np.full((1, 6, 3), 0.5)
+    render = photo + np.array([0, LARGEST_ERROR / 2, -LARGEST_ERROR / 2, LARGEST_ERROR, -0.5,
+                               np.nan])[:, None]
+    got = error_map(render, photo)
+    assert got.dtype == np.uint8
+    first, middle, last = COLOURS[0], COLOURS[len(COLOURS) // 2], COLOURS[-1]
+    assert [tuple(pixel) for pixel in got[0]] == [first, middle, middle, last, last, last]
+    one = np.zeros((1, 1, 3))
+    one[..., 0] = LARGEST_ERROR * 1.5  # of one channel: half the largest as a mean
+    assert tuple(error_map(one, np.zeros((1, 1, 3)))[0, 0]) == middle
+    ramp = np.linspace(0, LARGEST_ERROR, 256)[None, :, None] * np.ones(3)
+    inferno = matplotlib.colormaps["inferno"](np.linspace(0, 1, 256))[:, :3] * 255
+    assert abs(error_map(ramp, 0 * ramp)[0] - inferno).max() < 10
+
+
+def test_a_shown_view_is_small_and_whole():
+    view = shown_view("best", *scored("a", 20.0, (1400, 700)))
+    assert {view.photo.shape, view.render.shape, view.error.shape} == {(LONGEST // 2, LONGEST, 3)}
+    assert view.photo.dtype == np.uint8 and abs(view.photo.mean() - 127.5) < 1
+    small = shown_view("best", *scored("a", 20.0))
+    assert small.photo.shape == (6, 8, 3)  # never enlarged: the page does that
+
+
+def test_a_report_begins_with_pictures(run):
+    html = write_report(run, pictures=pictures(names=("a<b.jpg", "b.jpg", "c.jpg"))).read_text()
+    assert Balanced(html).pictures == 9
+    assert headings(html)[:2] == ["Held-out views", "Scores"]
+    assert "Worst: a&lt;b.jpg" in html and "Best: c.jpg" in html
+    assert "PSNR 18.00 dB, SSIM 0.800 after the colour fit (17.00 dB, 0.700 plain)" in html
+    assert re.findall("<figcaption>(.*?)</figcaption>", html) == [
+        "photo", "render after the colour fit", "its error"] * 3
+    assert f"{LARGEST_ERROR:.0%} of full brightness" in html
+    data = re.search(r'alt="error of c.jpg".*?base64,([^"]+)"', html)[1]
+    seen = read_image(base64.b64decode(data)).reshape(-1, 3).mean(0)
+    assert abs(seen - shown_view("best", *scored("c", 20.0)).error.reshape(-1, 3).mean(0)).max() < 9
+
+
+def test_pictures_of_training_views_are_called_so(run):
+    html = write_report(run, pictures=pictures(held_out=False)).read_text()
+    assert headings(html)[0] == "Training views" and "No view is held out" in html
+    assert "Chosen from 7" in html
+    surrogate = pictures(names=("b\udcfe.jpg", "b", "c"))  # the name of a photo that is no text
+    assert "b\\udcfe.jpg" in write_report(run, pictures=surrogate).read_text()
+    assert "Training views" not in write_report(run, pictures=Pictures([], False, 0)).read_text()
+
+
+def test_pictures_are_renewed_and_the_rest_stays(run):
+    write_report(run, Table("Blocks", ("block",), [("7",)]), pictures=pictures())
+    before = (run.path / "report.html").read_text()
+    html = renew_pictures(run, pictures(names=("new.jpg", "b.jpg", "c.jpg"))).read_text()
+    assert "new.jpg" in html and "a.jpg" not in html and "<h2>Blocks</h2>" in html
+    assert renew_pictures(run, pictures()).read_text() == before
+    for old in (b"<p>a page of an older version", b"\xff", None):
+        (run.path / "report.html").write_bytes(old) if old else (run.path / "report.html").unlink()
+        assert "a.jpg" in renew_pictures(run, pictures()).read_text()
+
+
+def test_pictures_that_cannot_be_encoded_cost_no_page(run, monkeypatch):
+    def fails(*_):
+        raise MemoryError("no room")
+
+    monkeypatch.setattr("clsplat.report.pictures.encode_jpeg", fails)
+    html = write_report(run, pictures=pictures()).read_text()
+    assert "Pictures could not be made (no room)" in html and "PSNR cc" in html

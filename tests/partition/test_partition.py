@@ -1,0 +1,294 @@
+"""Partitions: what every method must keep, and what a file or a user may say."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.scenes import read_scene
+from clsplat.partition import (
+    METHODS,
+    Partition,
+    PartitionOptions,
+    geojson,
+    make_partition,
+)
+from clsplat.partition.frame import up_axis
+from clsplat.partition.site import Site
+from clsplat.region import Region, Space
+from tests.data.fields import cut, field, moved, shuffled, world
+from tests.data.tiny_training import CITY
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+EVERY = pytest.mark.parametrize("method", METHODS)
+
+
+def same(a, b):
+    return len(a.views) == len(b.views) and all(map(np.array_equal, a.views, b.views))
+
+
+@EVERY
+@pytest.mark.parametrize("seed", range(4))
+def test_every_place_has_one_owner(method, seed):
+    rng = np.random.default_rng(seed)
+    scene = field(seed, cameras=30, points=900)
+    partition = cut(scene, method, tuple(rng.integers(1, 5, 2)))
+    space = partition.space
+    borders = [np.where(np.isinf(end), 0.5, end) for region in partition.regions
+               for end in (region.low, region.high)]
+    points = np.concatenate([
+        world(scene), rng.normal(0, 10.0 ** rng.uniform(-2, 12, (2000, 1)), (2000, 3)),
+        space.world(np.concatenate([borders, rng.permutation(borders, axis=1)]))])
+    owns = np.array([region.owns(points) for region in partition.regions])
+    assert (owns.sum(axis=0) == 1).all()
+    assert np.array_equal(owns.argmax(axis=0), partition.owner(points))
+
+
+def test_nobody_owns_what_is_nowhere():
+    partition = cut(field(), "blockgs")
+    assert partition.owner(np.array([[np.nan, 0, 0], [0, np.inf, 0]])).tolist() == [-1, -1]
+
+
+@EVERY
+@pytest.mark.parametrize("tracks", [True, False])
+def test_the_same_wherever_the_scene_lies(method, tracks):
+    for seed in range(3):
+        scene = field(seed, points=1500, cameras=40, tracks=tracks)
+        turn = Rotation.random(random_state=seed).as_matrix()
+        other = moved(scene, turn, 10.0 ** (seed - 1), np.array([5e5, -300.0, 20.0]))
+        first, second = cut(scene, method), cut(other, method)
+        assert same(first, second)
+        assert np.array_equal(first.owner(world(scene)), second.owner(world(other)))
+
+
+@EVERY
+@pytest.mark.parametrize("tracks", [True, False])
+def test_the_order_of_points_says_nothing(method, tracks):
+    scene = field(points=1500, cameras=40, tracks=tracks)
+    order = np.random.default_rng(1).permutation(len(scene.points))
+    other = shuffled(scene, order)
+    first, second = cut(scene, method), cut(other, method)
+    assert same(first, second)
+    assert np.array_equal(first.owner(world(scene))[order], second.owner(world(other)))
+
+
+@EVERY
+def test_gaussians_that_are_nowhere_count_nowhere(method):
+    scene = field()
+    positions = scene.points.astype(np.float32)
+    lost = np.where(np.arange(len(positions))[:, None] % 3 == 0, np.nan, positions)
+    gone, kept = (cut(scene, method, gaussians=Gaussians({"positions": rows}, 0))
+                  for rows in (lost, positions[np.arange(len(positions)) % 3 > 0]))
+    assert same(gone, kept) and gone.record() == kept.record()
+
+
+@EVERY
+def test_a_street_without_width_can_be_cut(method):
+    scene = field(tracks=False)
+    scene = replace(scene, points=scene.points * [1, 0, 0])
+    partition = cut(scene, method, (3, 1))
+    assert partition.space.half.min() >= 0.02 * partition.space.half.max()
+    content = np.bincount(partition.owner(scene.points), minlength=3)
+    assert len(content) == 3 and (method == "vastgs" or content.min() > 0.7 * content.mean())
+
+
+def test_up_is_not_tipped_by_points_far_away():
+    rng = np.random.default_rng(0)
+    rolled = Rotation.random(60, random_state=1).as_matrix()  # cameras that say nothing of it
+    rolled[:, 2] = [0, 0, -1] + 0.01 * rng.normal(size=(60, 3))  # but where they look
+    points = np.concatenate([field().points, [0, 300, 200] + rng.normal(0, 5, (100, 3))])
+    assert up_axis(rolled, points)[2] > 0.999
+
+
+@EVERY
+def test_every_view_is_taken_or_named(method):
+    for seed in range(3):
+        scene = field(seed, points=1500, cameras=50)
+        training = np.flatnonzero(np.arange(50) % 8)
+        partition = cut(scene, method, (4, 3), views=training)
+        taken = set(np.concatenate(partition.views).tolist())
+        assert taken | set(partition.dropped) == set(training.tolist())
+        assert not taken & set(partition.dropped) and all(partition.dropped.values())
+        assert all(np.array_equal(v, np.unique(v)) for v in partition.views)
+
+
+@EVERY
+def test_a_starved_block_is_refused_or_joined(method):
+    scene = field(cameras=24)
+    wants = {"least_views": 6, "least_gaussians": 150}
+    with pytest.raises(InputError, match=r"field: block \d+ .*of the 6x5 grid is starved: .* "
+                                         r"gaussians and \d+ views, wants 150 and 6; use a small"):
+        cut(scene, method, (6, 5), **wants)
+    partition = cut(scene, method, (6, 5), starved="join", **wants)
+    content = np.bincount(partition.owner(world(scene)), minlength=len(partition.regions))
+    stay = [note for note in partition.notes if "stays starved" in note]
+    poor = [b for b, views in enumerate(partition.views) if len(views) < 6 or content[b] < 150]
+    assert 1 < len(partition.regions) < 30 and len(poor) == len(stay)
+    cells = 30
+    if method == "vastgs":  # 4 cameras a strip
+        cells = 24
+        assert partition.notes[0].startswith("30 blocks were asked for, there is enough to cut for")
+        partition = replace(partition, notes=partition.notes[1:])
+    assert len(partition.notes) - len(stay) == cells - len(partition.regions)
+
+
+def test_a_chosen_grid_joins_what_it_starves():
+    scene = field(cameras=24)
+    partition = cut(scene, "vastgs", None, limit=100, expected=2000, least_views=6)
+    assert 1 < len(partition.regions) < 20 and partition.notes
+
+
+@pytest.mark.parametrize("changes, cause", [
+    ({"method": "quadtree"}, "--method quadtree: wants one of citygs"),
+    ({"grid": (0, 2)}, "--grid 0x2"),
+    ({"up": (0, 0, 0)}, "--up"),
+    ({"up": (0, 1)}, "--up"),
+    ({"up": (0, np.nan, 1)}, "--up"),
+    ({"bounds": (1, 0, 1, 5)}, "--bounds: wants X0 Y0"),
+    ({"bounds": (0, 0, np.inf, 5)}, "--bounds: wants X0 Y0"),
+    ({"bounds": (500, 500, 600, 600)}, r"field: no points within the bounds 500 500 600 600"),
+])
+def test_bad_input_is_one_line(changes, cause):
+    with pytest.raises(InputError, match=f"^{cause}") as error:
+        make_partition(field(), PartitionOptions(**{"grid": (2, 2), **changes}))
+    assert "\n" not in str(error.value)
+
+
+def test_a_scene_in_which_nothing_is_seen_is_refused():
+    scene = replace(field(), observations=np.zeros((0, 2), np.int32))
+    with pytest.raises(InputError, match="nothing to share out"):
+        make_partition(scene, PartitionOptions())
+
+
+@EVERY
+def test_bounds_are_along_the_map(method):
+    scene = field()
+    partition = cut(scene, method, (2, 2), bounds=(-20, -10, 5, 10), up=(0, 0, 2))
+    assert np.array_equal(partition.space.rotation, np.eye(3))
+    assert partition.space.origin[:2].tolist() == [-7.5, 0]
+    assert partition.space.half[:2].tolist() == [12.5, 10]
+    if method == "blockgs":  # what lies outside is owned, but does not count
+        inside = (np.abs(scene.points[:, :2] - [-7.5, 0]) < [12.5, 10]).all(axis=1)
+        seen = np.bincount(scene.observations[:, 0], minlength=len(scene.points)) * inside
+        content = np.bincount(partition.owner(scene.points), seen)
+        assert content.min() > 0.9 * content.max()
+
+
+def test_the_chosen_grid_counts_margins():
+    scene = field()
+    sizes = [len(cut(scene, "blockgs", None, limit=100, expected=400, margin=margin).regions)
+             for margin in (0.0, 0.2)]
+    assert sizes == [4, 8]
+    assert len(cut(scene, "blockgs", None).regions) == 1
+    needed = dict(limit=100, expected=400, margin=0.0)
+    for least, blocks in ((2, 4), (6, 6)):  # one a worker, or as many as are needed
+        assert len(cut(scene, "blockgs", None, least_blocks=least, **needed).regions) == blocks
+        assert len(cut(scene, "blockgs", None, least_blocks=least).regions) == least
+
+
+@EVERY
+def test_records_are_exact(method):
+    partition = cut(field(), method, (3, 3))
+    text = json.dumps(partition.record(), allow_nan=False)
+    again = Partition.from_record(json.loads(text))
+    assert again.record() == partition.record() and same(again, partition)
+    points = np.random.default_rng(0).normal(0, 30, (2000, 3))
+    assert np.array_equal(again.owner(points), partition.owner(points))
+
+
+def damaged(change):
+    record = cut(field(), "citygs").record()
+    change(record)
+    return record
+
+
+@pytest.mark.parametrize("change, cause", [
+    (lambda r: r["regions"].pop(), "6 lists"),
+    (lambda r: (r["regions"].pop(), r["views"].pop()), "gap"),
+    (lambda r: r["regions"][1].update(low=r["regions"][0]["low"]), "blocks 0 and 1 overlap"),
+    (lambda r: r["regions"].clear(), "0 regions"),
+    (lambda r: r.pop("space"), "no record of a partition"),
+    (lambda r: r.update(views=[["x"]] * 6), "invalid literal"),
+    (lambda r: r.update(dropped=[]), "no record of a partition"),
+    (lambda r: r["regions"][0].pop("low"), "no record of a region")])
+def test_a_damaged_record_is_refused(change, cause):
+    with pytest.raises(ValueError, match=cause):
+        Partition.from_record(damaged(change))
+
+
+def test_blocks_of_different_spaces_are_refused():
+    left, _ = Region(Space(np.eye(3), np.zeros(3), np.ones(3))).cut(0, 0.0)
+    _, right = Region(Space(np.eye(3), np.ones(3), np.ones(3))).cut(0, 0.0)
+    with pytest.raises(ValueError, match="differ"):
+        Partition("citygs", (left, right), (np.arange(2),) * 2)
+
+
+@EVERY
+def test_geojson_tiles_the_map(method):
+    scene = field(cameras=20)
+    partition = cut(scene, method, (3, 3), views=np.arange(1, 20))
+    text = geojson(partition, scene, [{"gaussians": 7}] * 9)
+    assert json.loads(json.dumps(text, allow_nan=False)) == text
+    cells = [f for f in text["features"] if f["geometry"]["type"] == "Polygon"]
+    cameras = [f for f in text["features"] if f["geometry"]["type"] == "Point"]
+    assert len(cells) == 9 and len(cameras) == 20 and cells[4]["properties"]["gaussians"] == 7
+    area, corners = 0.0, []
+    for block, cell in enumerate(cells):
+        ring = np.array(cell["geometry"]["coordinates"][0])
+        assert np.array_equal(ring[0], ring[-1])
+        area += np.sum(ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]) / 2
+        corners.append(ring)
+        middle = np.array([*np.mean(ring[:-1], axis=0), partition.space.origin[2]])
+        assert partition.owner(middle[None]).tolist() == [block]
+    along = np.concatenate(corners) @ partition.space.rotation[:2, :2].T
+    assert area == pytest.approx(np.prod(np.ptp(along, axis=0)), rel=1e-3)
+    assert cameras[0]["properties"]["blocks"] == 0  # held out
+    assert [c["properties"]["view"] for c in cameras] == [v.name for v in scene.views]
+
+
+@pytest.fixture(scope="module", params=["city", *(
+    pytest.param(name, marks=pytest.mark.slow) for name in ("caliterra", "boruszyn", "lund"))])
+def photographed(request):
+    folder = CITY if request.param == "city" else SHARED / request.param
+    if not folder.exists():
+        pytest.skip(f"{folder} is not here")
+    return request.param, read_scene(folder)
+
+
+def test_real_scenes_are_framed_alone(photographed):
+    name, scene = photographed
+    site = Site.of(scene)
+    up = site.rotation[2]
+    tops = -np.mean([v.camera.rotation[1] for v in scene.views], axis=0)
+    away = -np.mean([v.camera.rotation[2] for v in scene.views], axis=0)
+    expected, least = {"city": (np.array([0, 0, 1]), 0.9999), "caliterra": (away, 0.98),
+                       "boruszyn": (away, 0.95), "lund": (tops, 0.99)}[name]
+    assert up @ expected / np.linalg.norm(expected) > least
+    along = (site.points - np.median(site.points, axis=0)) @ site.rotation.T
+    low, high = np.percentile(along, (5, 95), axis=0)
+    if name != "lund":  # a street has walls; the ground from above is flat
+        assert (high - low)[2] < 0.25 * (high - low)[:2].min()
+    low, high = site.bulk()
+    cameras = site.cameras @ site.rotation.T
+    assert (high - low)[0] >= (high - low)[1]
+    assert ((cameras > low) & (cameras < high))[:, :2].all(axis=1).mean() > 0.6
+    assert (high - low)[0] < 1.3 * np.ptp(np.percentile(along, (1, 99), axis=0)[:, 0])
+
+
+@EVERY
+def test_real_scenes_are_shared_out(photographed, method):
+    name, scene = photographed
+    grid = (2, 1) if name == "lund" else (2, 2)
+    partition = make_partition(scene, PartitionOptions(method=method, grid=grid, margin=0.05))
+    content = np.bincount(partition.owner(world(scene)))
+    assert len(content) == grid[0] * grid[1] and not partition.dropped
+    assert content.max() < {"citygs": 1.6, "blockgs": 1.5, "vastgs": 6}[method] * content.min()
+    taken = [len(views) for views in partition.views]
+    assert min(taken) >= 8
+    if name in ("city", "caliterra"):  # the others' views see all of it at a glance
+        assert max(taken) < 0.9 * len(scene.views)

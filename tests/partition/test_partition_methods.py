@@ -1,0 +1,205 @@
+"""What each method of partition is for: where it cuts, and to whom it gives which view."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clsplat.gaussians import Gaussians
+from clsplat.partition.grid import best_cut, choose_grid
+from clsplat.partition.site import Site
+from clsplat.partition.vastgs import _box, _meet, _rays
+from clsplat.region import Region, Space
+from tests.data.fields import SIDES, cut, field, moved, world
+
+
+def test_a_view_spread_over_many_blocks_is_dropped_with_its_numbers():
+    scene = field(cameras=40)
+    high = scene.views[0].camera  # from high above it sees a bit of everything
+    rotation = np.diag([1.0, -1, -1])
+    rows = scene.observations[scene.observations[:, 1] > 0]
+    seen = np.column_stack([np.arange(0, len(scene.points), 40), np.zeros(75)])
+    scene = replace(
+        scene, observations=np.concatenate([rows, seen.astype(np.int32)]), views=(
+            replace(scene.views[0], camera=replace(
+                high, rotation=rotation, translation=np.array([0, 0, 200.0]))), *scene.views[1:]))
+    partition = cut(scene, "blockgs", (4, 4))
+    assert list(partition.dropped) == [0]
+    assert partition.dropped[0].startswith("its 75 points lie in ")
+    assert not any(0 in views for views in partition.views)
+
+
+def test_a_view_without_points_says_so():
+    scene = field(cameras=40)
+    scene = replace(scene, observations=scene.observations[scene.observations[:, 1] != 7])
+    assert "no point" in cut(scene, "blockgs").dropped[7]
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 8, 16])
+def test_blockgs_shares_content_evenly(count):
+    for seed in range(3):
+        scene = field(seed)
+        seen = np.bincount(scene.observations[:, 0], minlength=len(scene.points))
+        partition = cut(scene, "blockgs", (count, 1))
+        content = np.bincount(partition.owner(world(scene)), seen, count)
+        assert content.min() > 0.9 * seen.sum() / count
+        assert content.max() < 1.1 * seen.sum() / count
+
+
+def test_blockgs_cuts_the_longer_side():
+    scene = field()
+    partition = cut(scene, "blockgs", (2, 1))
+    assert np.isinf([partition.regions[0].low, partition.regions[0].high]).sum() == 5
+    assert np.isfinite(partition.regions[0].high[0])  # u is the longer
+    assert abs(partition.space.rotation[0, 0]) > 0.9  # the rectangle lies along x
+
+
+def test_blockgs_gives_a_view_of_the_margin_to_both_sides():
+    scene = field()
+    lower = cut(scene, "blockgs", (2, 1), margin=0.1).regions[0]
+    u = lower.space.to(scene.points)[:, 0] - lower.high[0]
+    beyond = np.flatnonzero((u > 0.01) & (u < 0.08))  # of a side of about 1
+    rows = scene.observations[scene.observations[:, 1] > 0]
+    seen = np.column_stack([beyond, np.zeros(len(beyond), int)])
+    scene = replace(scene, observations=np.concatenate([rows, seen]).astype(np.int32))
+    for margin, takers in ((0.1, [True, True]), (0.0, [False, True])):
+        partition = cut(scene, "blockgs", (2, 1), margin=margin)
+        assert [0 in views for views in partition.views] == takers
+
+
+@pytest.mark.parametrize("grid", [(2, 2), (3, 2), (4, 3)])
+def test_vastgs_shares_cameras_evenly(grid):
+    for seed in range(3):
+        scene = field(seed)
+        partition = cut(scene, "vastgs", grid)
+        cameras = np.bincount(partition.owner([v.camera.position for v in scene.views]))
+        assert len(cameras) == grid[0] * grid[1] and np.ptp(cameras) <= 2
+
+
+def test_citygs_shares_an_even_field_evenly():
+    rng = np.random.default_rng(0)
+    scene = field()
+    points = np.column_stack([rng.uniform(-1, 1, (8000, 2)) * SIDES, rng.uniform(0, 1, 8000)])
+    scene = replace(scene, points=points, observations=None)
+    gaussians = Gaussians({"positions": points.astype(np.float32)}, 0)
+    for n in (2, 3, 4, 5, 6):
+        partition = cut(scene, "citygs", (n, 1), gaussians=gaussians)
+        content = np.bincount(partition.owner(points), minlength=n) / len(points)
+        assert content[[0, -1]] == pytest.approx(1 / n, rel=0.03)
+        assert content.min() > 0.7 / n and content.max() < 1.5 / n
+    content = np.bincount(cut(scene, "citygs", (3, 3), gaussians=gaussians).owner(points))
+    assert content.max() < 1.6 * content.min()
+
+
+def test_citygs_gives_a_view_to_where_it_stands_and_to_what_it_misses():
+    scene = field(tracks=False)
+    gaussians = Gaussians({"positions": scene.points.astype(np.float32)}, 0)
+    calls = []
+
+    def drop(view, keep):
+        calls.append((view, keep))
+        return 0.3 if view % 3 == 0 else 0.001
+
+    training = np.arange(1, 60)
+    partition = cut(scene, "citygs", gaussians=gaussians, drop=drop, views=training)
+    home = partition.owner([v.camera.position for v in scene.views])
+    asked = {}
+    for view, keep in calls:
+        assert 0 < (~keep).sum() < len(keep)
+        asked.setdefault(view, []).append(keep)
+    assert [view for view, _ in calls] == sorted(view for view, _ in calls)  # one full render each
+    assert set(asked) <= set(training.tolist())
+    own = partition.owner(scene.points)
+    for view in training:
+        blocks = {b for b, views in enumerate(partition.views) if view in views}
+        left_out = {int(np.bincount(own[~keep]).argmax()) for keep in asked.get(int(view), [])}
+        assert home[view] not in left_out
+        assert blocks == {int(home[view])} | (left_out if view % 3 == 0 else set())
+    assert any(len(keeps) > 1 for keeps in asked.values())
+
+
+def test_citygs_grows_poor_cells_for_the_test_only():
+    points = np.random.default_rng(0).normal(0, 1, (4000, 3)) * [*SIDES / 2, 0.3]
+    gaussians = Gaussians({"positions": points.astype(np.float32)}, 0)
+    scene, smallest = replace(field(), points=points, observations=None), []
+
+    def drop(view, keep):
+        smallest.append((~keep).sum())
+        return 1.0
+
+    partition = cut(scene, "citygs", (4, 4), gaussians=gaussians, drop=drop)
+    owned = np.bincount(partition.owner(points), minlength=16)
+    assert owned.min() < 4000 // 16 <= min(smallest)
+
+
+def test_citygs_does_not_render_what_is_out_of_sight():
+    scene, calls = field(cameras=20), {}
+    for where in (scene, moved(scene, np.eye(3), 0.1, np.array([70.0, 0, 0]))):
+        gaussians = Gaussians({"positions": where.points.astype(np.float32)}, 0)
+        asked = calls[where.unit] = []
+        cut(where, "citygs", (5, 3), gaussians=gaussians,
+            drop=lambda view, keep, asked=asked: asked.append(view) or 0)
+    assert 0 < len(calls[1.0]) < 0.6 * 20 * 14
+    assert calls[1.0] == calls[2.5]
+
+
+def looking_down(height):
+    """A camera with a field of view of 2 x 2 a unit of depth, `height` above the origin."""
+    view = field(cameras=1).views[0]
+    rotation = np.diag([1.0, -1, -1])
+    camera = replace(view.camera, width=60, height=60, focal=(30.0, 30.0), centre=(30.0, 30.0),
+                     rotation=rotation, translation=-rotation @ [0, 0, height])
+    return replace(view, camera=camera)
+
+
+@pytest.mark.parametrize("box, share", [
+    (((-1, -1, 0), (0, 1, 0)), 0.125),  # 4 x 4 of the ground are in the image from a height of 2
+    (((-9, -9, 0), (0, 9, 0)), 0.5),
+    (((0, 0, 0), (9, 9, 1)), 0.25),
+    (((0, -9, 0), (1, 9, 1)), 0.5),  # from the height of 1 its top fills 1 of 2
+    (((-9, -9, -9), (9, 9, 9)), 1),  # around the camera
+    (((-9, -9, 3), (9, 9, 4)), 0),  # behind it
+    (((5, -1, 0), (6, 1, 1)), 0)])
+def test_vastgs_measures_the_share_of_an_image(box, share):
+    site = Site.of(replace(field(), views=(looking_down(2.0), *field().views[1:])))
+    space = Space(np.eye(3), np.zeros(3), np.ones(3))
+    origin, rays = _rays(site, space, 0, site.scene.views[0].camera)
+    assert _meet(origin, rays, np.array([box], float)).mean() == pytest.approx(share, abs=0.01)
+
+
+def test_vastgs_looks_for_a_cell_from_its_ground_to_its_highest_point():
+    space = Space(np.eye(3), np.zeros(3), np.ones(3))
+    lower, _ = Region(space).cut(0, 0.25)
+    content = np.random.default_rng(0).uniform([-1, -1, 0.2], [0.25, 1, 0.6], (2000, 3))
+    content = np.concatenate([content, [[0, 0, 50]], [[0.5, 0, 0.9]] * 500])  # a bird; next door
+    low, high = _box(lower, content, np.ones(len(content)))
+    assert low == pytest.approx([-1, -1, 0.2], abs=0.01)
+    assert high == pytest.approx([0.25, 1, 0.6], abs=0.01)
+
+
+def test_vastgs_takes_views_by_what_they_show():
+    scene = field(cameras=60)
+    partition = cut(scene, "vastgs", (2, 1))
+    border = partition.regions[0].high[0]
+    u = partition.space.to(np.array([v.camera.position for v in scene.views]))[:, 0]
+    over = 0
+    for number, region in enumerate(partition.regions):
+        stands = region.reaches(np.array([v.camera.position for v in scene.views]))
+        taken = np.isin(np.arange(60), partition.views[number])
+        assert taken[stands].all() and not taken[~stands & (np.abs(u - border) > 0.7)].any()
+        over += (taken & ~stands).sum()
+    assert over  # tilted ones look over the border
+
+
+@pytest.mark.parametrize("needed, aspect, grid", [
+    (1, 1, (1, 1)), (2, 4, (2, 1)), (2, 0.2, (1, 2)), (4, 1, (2, 2)), (9, 1, (3, 3)),
+    (8, 2, (4, 2)), (3600, 1, (60, 60)), (6, 1.5, (3, 2)), (7, 1, (3, 3))])
+def test_the_grid_follows_need_and_aspect(needed, aspect, grid):
+    assert choose_grid(needed, aspect) in (grid, grid[::-1] if aspect == 1 else grid)
+
+
+@pytest.mark.parametrize("values, share, expected", [
+    ([1, 2, 3, 4], 0.5, 2.5), ([4, 1, 3, 2], 0.25, 1.5), ([1, 1, 1, 5], 0.5, 3),
+    ([2, 2, 2], 0.5, None), ([], 0.5, None)])
+def test_cuts_run_between_distinct_values(values, share, expected):
+    assert best_cut(np.array(values, float), np.ones(len(values)), share) == expected

@@ -1,0 +1,226 @@
+"""Models larger than the device, in slabs of depth: the picture of a render in one piece."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from clsplat.evaluation.views import evaluate_run
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.rendering import slabs
+from clsplat.rendering.slabs import Parts, SlabRenderer, gaussian_limit, open_model
+from tests import cases
+from tests.data.tiny_training import CITY, options_of
+from tests.kernels.chain import (
+    camera_of,
+    render,
+    renderer_of,
+    size_of,
+    stored_degree,
+    upload_rows,
+)
+
+# of a pixel that ended: the light left is below TRANSMITTANCE_MIN / (1 - ALPHA_MAX)
+STOP = 1e-2
+
+
+def in_slabs(device, case, limit, rows=None, part=16, with_depth=True):
+    """(image, depth, transmittance, number of slabs)."""
+    renderer = SlabRenderer(device, stored_degree(case), case["near"],
+                            background=case["background"], limit=limit)
+    parts = Parts.of(case["rows"] if rows is None else rows, part)
+    frame = renderer.render(parts, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
+                            with_depth)
+    return *downloaded(frame), frame.slabs
+
+
+def downloaded(frame):
+    blended = frame.blended
+    return tuple(array.download() for array in (frame.image, blended.depth, blended.transmittance))
+
+
+def faint(name, **changes):
+    """A case in which no pixel becomes opaque: nothing stops, so only rounding may differ."""
+    case = cases.gaussians(name, **changes)
+    case["rows"]["opacity_logits"] = np.minimum(case["rows"]["opacity_logits"], -3)
+    case["rows"]["sh_constant"] = case["rows"]["sh_constant"].clip(-1, 1)
+    return case
+
+
+def same_to_rounding(actual, expected):
+    for got, wanted in zip(actual, expected):
+        assert abs(got - wanted).max() <= 2e-6 * (1 + abs(wanted).max())
+
+
+@pytest.mark.parametrize("name", ["ragged", "giants", "near_plane"])
+def test_any_number_of_slabs_gives_the_same_picture(device, name):
+    case = faint(name)
+    _, _, whole = render(device, case, with_depth=True)
+    assert whole.blended.transmittance.download().min() > 1e-3
+    drawn = len(whole.visible)
+    for limit in (drawn, -(-drawn // 2), -(-drawn // 7), 1):
+        *actual, slabs_drawn = in_slabs(device, case, limit)
+        assert slabs_drawn == -(-drawn // limit)
+        same_to_rounding(actual, downloaded(whole))
+
+
+def test_two_blocks_whose_gaussians_alternate_in_depth(float_device):
+    """Block after block would be a wrong picture; slab after slab is the right one."""
+    case = faint("plain", count=200)
+    rows = case["rows"]
+    rows["opacity_logits"][:], rows["positions"][:, :2] = -1.5, 0.02 * rows["positions"][:, :2]
+    depth_order = np.argsort(rows["positions"][:, 2])
+    first, second = depth_order[::2], depth_order[1::2]
+    rows["sh_constant"][first], rows["sh_constant"][second] = 1.5, -1.5
+    blocks = {name: values[np.concatenate([first, second])] for name, values in rows.items()}
+    _, _, whole = render(float_device, case, rows=blocks, with_depth=True)
+    for limit in (200, 100, 29):
+        *actual, _ = in_slabs(float_device, case, limit, blocks, part=100)
+        assert abs(actual[0] - whole.image.download()).max() < STOP
+        assert abs(actual[0] - whole.image.download()).mean() < 1e-4
+    one, two = ({name: values[half] for name, values in blocks.items()}
+                for half in (slice(100), slice(100, None)))
+    black = {**case, "background": np.zeros(3)}
+    front, back = in_slabs(float_device, black, 200, one), in_slabs(float_device, case, 200, two)
+    by_block = front[0] + front[2] * back[0]
+    assert abs(by_block - whole.image.download()).max() > 0.1
+
+
+@pytest.mark.parametrize("limit", [3, 10, 16])
+def test_ties_of_depth_are_drawn_in_the_order_of_rows(float_device, limit):
+    case = faint("plain", count=60)
+    rows = case["rows"]
+    rows["positions"][:, 2] = np.resize([4.0, 3.0], 60)
+    rows["opacity_logits"][:] = -1
+    rows["positions"][:, :2] *= 0.1
+    _, _, whole = render(float_device, case, with_depth=True)
+    *actual, _ = in_slabs(float_device, case, limit, part=7)
+    assert abs(actual[0] - whole.image.download()).max() < STOP
+    backwards = {name: values[::-1] for name, values in rows.items()}
+    *other, _ = in_slabs(float_device, case, limit, backwards, part=7)
+    assert abs(other[0] - whole.image.download()).max() > 0.05
+
+
+@pytest.mark.parametrize("name", ["stack", "many", "opacities"])
+def test_what_the_stop_leaves_out_is_within_its_bound(device, name):
+    case = cases.gaussians(name)
+    case["rows"]["sh_constant"] = case["rows"]["sh_constant"].clip(-1, 1)
+    _, _, whole = render(device, case, with_depth=True)
+    for limit in (len(whole.visible) // 2, len(whole.visible) // 7 + 1):
+        image, _, left, _ = in_slabs(device, case, limit)
+        error = abs(image - whole.image.download())
+        assert error.max() <= STOP * max(1, image.max())
+        assert (left <= whole.blended.transmittance.download() + 1e-6).all()
+        if name == "many":
+            assert error.mean() <= 1e-5
+
+
+def test_opaque_slabs_end_the_frame(float_device):
+    case = cases.gaussians("stack", count=400, width=8, height=8)
+    case["rows"]["log_scales"][:] = 0
+    case["rows"]["opacity_logits"][:] = 3
+    _, _, left, drawn = in_slabs(float_device, case, 20)
+    assert drawn < 5 and left.max() < slabs.TRANSMITTANCE_MIN
+
+
+@pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.2, 0.5, 0.9)])
+def test_nothing_in_sight_is_background(float_device, background):
+    case = {**cases.gaussians("plain"), "background": np.array(background)}
+    case["rows"]["positions"][:, 2] *= -1
+    for rows in (case["rows"], {name: v[:0] for name, v in case["rows"].items()}):
+        image, depth, left, drawn = in_slabs(float_device, case, 5, rows)
+        assert drawn == 0 and (left == 1).all() and (depth == 0).all()
+        assert np.allclose(image, np.array(background)[:, None, None])
+
+
+# --- parts
+
+
+@pytest.mark.parametrize("name", sorted(set(cases.SCENES) - {"empty"}))
+def test_what_is_drawn_is_in_a_part_that_is_seen(float_device, name):
+    """Each gaussian has its own box, so the bound is tried where it is tightest."""
+    for seed in range(4):
+        case = cases.gaussians(name, seed=seed, count=min(300, 4 * cases.SCENES[name][0]))
+        rows = case["rows"]
+        rows["positions"] = rows["positions"] * np.float32(1.7)  # many just outside
+        renderer = renderer_of(float_device, case)
+        camera = camera_of(case)
+        frame = renderer.render(upload_rows(float_device, rows), renderer.pack(camera),
+                                *size_of(case), 0)
+        seen = {piece.start for piece in Parts.of(rows, 1).seen(camera, case["near"])}
+        assert set(frame.visible.download()) <= seen
+
+
+def test_parts_out_of_sight_are_not_touched(float_device, monkeypatch):
+    case = faint("plain", count=160)
+    rows = case["rows"]
+    moves = np.array([[0, 0, 0], [0, 0, -20], [30, 0, 0], [-30, 0, 0], [0, 30, 0], [0, -30, 0],
+                      [0, 0, 1]], float)
+    hidden = {name: np.concatenate([values] * len(moves)) for name, values in rows.items()}
+    hidden["positions"] = np.concatenate([rows["positions"] + move for move in moves])
+    parts = Parts.of(hidden, 160)
+    seen = parts.seen(camera_of(case), case["near"])
+    assert [piece.start // 160 for piece in seen] == [0, 6]
+    culled, cull = [], slabs.cull
+    monkeypatch.setattr(slabs, "cull", lambda device, rows, *rest: (
+        culled.append(len(rows["positions"])), cull(device, rows, *rest))[1])
+    in_slabs(float_device, case, 50, hidden, part=160)
+    assert culled == [160, 160]
+
+
+def test_a_large_gaussian_keeps_its_part_in_sight(float_device):
+    """Its centre is far outside the image, its footprint is not."""
+    case = faint("plain", count=20)
+    rows = case["rows"]
+    rows["positions"] += [30, 0, 0]
+    camera, near = camera_of(case), case["near"]
+    assert not Parts.of(rows, 20).seen(camera, near)
+    rows["log_scales"][7] = np.log(20)
+    assert Parts.of(rows, 20).seen(camera, near) == [slice(0, 20)]
+
+
+# --- the choice
+
+
+def test_the_limit_follows_from_the_devices_memory(float_device, monkeypatch):
+    monkeypatch.setattr(float_device, "largest_buffer", 1 << 60)
+    limit = gaussian_limit(float_device, 3)
+    row_bytes = 4 * sum(field.width(3) for field in LEARNED)
+    assert row_bytes == 236
+    share = limit * row_bytes / float_device.handle.global_mem_size
+    assert 0.7 < share / slabs.MODEL_SHARE < 0.8
+    assert gaussian_limit(float_device, 0) > 2 * limit
+    monkeypatch.setattr(float_device, "largest_buffer", 180 * 300)
+    assert gaussian_limit(float_device, 3) == 200
+
+
+def test_a_model_that_fits_is_rendered_in_one_piece(float_device, monkeypatch):
+    case = cases.gaussians("degree_1")
+    rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
+    gaussians = Gaussians(rows, 1)
+    renderer, _ = open_model(float_device, gaussians, case["near"])
+    assert not isinstance(renderer, SlabRenderer)
+    monkeypatch.setattr(slabs, "gaussian_limit", lambda *_: len(rows["positions"]) - 1)
+    renderer, parts = open_model(float_device, gaussians, case["near"])
+    assert isinstance(renderer, SlabRenderer) and isinstance(parts, Parts)
+
+
+@pytest.mark.slow
+def test_a_model_that_does_not_fit_is_evaluated_all_the_same(float_device, tmp_path, monkeypatch):
+    city = read_scene(CITY)
+    run = RunFolder.create(tmp_path)
+    options = dataclasses.asdict(options_of(background=(0.3, 0.2, 0.1)))
+    run.write_options({"scene": CITY, **options})
+    gaussians = Gaussians.from_points(city.points, city.colours, 1)
+    gaussians.rows["opacity_logits"][:] = 1
+    run.save_model(gaussians, city.offset)
+    whole = evaluate_run(run, float_device, save_images=False)
+    limits = []
+    monkeypatch.setattr(slabs, "gaussian_limit", lambda *_: (
+        limits.append(1), gaussians.count // 6)[1])
+    slabbed = evaluate_run(run, float_device, save_images=False)
+    assert limits
+    for score in ("psnr", "ssim", "psnr_cc", "ssim_cc"):
+        assert abs(slabbed[score] - whole[score]) < 1e-3, score

@@ -1,0 +1,395 @@
+"""Comparisons: which runs belong together, the numbers, what is unfair; and campaigns."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from clsplat.cli.campaign import combinations, run_campaign
+from clsplat.cli.main import main
+from clsplat.errors import DeviceError, InputError, Interrupted
+from clsplat.io.run import RunFolder, find_runs
+from clsplat.report.compare import (
+    compare,
+    equality_tables,
+    final_table,
+    levels_from,
+    time_table,
+    write_comparison,
+)
+from clsplat.report.curves import curve
+from clsplat.report.figures import comparison_figure, cost_figure
+from clsplat.report.groups import (
+    Trained,
+    differing,
+    equal,
+    grouped,
+    read_runs,
+    warnings,
+)
+from tests.data.made_runs import METHODS, made_run
+from tests.report.test_report import Balanced
+
+
+def trained(name, points=((10, 20.0), (20, 24.0)), finished=True, views=8, **options):
+    """A Trained with evaluations at (seconds, PSNR after the colour fit)."""
+    records = [{"event": "eval", "iteration": 100 * number, "train_seconds": seconds,
+                "gaussians": 1000 * number, "psnr_cc": psnr, "psnr": psnr - 1, "ssim": 0.8,
+                "ssim_cc": 0.9, "views": views} for number, (seconds, psnr) in enumerate(points, 1)]
+    facts = {"scene": "/data/city", "fingerprint": "ab" * 32, "opencl_device": "H100", "seed": 0}
+    return Trained(name, {**facts, **options}, records, finished)
+
+
+def refused(call, *words):
+    with pytest.raises(InputError) as caught:
+        call()
+    for word in words:
+        assert word in str(caught.value)
+
+
+# --- groups
+
+def test_runs_that_differ_by_seed_are_one_group():
+    runs = [trained("b", seed=1, schedule="sig", stop_at=5, device="gpu", eval_every=9),
+            trained("a", seed=0, schedule="sig"), trained("c", seed=0, schedule="dash")]
+    groups = grouped(runs)
+    assert {name: [run.name for run in group] for name, group in groups.items()} == {
+        "sig": ["a", "b"], "dash": ["c"]}
+
+
+@pytest.mark.parametrize("first, second, names", [
+    ({}, {}, ["sig"]),
+    ({"max_gaussians": 5}, {"max_gaussians": 7}, ["max gaussians 5", "max gaussians 7"]),
+    ({"sphere": True}, {"sphere": False}, ["sphere yes", "sphere no"]),
+    ({}, {"opencl_device": "MI300"}, ["H100", "MI300"]),
+    ({"commit": "a" * 40}, {"commit": "a" * 40 + "-dirty"}, ["commit aaaaaaaa",
+                                                             "commit aaaaaaaa-dirty"]),
+    ({"reset_every": 1}, {"schedule": "dash"}, ["sig", "dash"]),  # one word tells them apart
+    ({}, {"max_gaussians": 5}, ["max gaussians not recorded", "max gaussians 5"]),
+])
+def test_groups_are_named_by_what_tells_them_apart(first, second, names):
+    runs = [trained("a", **{"schedule": "sig", **first}),
+            trained("b", **{"schedule": "sig", **second})]
+    assert list(grouped(runs)) == names
+
+
+def test_names_take_as_many_words_as_needed():
+    runs = [trained(str(number), schedule=schedule, size=size)
+            for number, (schedule, size) in enumerate(
+                [("sig", "S"), ("sig", "L"), ("dash", "S")])]
+    assert list(grouped(runs)) == ["sig, size S", "sig, size L", "dash, size S"]
+
+
+def test_options_that_a_schedule_does_not_use_are_left_out():
+    runs = [trained("a", schedule="sig", sphere=True, rounds=12, near=0.5, taming_budget=15.0),
+            trained("b", schedule="constant", sphere=True, rounds=99, near=0.5, taming_budget=15.0),
+            trained("c", schedule="constant", sphere=False, rounds=12, near=0.5, seed=1)]
+    groups = grouped(runs)
+    assert [len(group) for group in groups.values()] == [1, 2]  # b and c differ in nothing used
+    assert differing(runs) == ["schedule"]
+    assert "near" in equal(runs) and not {"sphere", "rounds", "taming_budget"} & set(equal(runs))
+    assert "sphere" in equal(runs[:1]) and "taming_budget" not in equal(runs[:1])
+    longer = grouped([*runs, trained("d", schedule="sig", sphere=False, rounds=12, near=0.5,
+                                     taming_budget=15.0)])
+    different = equality_tables(longer)[0]
+    assert ("sphere", "yes", "-", "no") in different.rows
+
+
+# --- fairness
+
+@pytest.mark.parametrize("change, words", [
+    ({"fingerprint": "cd" * 32, "scene": "/data/barn"},
+     "different scenes, so that no score says which is better (scene: barn (cdcdcdcd) / city"),
+    ({"test_every": 9}, "so that scores do not compare (test every: 9 / not recorded)"),
+    ({"downscale": 2.0}, "so that scores do not compare (downscale:"),
+    ({"opencl_device": "MI300"}, "scores compare, times do not (OpenCL device: H100 / MI300)"),
+    ({"version": "9"}, "different versions of clsplat (version"),
+    ({"commit": "ab-dirty"}, "changes that were not committed"),
+    ({"views": 9}, "different numbers of held-out views, so that scores do not compare (8 / 9)"),
+    ({"finished": False}, "Not finished yet: b (step 200)"),
+    ({"seed": 3, "size": "L"}, "The groups have different seeds"),
+    ({}, "a seed occurs twice"),
+])
+def test_what_is_unfair_is_said(change, words):
+    found = warnings(grouped([trained("a"), trained("b", **change)]))
+    assert sum(words in sentence for sentence in found) == 1, found
+
+
+def test_a_fair_comparison_has_no_warning():
+    assert warnings(grouped([trained("a", schedule="sig"), trained("b", schedule="dash"),
+                             ])) == []
+
+
+# --- numbers
+
+def test_numbers():
+    groups = grouped([trained("a", schedule="sig"),
+                      trained("b", ((8, 20.0), (16, 26.0)), schedule="sig", seed=1),
+                      trained("c", ((10, 23.5), (40, 25.0)), schedule="dash")])
+    result = compare(groups, [22.0, 25.0])
+    assert result["equal_seconds"] == 16
+    sig, dash = result["groups"]
+    assert [run["psnr_cc_at_equal_seconds"] for run in sig["runs"]] == [22.4, 26.0]
+    assert sig["mean"]["psnr_cc"] == 25.0 and sig["deviation"]["psnr_cc"] == pytest.approx(2**0.5)
+    assert sig["mean"]["psnr"] == 24.0 and sig["mean"]["train_seconds"] == 18
+    assert [crossing["seconds"] for crossing in sig["runs"][0]["reached"]] == [15, None]
+    assert [crossing["upper_bound"] for crossing in dash["runs"][0]["reached"]] == [True, False]
+    assert dash["deviation"]["psnr_cc"] is None and dash["mean"]["gaussians"] == 2000
+    assert result["different"] == ["schedule"] and result["equal"]["opencl_device"] == "H100"
+
+    final, time = final_table(result), time_table(result)
+    assert final.rows[0][:5] == ("sig", "2", "0, 1", "25.00 ± 1.41", "24.00 ± 1.41")
+    assert final.rows[1][-4:] == ("2,000", "40.0", "-", "-")
+    assert time.rows == [("sig", "12.8 ± 3.1", "-", "24.20 ± 2.55"),
+                         ("dash", "≤ 10.0", "40.0", "23.80")]
+    notes = " ".join(time.notes)
+    assert "sig, 25 dB: not reached by 1 of 2 runs (best 24.00)" in notes and "≤:" in notes
+
+
+def test_costs():
+    costs = [{"event": "eval", "psnr_cc": 20.0 + i, "pixel_pairs": i * 10**9,
+              "kernel_bytes": i * 10**12} for i in (1, 2)]
+    counted = Trained("a", {"schedule": "sig"}, costs, True)
+    groups = grouped([counted, trained("b", schedule="dash")])
+    assert [row[-2:] for row in final_table(compare(groups)).rows] == [
+        ("2e+09", "2e+12"), ("-", "-")]
+    assert cost_figure(grouped([Trained("a", {"schedule": "sig"}, costs[:1], True)])) is None
+    panels = cost_figure(groups).axes
+    assert [axes.lines[0].get_xdata().tolist() for axes in panels] == [
+        [1e9, 2e9], [1e12, 2e12]]
+    assert cost_figure(grouped([trained("b", schedule="dash")])) is None
+
+
+def test_a_run_without_evaluations():
+    groups = grouped([trained("a", schedule="sig"), trained("b", (), schedule="dash")])
+    result = compare(groups, [21.0])
+    assert any("Not evaluated" in found and "b" in found for found in result["warnings"])
+    assert result["equal_seconds"] == 20
+    time = time_table(result)
+    assert time.rows[1] == ("dash", "-", "-")
+    assert "(no evaluation)" in " ".join(time.notes)
+    alone = compare(grouped([trained("b", ())]))
+    assert alone["levels"] == [] and alone["equal_seconds"] is None
+    assert time_table(alone).rows[0][1:] == ("-",)
+
+
+@pytest.mark.parametrize("best, levels", [
+    ([[28.7], [27.4]], [26.0, 27.0, 28.5]), ([[28.7, 27.1], [27.6]], [26.0, 27.0, 27.5]),
+    ([[27.3], [27.4]], [25.0, 26.0, 27.0]), ([[30.0], []], [28.0, 29.0, 30.0]), ([[]], [])])
+def test_levels_from_the_data(best, levels):
+    groups = [[(None, [20.0, psnr]) for psnr in group] for group in best]
+    assert levels_from(groups) == levels
+
+
+# --- folders and pages
+
+@pytest.fixture
+def folder(tmp_path):
+    for schedule in METHODS:
+        for seed in range(2):
+            made_run(tmp_path / "cmp" / f"{schedule}.{seed}", schedule, seed)
+    return tmp_path / "cmp"
+
+
+def test_runs_are_found_two_levels_down(folder):
+    assert len(find_runs(folder)) == len(find_runs(folder.parent)) == 8
+    assert [run.path for run in find_runs(folder / "sig.0")] == [folder / "sig.0"]
+    refused(lambda: find_runs(folder / "sig.0" / "none"), "holds no run")
+    runs, parent, empty = read_runs([folder / "sig.0", folder / "dash.1", folder / "sig.0"])
+    assert [run.name for run in runs] == ["sig.0", "dash.1"] and parent == folder and not empty
+    assert read_runs([folder / "sig.0"])[0][0].name == "sig.0"
+
+
+@pytest.mark.slow
+def test_the_command(folder):
+    started = RunFolder.create(folder / "sig.2")
+    started.write_options({"schedule": "sig"})
+    done = CliRunner().invoke(main, ["compare", str(folder), "--psnr", "27", "--psnr", "40"])
+    assert done.exit_code == 0, done.output
+    assert "to 27 dB, s  to 40 dB, s" in done.output
+    assert "nothing is recorded of them yet: sig.2" in done.output
+    # what is equal is one line, what matters most comes last
+    said = [line for line in done.output.splitlines() if line]
+    assert said[0].startswith("What is equal: ") and said[0].endswith("at the end of compare.html")
+    assert said[1] == "What differs" and len(said) < 40 and "sphere" not in done.output
+    assert done.output.index("At the end\n") < done.output.index("Against training time")
+    assert done.output.rstrip().endswith(f"page: {folder / 'compare.html'}")
+    html = (folder / "compare.html").read_text()
+    assert Balanced(html).pictures == 2
+    for words in ("At the end", "Against training time", "What differs", "What is equal",
+                  "taming, 40 dB: not reached by 2 of 2 runs", "class=warning"):
+        assert words in html
+    # curves first; what is equal comes last, folded
+    order = [html.index(words) for words in (
+        "<picture>", "class=warning", "At the end", "Against training time", "What differs",
+        "<summary>What is equal")]
+    assert order == sorted(order)
+    assert (folder / "compare.png").read_bytes().startswith(b"\x89PNG")
+    numbers = json.loads((folder / "compare.json").read_text())
+    assert [group["name"] for group in numbers["groups"]] == sorted(METHODS)
+    run = next(run for group in numbers["groups"] for run in group["runs"]
+               if run["folder"] == "sig.1")
+    last = RunFolder.open(folder / "sig.1").records()[-1]
+    assert run["psnr_cc"] == last["psnr_cc"] and run["train_seconds"] == last["train_seconds"]
+
+
+def test_no_curve_is_drawn_of_single_evaluations(tmp_path):
+    once = [trained("a", ((10, 20.0),), schedule="sig"),
+            trained("b", ((9, 21.0),), schedule="dash")]
+    assert comparison_figure(grouped(once), [20.0]) is None
+    assert comparison_figure(grouped([*once, trained("c", schedule="taming")]), [20.0])
+    for run in once:
+        folder = RunFolder.create(tmp_path / run.name)
+        folder.write_options(run.options)
+        folder.log(run.records[0])
+    (tmp_path / "compare.png").write_bytes(b"of another comparison")
+    text, page = write_comparison([tmp_path])
+    html = page.read_text()
+    assert Balanced(html).pictures == 0
+    for said in (text, html):
+        assert said.count("No curve") == 1 and "--eval-every" in said
+    assert not (tmp_path / "compare.png").exists()
+
+
+def test_a_comparison_survives_names_and_figures(folder, tmp_path, monkeypatch):
+    def fails(*_, narrow):
+        raise ValueError("no figure")
+
+    chosen = tmp_path / "out_\udcff"
+    try:
+        chosen.mkdir()
+    except OSError:
+        pytest.skip("this file system wants names in UTF-8")
+    (folder / "dash.0").rename(chosen / "run_\udcfe")
+    monkeypatch.setattr("clsplat.report.compare.comparison_figure", fails)
+    text, page = write_comparison([chosen])
+    assert "could not be drawn (no figure)" in page.read_text() and text.encode()
+    done = CliRunner().invoke(main, ["compare", str(chosen)])
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.slow
+def test_where_the_output_goes(folder, tmp_path):
+    chosen = tmp_path / "new" / "place"
+    _, page = write_comparison([folder / "sig.0", folder / "dash.0"], chosen)
+    assert page == chosen / "compare.html" and not (folder / "compare.html").exists()
+    write_comparison([folder / "sig.0", folder / "dash.0"])
+    assert (folder / "compare.html").exists()
+    (tmp_path / "file").write_text("")
+    refused(lambda: write_comparison([folder], tmp_path / "file" / "x"), "file", "--output")
+    RunFolder.create(tmp_path / "a").write_options({})
+    refused(lambda: write_comparison([tmp_path / "a"]), "none of its runs has metrics")
+
+
+@pytest.mark.parametrize("words, complaint", [
+    (["compare"], "Missing argument"), (["compare", "/nowhere"], "/nowhere: holds no run"),
+    (["compare", ".", "--psnr", "nan"], "nan is not a finite number")])
+def test_bad_input(words, complaint):
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2 and complaint in done.output
+
+
+# --- campaigns
+
+def test_combinations():
+    wanted = combinations({"levels": [4, 2, 1]}, {"seed": 3, "taming_budget": 9.0},
+                          "sig,constant,taming", 2)
+    assert [(o.schedule, o.seed) for o in wanted] == [
+        ("sig", 3), ("constant", 3), ("taming", 3), ("sig", 4), ("constant", 4), ("taming", 4)]
+    assert [o.levels for o in wanted[:3]] == [(4, 2, 1), (), ()]
+    assert [o.taming_budget for o in wanted[:3]] == [15, 15, 9]
+    assert [o.reset_every for o in wanted[:2]] == [0, 3000]  # each as that schedule chooses
+    refused(lambda: combinations({}, {"levels": (4, 2, 1)}, "constant,dash", 1), "levels")
+    refused(lambda: combinations({}, {}, "sig,nosuch", 1), "nosuch")
+    refused(lambda: combinations({}, {}, "sig,sig", 1), "twice")
+    refused(lambda: combinations({}, {}, "sig", 0), "--seeds 0")
+    refused(lambda: combinations({}, {"stop_at": 5}, "sig", 1), "--stop-at")
+
+
+class Trainer:
+    """Stands for a training: notes its calls, writes a made-up run or fails."""
+
+    def __init__(self, failures=()):
+        self.calls, self.failures = [], dict(failures)
+
+    def __call__(self, options, folder, resume):
+        self.calls.append((folder.name, resume))
+        if folder.name in self.failures:
+            raise self.failures[folder.name]
+        made_run(folder, options.schedule, options.seed, iterations=options.iterations)
+
+
+@pytest.fixture
+def wanted():
+    return combinations({"iterations": 10_000}, {}, "sig,dash", 2)
+
+
+@pytest.mark.slow
+def test_a_campaign_trains_all_and_compares(tmp_path, wanted, capsys):
+    trainer = Trainer()
+    run_campaign(trainer, wanted, tmp_path / "cmp", "/data/city")
+    assert trainer.calls == [("sig.0", False), ("dash.0", False), ("sig.1", False),
+                             ("dash.1", False)]
+    said = capsys.readouterr().out
+    assert "[4/4]" in said and "Against training time" in said
+    assert (tmp_path / "cmp" / "compare.html").exists()
+
+
+def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted, scenes):
+    made_run(tmp_path / "sig.0", "sig", 0)
+    started = made_run(tmp_path / "dash.0", "dash", 0, finished=False, checkpoint_every=7)
+    started.save_checkpoint({}, {})
+    made_run(tmp_path / "sig.1", "sig", 1, finished=False)  # killed before its first checkpoint
+
+    def train(options, folder, resume):
+        calls.append((folder.name, resume))
+        folder.mkdir(exist_ok=True)
+        (folder / "point_cloud.ply").write_text("ply")
+        if folder.name == "dash.1":
+            made_run(tmp_path / "x", "dash", 1).path.joinpath("options.json").rename(
+                folder / "options.json")
+            (tmp_path / "x" / "metrics.jsonl").rename(folder / "metrics.jsonl")
+
+    calls = []
+    run_campaign(train, wanted, tmp_path, "/data/city")
+    assert calls == [("dash.0", True), ("sig.1", False), ("dash.1", False)]
+
+
+@pytest.fixture
+def scenes(monkeypatch):
+    """The made-up scenes of the runs: city and barn."""
+    monkeypatch.setattr("clsplat.io.scenes.read_scene", Path)
+    monkeypatch.setattr("clsplat.io.scenes.fingerprint",
+                        lambda scene: ("ab" if scene.name == "city" else "cd") * 32)
+
+
+@pytest.mark.parametrize("scene, options, words", [
+    ("/data/barn", {}, "another scene"), ("/data/city", {"max_gaussians": 5}, "max_gaussians 5"),
+    ("/data/city", {"eval_at": (7,)}, "eval_at (7,)")])
+def test_a_campaign_leaves_other_runs_alone(tmp_path, wanted, scenes, scene, options, words):
+    made_run(tmp_path / "dash.1", "dash", 1, **options)
+    trainer = Trainer()
+    refused(lambda: run_campaign(trainer, wanted, tmp_path, scene), "dash.1", words, "-o")
+    assert trainer.calls == []
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_does_not_stop_the_others(tmp_path, wanted, capsys):
+    trainer = Trainer({"dash.0": DeviceError("no memory")})
+    refused(lambda: run_campaign(trainer, wanted, tmp_path, "/data/city"), "dash.0", "1 of 4")
+    assert len(trainer.calls) == 4
+    heard = capsys.readouterr()
+    assert "failed: no memory" in heard.err and "Against training time" in heard.out
+
+
+def test_an_interrupted_campaign_stops(tmp_path, wanted):
+    trainer = Trainer({"dash.0": Interrupted("stopped")})
+    with pytest.raises(Interrupted, match="the same command"):
+        run_campaign(trainer, wanted, tmp_path, "/data/city")
+    assert len(trainer.calls) == 2
+
+
+def test_made_runs_have_what_a_comparison_reads(tmp_path):
+    line = curve(made_run(tmp_path / "run").records(), "train_seconds", "psnr_cc", "eval")
+    assert len(line[0]) == 10 and (line[0][1:] > line[0][:-1]).all()

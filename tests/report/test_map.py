@@ -1,0 +1,86 @@
+"""The map of a partition: what is drawn is where it is, and says what it should."""
+
+import io
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.collections import PathCollection, PolyCollection
+
+from clsplat.partition import METHODS
+from clsplat.partition.outline import centroid
+from clsplat.report.map import partition_map, write_map
+from tests.data.fields import cut, field, moved, world
+
+
+def drawn(method="blockgs", grid=(3, 2), counts=None, cameras=30, blind=None):
+    scene = moved(field(cameras=cameras), np.eye(3), 2.0, np.array([500.0, 40.0, 7.0]))
+    seen = scene.observations[:, 1] != blind
+    scene = replace(scene, observations=scene.observations[seen])
+    partition = cut(scene, method, grid, views=np.arange(1, cameras))
+    return scene, partition, partition_map(partition, scene, counts)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_cells_points_and_cameras_are_where_they_are(method):
+    scene, partition, figure = drawn(method)
+    axes = figure.axes[0]
+    cells, = (c for c in axes.collections if isinstance(c, PolyCollection))
+    points, cameras = (c for c in axes.collections if isinstance(c, PathCollection))
+    assert len(cells.get_paths()) == 6
+    owner = partition.owner(world(scene))
+    places = np.asarray(points.get_offsets())
+    for block, path in enumerate(cells.get_paths()):
+        assert (path.contains_points(places) <= (owner == block)).mean() > 0.999
+        assert path.contains_points(places[owner == block]).mean() > 0.97  # but those far off
+    taken = sorted(set(np.concatenate(partition.views).tolist()))
+    positions = np.array([scene.views[index].camera.position for index in taken])
+    positions = scene.offset + scene.unit * positions
+    assert np.allclose(cameras.get_offsets(), partition.space.map(positions))
+    blocks = np.bincount(np.concatenate(partition.views), minlength=30)
+    assert np.array_equal(cameras.get_array(), blocks[taken])
+    assert axes.get_aspect() == 1
+
+
+def test_a_label_stands_at_the_centre_of_area():
+    corner = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]) + [5e5, 4e6]
+    many = np.insert(corner, 1, corner[0] + np.linspace(0, 1, 20)[:, None] * [2, 0], axis=0)
+    for ring in (corner, corner[::-1], many):
+        assert centroid(ring) - [5e5, 4e6] == pytest.approx(np.array([5, 5]) / 6)
+
+
+def test_labels_name_block_gaussians_and_views():
+    _, partition, figure = drawn(counts=np.arange(1000, 1006))
+    texts = [text.get_text().split("\n") for text in figure.axes[0].texts]
+    assert texts == [[str(block), f"{1000 + block:,} gaussians", f"{len(views)} views"]
+                     for block, views in enumerate(partition.views)]
+
+
+def test_many_blocks_have_numbers_only():
+    _, partition, figure = drawn(grid=(5, 4), cameras=60)
+    assert [t.get_text() for t in figure.axes[0].texts] == [str(n) for n in range(20)]
+
+
+def test_held_out_and_lost_views_are_marked_apart():
+    _, partition, figure = drawn(blind=7)
+    assert list(partition.dropped) == [7]
+    marks = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
+    assert marks == {"in no block": 1, "held out": 1}
+    assert ", 1 in none" in figure.axes[0].get_title(loc="left")
+
+
+def test_a_map_can_be_saved():
+    png = io.BytesIO()
+    drawn()[2].savefig(png, format="png", dpi=40)
+    assert png.getvalue().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sc$\\frac{$", "a$b", "日本", "x\ny", "_^{}%#&~", " "])
+def test_a_scene_of_any_name_has_a_map(name, recwarn):
+    scene, partition, _ = drawn()
+    file = io.BytesIO()
+    with matplotlib.rc_context({"text.usetex": True, "font.size": 30}):  # a user's settings
+        write_map(file, partition, replace(scene, name=name))
+    assert file.getvalue().startswith(b"\x89PNG") and not len(recwarn)

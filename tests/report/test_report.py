@@ -1,0 +1,264 @@
+"""Curves from records, the page of a run, tables; parts that a run lacks are left out."""
+
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from clsplat.io.run import RunFolder
+from clsplat.report import run as run_page
+from clsplat.report.curves import (
+    band,
+    curve,
+    frequency_curves,
+    reached,
+    spread,
+    value_at,
+)
+from clsplat.report.drawing import clean_look, drawn
+from clsplat.report.figures import score_figure, step_figure
+from clsplat.report.page import Table, page
+from clsplat.report.run import lead, level_table, score_table, write_report
+from tests.data.made_runs import made_records, made_run
+
+LINE = (np.array([1.0, 3.0, 5.0]), np.array([10.0, 20.0, 16.0]))
+NOTHING = (np.zeros(0), np.zeros(0))
+
+
+def test_a_curve_keeps_points_with_both_numbers():
+    records = [{"event": "eval", "t": 1, "v": 2}, {"event": "step", "t": 2, "v": 3},
+               {"event": "eval", "t": 3, "v": None}, {"event": "eval", "t": 4},
+               {"event": "eval", "t": 0, "v": 0}]
+    assert [list(part) for part in curve(records, "t", "v", "eval")] == [[1, 0], [2, 0]]
+    assert [list(part) for part in curve(records, "t", "v")] == [[1, 2, 0], [2, 3, 0]]
+    assert [len(part) for part in curve([], "t", "v")] == [0, 0]
+
+
+def test_values_are_linear_between_points_and_unknown_outside():
+    assert [value_at(LINE, when) for when in (1, 2, 3, 4.5, 5)] == [10, 15, 20, 17, 16]
+    assert [value_at(LINE, when) for when in (0.9, 5.1)] == [None, None]
+    assert value_at(NOTHING, 1) is None
+
+
+@pytest.mark.parametrize("level, answer", [
+    (12.5, (1.5, False)), (20, (3.0, False)), (10, (1.0, True)), (7, (1.0, True)), (20.1, None)])
+def test_when_a_level_is_reached(level, answer):
+    assert reached(LINE, level) == answer
+    assert reached(NOTHING, level) is None
+
+
+def test_a_level_counts_from_where_it_is_first_reached():
+    assert reached((np.arange(5.0), np.array([0.0, 8, 4, 8, 9])), 6) == (0.75, False)
+
+
+def test_band():
+    other = (np.array([2.0, 6.0]), np.array([11.0, 31.0]))
+    x, mean, low, high = band([LINE, other, NOTHING])
+    assert list(x) == [2, 3, 5]  # where both are known, at the points of either
+    assert list(low) == [11, 16, 16] and list(high) == [15, 20, 26]
+    assert list(mean) == [13, 18, 21]
+    assert all(map(np.array_equal, band([LINE])[:2], LINE))
+    for apart in ([], [NOTHING], [LINE, (np.array([6.0]), np.array([1.0]))]):
+        assert [len(part) for part in band(apart)] == [0] * 4
+
+
+def test_spread():
+    assert spread([1.0, None, 3.0]) == (2.0, pytest.approx(2**0.5))
+    assert spread([4.0]) == (4.0, None) and spread([None]) == (None, None)
+
+
+def test_frequency_curves():
+    records = [{"event": "step", "iteration": 100, "frequency": None}, {"event": "step"},
+               {"event": "eval", "iteration": 200, "frequency": {"paper_mean": 9}},
+               {"event": "step", "iteration": 300, "frequency": {"paper_mean": 1, "paper_max": None,
+                                                                 "two_words_min": 2}}]
+    found = frequency_curves(records)
+    assert {variant: list(lines) for variant, lines in found.items()} == {
+        "paper": ["mean"], "two_words": ["min"]}
+    assert [list(part) for part in found["paper"]["mean"]] == [[300], [1]]
+
+
+def test_table():
+    table = Table("Things", ("name", "size"), [("a<b", "10"), ("long name", "7")], (1,), ("note",))
+    assert table.text() == "Things\nname       size\na<b          10\nlong name     7\nnote"
+    html = table.html()
+    assert "<td>a&lt;b</td><td class=number>10</td>" in html and "<h2>Things</h2>" in html
+    assert "<h2>" not in Table("", ("x",), []).html()
+
+
+class Balanced(HTMLParser):
+    """Fails where a tag is not closed or reaches for something outside of the page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.pictures = [], 0
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attributes):
+        for name, value in attributes:
+            assert name not in ("src", "srcset", "href") or value.startswith("data:"), (tag, value)
+        self.pictures += tag == "img"
+        assert tag not in ("script", "link", "iframe")
+        if tag not in ("img", "meta", "source"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def headings(html):
+    return re.findall("<h2>(.*?)</h2>", html)
+
+
+def bare_run(folder):
+    """A RunFolder whose page has no figures."""
+    run = RunFolder.create(folder)
+    run.write_options({})
+    run.log({"event": "start"})
+    return run
+
+
+def test_the_report_of_a_run(tmp_path):
+    run = made_run(tmp_path / "run <1>", "sig")
+    path = write_report(run)
+    assert path == run.path / "report.html"
+    html = path.read_text()
+    assert Balanced(html).pictures == 3 and html.count("<source media=") == 3
+    assert headings(html) == ["Scores over training time", "Growth and loss", "Plan",
+                              "Level changes"]
+    assert "city: run run &lt;1&gt;" in html and "(10,000 steps)" in html
+    assert "each level earns its share" in html and "5 → 4" in html and "deadline" in html
+    # the frequency is for who knows the method: last, folded, and explained
+    last = html.rindex("<details>")
+    assert html.index("Scene frequency</summary>") > last
+    assert "it rises as they become finer" in html[last:]
+
+
+def test_what_a_run_lacks_is_left_out(tmp_path):
+    html = write_report(made_run(tmp_path / "constant", "constant")).read_text()
+    assert headings(html) == ["Scores over training time", "Growth and loss"]
+    assert Balanced(html).pictures == 2
+    bare = bare_run(tmp_path / "bare")
+    assert headings(write_report(bare).read_text()) == []
+    bare.log({"event": "level", "iteration": 3})
+    bare.log({"event": "eval", "iteration": 3, "psnr": None})
+    bare.log({"event": "plan"})
+    assert headings(write_report(bare).read_text()) == ["Scores", "Level changes"]
+
+
+def test_a_single_evaluation_has_a_table_and_no_curve(tmp_path):
+    records = list(made_records("constant"))
+    once = [r for r in records if r["event"] != "eval"] + [r for r in records
+                                                           if r["event"] == "eval"][-1:]
+    assert score_figure(records) and score_figure(once) is None
+    assert step_figure(once) and step_figure(once[:1]) is None
+    run = RunFolder.create(tmp_path / "once")
+    run.write_options({"schedule": "constant"})
+    for record in once:
+        run.log(record)
+    html = write_report(run).read_text()
+    assert Balanced(html).pictures == 1 and "PSNR cc, dB" in html
+
+
+def test_the_lead_says_what_was_trained():
+    options = {"opencl_device": "H100", "schedule": "dash", "seed": 3}
+    records = [{"event": "eval", "iteration": 900, "train_seconds": 200.4, "gaussians": 12345,
+                "psnr_cc": 24.5, "psnr": 23.25, "views": 1}]
+    assert lead(options, records) == (
+        "A model of 12,345 gaussians, trained in 3 min 20 s (900 steps) on H100. PSNR on 1 "
+        "held-out view: 24.50 dB after the colour fit, 23.25 dB plain. Schedule dash, seed 3.")
+    assert "1 h 40 min" in lead(options, [{"train_seconds": 6012}])
+    assert "PSNR" not in lead(options, [{"train_seconds": 1}])
+    assert "Nothing is recorded" in lead({}, [])
+
+
+# --- what surrounds the figures
+
+def test_a_figure_that_fails_is_a_line(tmp_path, monkeypatch):
+    def fails(records, narrow):
+        raise RuntimeError("no <font>\nmore of it")
+
+    monkeypatch.setattr(run_page, "step_figure", fails)
+    monkeypatch.setattr(run_page, "frequency_figure", lambda records, narrow: None)
+    html = write_report(made_run(tmp_path / "run")).read_text()
+    assert "could not be drawn (no &lt;font&gt;)" in html and "Level changes" in html
+    assert Balanced(html).pictures == 1
+
+
+def test_settings_of_matplotlib_do_not_reach_the_page(tmp_path):
+    """A user's matplotlibrc asks for LaTeX, which is not there, and for other colours and fonts."""
+    records = list(made_records("constant"))
+    expected = drawn("curves", step_figure, records)
+    assert "data:image" in expected
+    with matplotlib.rc_context({"text.usetex": True, "axes.facecolor": "red", "font.size": 30,
+                                "axes.formatter.use_locale": True, "savefig.bbox": "tight"}):
+        assert drawn("curves", step_figure, records) == expected  # the same bytes
+        assert matplotlib.rcParams["text.usetex"] and matplotlib.rcParams["font.size"] == 30
+
+
+def test_text_of_figures_is_no_mathematics():
+    def draw(narrow):
+        figure = Figure(figsize=(2, 2))
+        figure.subplots().set_title(r"sc$\frac{$")
+        return figure
+
+    assert "data:image" in drawn("a name", draw)
+    with clean_look():
+        assert not matplotlib.rcParams["text.usetex"]
+
+
+@pytest.mark.parametrize("environment, works", [
+    ({"MPLBACKEND": "nonsense"}, True), ({"MATPLOTLIBRC": "rc"}, False)])
+def test_the_environment_of_matplotlib(tmp_path, environment, works):
+    (tmp_path / "rc").write_bytes(b"font.size: 9 # \xff\n")
+    code = ("import os, clsplat.errors as e\ntry:\n    import clsplat.report.figures\n"
+            "    print('works', os.environ.get('MPLBACKEND'))\n"
+            "except e.InputError as error:\n    print('refused', error)")
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True,
+                          text=True, check=True, env={
+                              **os.environ, **environment,
+                              "PYTHONPATH": str(Path(__file__).resolve().parents[2])})
+    assert done.stdout.startswith("works nonsense" if works else "refused matplotlib cannot be")
+    assert done.stdout.count("\n") == 1
+
+
+def test_names_that_are_no_text(tmp_path):
+    folder = os.fsdecode(os.fsencode(tmp_path) + b"/out_\xff")
+    try:
+        os.mkdir(folder)
+    except OSError:
+        pytest.skip("this file system wants names in UTF-8")
+    assert "run out_\\udcff" in write_report(bare_run(folder)).read_text()
+
+
+def test_tables_of_a_run():
+    records = list(made_records("sig"))
+    levels = level_table(records)
+    assert [row[2] for row in levels.rows] == ["5 → 4", "4 → 3", "3 → 2", "2 → 1"]
+    assert levels.rows[0][0] == "900" and levels.rows[-1][3] == "deadline"
+    assert levels.rows[1][4:7] == ("1,000", "0.00031", "0.0044")
+    sparse = [{"event": "step", "level": 3.0}, {"event": "note"}, {"event": "level", "level": 2.0}]
+    assert level_table(sparse).rows[0][:4] == ("-", "-", "3 → 2", "-")
+    last = score_table(records).rows[-1]
+    assert last[0] == "10,000" and float(last[2]) == pytest.approx(float(last[3]) + 0.8, abs=0.011)
+
+
+def test_a_new_run_removes_the_report_of_the_old(tmp_path):
+    run = bare_run(tmp_path / "run")
+    path = write_report(run)
+    RunFolder.create(run.path, overwrite=True).write_options({})
+    assert not path.exists()
+
+
+def test_a_page_escapes_its_words():
+    html = page("a & b", "<lead>", drawn('say "curve"', lambda narrow: Figure((1, 1))))
+    assert "<title>a &amp; b</title>" in html and "&lt;lead&gt;" in html
+    assert 'alt="say &quot;curve&quot;"' in html

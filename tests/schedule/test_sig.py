@@ -1,0 +1,396 @@
+"""The SIG schedule: when levels change and growth happens, under made-up frequencies."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.options import TrainOptions
+from clsplat.schedule import SCHEDULES, scaled_steps
+from clsplat.schedule.sig import (
+    EVERY,
+    GROWS_SHARE,
+    LEVELS,
+    LOOK,
+    SMALLEST_SIDE,
+    TILE,
+    Sig,
+    chosen_levels,
+)
+from tests.schedule.driven_sig import (
+    PRESETS,
+    SUBJECT,
+    decisions,
+    drive,
+    flat,
+    lengths,
+    rising,
+    rounds,
+    sig,
+    wild,
+)
+
+RECORD = {"level", "reason", "since", "rounds", "frequency", "slope", "threshold", "hits"}
+
+
+def test_it_is_known_by_name():
+    assert SCHEDULES["sig"] is Sig
+
+
+# --- which levels there are
+
+@pytest.mark.parametrize("side, expected", [
+    (SMALLEST_SIDE * LEVELS[0], LEVELS), (SMALLEST_SIDE * LEVELS[0] - 1, LEVELS[1:]),
+    (SMALLEST_SIDE * 2, (2.0, 1.0)), (SMALLEST_SIDE * 2 - 1, (1.0,)), (1, (1.0,))])
+def test_levels_too_small_to_matter_are_left_out(side, expected):
+    assert chosen_levels((), (side, side + 100)) == expected
+    assert chosen_levels((), (side + 100, side)) == expected
+
+
+def test_given_levels_are_taken_as_they_are():
+    levels = (7.5, 2.5, 1.0)
+    assert chosen_levels(levels, (int(7.5 * TILE), 500)) == levels
+    assert sig(levels=levels).levels == levels
+    assert chosen_levels((1.0,), (3, 3)) == (1.0,)
+
+
+def test_a_given_level_below_a_tile_is_refused():
+    with pytest.raises(InputError, match=r"^--levels 8: .* 80 x 15 pixels, .* tile of 16; use "):
+        chosen_levels((8.0, 1.0), (640, 8 * TILE - 1))
+
+
+def test_one_level_is_all_there_is():
+    schedule = sig(levels=(1.0,))
+    taken = drive(schedule)
+    assert not decisions(taken) and {plan.level for _, plan, _ in taken} == {1.0}
+    assert len(rounds(taken, 1.0)) == schedule.options.rounds
+    assert schedule.last and schedule.latest is None
+
+
+# --- when levels end
+
+def test_each_level_ends_once_it_has_grown_and_converged():
+    schedule = sig(rounds=5, iterations=20_000)
+    taken = drive(schedule)
+    found = decisions(taken)
+    assert [d["level"] for _, d in found] == [2.0, 1.0]
+    for (end, decision), level in zip(found, schedule.levels):
+        assert set(decision) == RECORD and decision["reason"] == "converged"
+        assert decision["rounds"] == len(rounds(taken, level)) == schedule.options.rounds
+        assert decision["hits"] == schedule.options.convergence_hits
+        assert decision["frequency"] == 30.0 and decision["slope"] == 0 < decision["threshold"]
+        assert decision["since"] == lengths(taken)[level]
+        assert end > rounds(taken, level)[-1]
+    assert taken[found[0][0]][1].level == 2.0, "the very next step"
+
+
+@pytest.mark.parametrize("iterations", [40, 300, 6000, 30000])
+@pytest.mark.parametrize("levels", [(4.0, 2.0, 1.0), LEVELS, (2.0, 1.0)])
+@pytest.mark.parametrize("frequency", [rising, wild, flat])
+def test_the_finest_level_always_gets_its_share(iterations, levels, frequency):
+    schedule = sig(iterations=iterations, levels=levels)
+    taken = drive(schedule, frequency)
+    share = schedule.options.level_share * iterations
+    steps = lengths(taken)
+    assert list(steps) == list(levels)
+    for level in levels[:-1]:
+        assert steps[level] <= max(share / (len(levels) - 1), schedule.observe_every)
+    assert steps[1.0] >= iterations - share
+    if frequency is rising:
+        assert {d["reason"] for _, d in decisions(taken)} == {"deadline"}
+        for _, decision in decisions(taken):
+            assert decision["hits"] == 0
+            assert decision["slope"] is None or decision["slope"] >= decision["threshold"]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.9])
+def test_the_share_is_an_option(share):
+    schedule = sig(level_share=share)
+    steps = lengths(drive(schedule, rising))
+    assert abs(sum(steps.values()) - steps[1.0] - share * 6000) <= 2 * schedule.observe_every
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_without_deadlines_nothing_ends_what_does_not_converge(preset):
+    assert not decisions(drive(sig(preset=preset, level_share=1.0), rising))
+
+
+def test_so_many_hits_in_a_row_are_wanted():
+    ends = [decisions(drive(sig(convergence_hits=hits, level_share=0.9)))[0][0]
+            for hits in (1, 2, 4)]
+    assert np.diff(ends).tolist() == [LOOK, 2 * LOOK]
+
+
+def test_a_miss_between_hits_counts_them_anew():
+    """The paper's test looks at one difference, so a single jump is a single miss."""
+    kind = {"preset": "paper", "convergence_hits": 3}
+    first, = {decisions(drive(sig(**kind)))[0][0]}
+    step = sig(**kind).observe_every
+
+    def jumps(iteration):
+        return 30.0 + 9.0 * (iteration >= first)
+
+    assert decisions(drive(sig(**kind), jumps))[0][0] == first + 3 * step
+
+
+def test_nothing_is_tested_before_growth_is_over():
+    """Guard: however flat the frequency is, no hit counts until the last round has settled."""
+    schedule = sig(convergence_hits=1, level_share=0.8)
+    seen = {}
+    observe = schedule.observe
+
+    def note(iteration, frequency):
+        decision = observe(iteration, frequency)
+        seen[iteration] = decision or schedule.latest
+        return decision
+
+    schedule.observe = note
+    taken = drive(schedule)
+    end = decisions(taken)[0][0]
+    last = rounds(taken, 4.0)[-1]
+    assert len([i for i in seen if i < last]) > 5
+    for iteration, found in seen.items():
+        if iteration < last + 2 * schedule.observe_every:
+            assert found["hits"] == 0, iteration
+    assert last + 2 * schedule.observe_every <= end < last + 3 * schedule.observe_every
+
+
+def test_the_guard_waits_out_growth_at_fixed_intervals_too():
+    schedule = sig(rounds=0, densify_every=100, densify_until=6000, level_share=0.8)
+    found = decisions(drive(schedule))
+    assert all(d["reason"] == "converged" for _, d in found)
+    assert found[0][1]["since"] >= GROWS_SHARE * 0.8 * 6000 / 2
+
+
+@pytest.mark.parametrize("preset", ["paper", "release"])
+def test_published_tests_are_not_guarded(preset):
+    schedule = sig(preset=preset, levels=(2.0, 1.0), iterations=20_000)
+    first = decisions(drive(schedule))[0][1]
+    assert first["reason"] == "converged" and first["rounds"] < schedule.options.rounds
+    needed = {"paper": 1 + 1, "release": 6 + 4}[preset]
+    assert first["since"] == needed * schedule.observe_every
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_the_frequency_asked_for_decides(name):
+    name = "robust" if name == "ours" else name
+    schedule = sig(frequency=name)
+    for iteration in range(1, 6001):
+        if iteration % schedule.observe_every == 0 and not schedule.last:
+            values = {f"{v}_mean": flat(0) if v == name else rising(iteration)
+                      for v in ("robust", "paper", "release")}
+            schedule.observe(iteration, values)
+            assert schedule.latest["frequency"] == 30.0
+
+
+def test_looks_are_closer_where_levels_are_short():
+    assert sig(iterations=300).observe_every < sig(iterations=3000).observe_every <= LOOK
+    assert sig(iterations=300_000).observe_every == LOOK and sig(iterations=1).observe_every == 1
+
+
+# --- growth
+
+@pytest.mark.parametrize("iterations", [1000, 6000, 30000])
+@pytest.mark.parametrize("count", [1, 5, 12])
+@pytest.mark.parametrize("frequency", [flat, rising])
+def test_growth_comes_in_rounds(iterations, count, frequency):
+    schedule = sig(iterations=iterations, rounds=count)
+    taken = drive(schedule, frequency)
+    for level, steps in lengths(taken).items():
+        of_level = rounds(taken, level)
+        first = next(i for i, plan, _ in taken if plan.level == level)
+        assert len(of_level) <= count
+        assert len(set(np.diff(of_level))) <= 1 and max(np.diff(of_level), default=1) <= EVERY[1]
+        allotment = steps if level == 1 else schedule.options.level_share * iterations / 2
+        assert all(first < i <= first + GROWS_SHARE * allotment for i in of_level)
+        last = [i for i, plan, _ in taken if plan.level == level and plan.gathers][-1]
+        if len(of_level) == count:
+            assert last == of_level[-1], "nothing is gathered that no round reads"
+        else:
+            assert abs(last - first - min(steps, GROWS_SHARE * allotment)) <= 1
+
+
+def test_most_rounds_fit_into_each_level():
+    schedule = sig(iterations=30_000, levels=LEVELS)
+    taken = drive(schedule, rising)
+    for level in LEVELS:
+        assert len(rounds(taken, level)) >= 0.5 * schedule.options.rounds, level
+
+
+def test_a_level_settles_before_its_first_round():
+    schedule = sig(iterations=100_000, levels=(2.0, 1.0))
+    taken = drive(schedule, rising)
+    first = next(i for i, plan, _ in taken if plan.level == 1.0)
+    assert rounds(taken, 2.0)[0] == 1 + 500 + EVERY[1]
+    assert rounds(taken, 1.0)[0] == first + 500 + EVERY[1]
+
+
+def test_a_model_grows_no_larger_than_its_pixels_can_tell_apart():
+    """At each level its own, and by a fifth a round at most; never less than what is there."""
+    schedule = sig(pixels_per_gaussian=50.0)
+    ceiling = 10 * 640 * 480 // 16 // 50
+    assert schedule.target(1, 1000, 10**6) == 1200
+    assert schedule.target(2, ceiling - 3, 10**6) == ceiling
+    assert schedule.target(3, 2 * ceiling, 10**6) == 2 * ceiling
+    drive(schedule, until=decisions(drive(sig(pixels_per_gaussian=50.0)))[0][0])
+    assert schedule.target(1, 4 * ceiling - 3, 10**6) == 4 * ceiling
+    assert sig(pixels_per_gaussian=0.0).target(1, 10**6, 10**6) is None
+
+
+def test_a_level_fills_up_and_pruning_makes_room_again():
+    schedule = sig(pixels_per_gaussian=50.0)
+    schedule.target(1, int(schedule.ceiling), 0)
+    assert not schedule.plan(2).gathers and schedule.plan(900).grows, "rounds go on, to prune"
+    schedule.target(2, int(schedule.ceiling) - 1, 0)
+    assert schedule.plan(3).gathers
+
+
+def test_a_full_level_gathers_nothing_and_waits_for_no_round():
+    full = drive(sig(pixels_per_gaussian=200.0))  # 960 at the first level, where 1000 begin
+    roomy = drive(sig(pixels_per_gaussian=0.0))
+    assert {plan.level for _, plan, _ in full if plan.gathers} == {2.0, 1.0}
+    assert decisions(full)[0][1]["reason"] == "converged"
+    assert full[decisions(full)[0][0]][1].gathers, "the next has room from its first step"
+    assert decisions(full)[0][0] < rounds(roomy, 4.0)[-1] < decisions(roomy)[0][0]
+
+
+def test_given_intervals_between_rounds():
+    schedule = sig(densify_every=37)
+    assert set(np.diff(rounds(drive(schedule), 4.0))) == {37}
+
+
+def test_growth_stops_for_good_at_the_finest_level():
+    schedule = sig()
+    taken = drive(schedule)
+    last = rounds(taken, 1.0)[-1]
+    assert len(rounds(taken, 1.0)) == schedule.options.rounds and last < 6000
+    assert not any(plan.grows or plan.gathers for i, plan, _ in taken if i > last)
+
+
+def test_without_rounds_growth_is_that_of_constant():
+    changes = {"densify_from": 500, "densify_until": 2600, "densify_every": 100}
+    schedule = sig(rounds=0, **changes)
+    constant = SCHEDULES["constant"](
+        scaled_steps(TrainOptions(iterations=6000, schedule="constant", **changes)), SUBJECT)
+    for iteration, plan, _ in drive(schedule, rising):
+        expected = constant.plan(iteration)
+        assert (plan.grows, plan.gathers) == (expected.grows, expected.gathers), iteration
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_rounds_left_over_are_carried_by_the_release_only(preset):
+    """Its extra rounds pile up, are never used up, and do not count as left over again."""
+    count = 20
+    schedule = sig(preset=preset, levels=(4.0, 2.0, 1.0), iterations=60_000, rounds=count,
+                   densify_every=50)
+    taken = drive(schedule, flat)
+    grown = [len(rounds(taken, level)) for level in schedule.levels]
+    if preset == "release":
+        left = [count - grown[0], max(0, count - grown[1])]
+        assert grown[0] < count and left[0] > 0
+        assert grown[2] == count + sum(left) and schedule.carried == sum(left)
+    else:
+        assert grown[2] == count and schedule.carried == 0
+
+
+def test_a_level_change_forgets_samples_and_rounds():
+    schedule = sig()
+    taken = drive(schedule)
+    (first, _), (second, _) = decisions(taken)
+    again = sig()
+    drive(again, until=first)
+    assert (again.samples, again.hits, again.rounds_taken, again.index) == ([], 0, 0, 1)
+    assert again.began == first and second - first > 0
+
+
+# --- the rest of a plan
+
+def test_opacities_are_reset_while_growing_only():
+    schedule = sig(reset_every=300)
+    for iteration, plan, _ in drive(schedule):
+        assert plan.resets_opacity == (
+            plan.gathers and iteration > 1 and (iteration - 1) % 300 == 0)
+    assert not any(plan.resets_opacity for _, plan, _ in drive(sig()))
+
+
+def test_opacities_are_reset_where_a_level_begins():
+    """Except the first, which begins with the model."""
+    taken = drive(sig(level_reset=True))
+    assert [iteration - 1 for iteration, plan, _ in taken if plan.resets_opacity] == [
+        iteration for iteration, _ in decisions(taken)]
+
+
+def test_photos_are_compared_while_growing_with_less_weight_later():
+    schedule = sig(reproject="on", reproject_weight=0.2)
+    taken = drive(schedule)
+    for iteration, plan, _ in taken:
+        assert (plan.regularises > 0) == plan.gathers
+        if plan.regularises:
+            assert plan.regularises == pytest.approx(0.2 * 10 ** -((iteration - 1) / 6000))
+    assert not any(plan.regularises for _, plan, _ in drive(sig(reproject="off")))
+
+
+def test_the_degree_follows_the_steps():
+    plans = [plan for _, plan, _ in drive(sig(sh_every=1000))]
+    assert [plans[i].degree for i in (0, 999, 1000, 2000, 5999)] == [0, 0, 1, 2, 3]
+
+
+def test_the_position_rate_decays_at_the_finest_level_only():
+    taken = drive(sig())
+    first = next(i for i, plan, _ in taken if plan.level == 1.0)
+    for iteration, plan, _ in taken:
+        expected = max(0, (iteration - first) / (6001 - first))
+        assert plan.decay == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("preset", ["paper", "release"])
+def test_as_published_it_decays_over_the_whole_run(preset):
+    for iteration, plan, _ in drive(sig(preset=preset)):
+        assert plan.decay == pytest.approx((iteration - 1) / 6000)
+
+
+# --- what is still to come, and going on
+
+@pytest.mark.parametrize("frequency", [flat, rising])
+def test_what_is_ahead(frequency):
+    """All steps that are left, at levels from the present one on."""
+    schedule = sig(iterations=5900)  # deadlines lie between looks
+    for step in range(1, 5901):
+        drive(schedule, frequency, first=step, until=step)
+        ahead = schedule.ahead(step)
+        assert [level for level, _ in ahead] == list(schedule.levels[schedule.index:])
+        assert sum(steps for _, steps in ahead) == pytest.approx(5900 - step)
+        if schedule.index == 0:
+            assert ahead[0][1] == max(0, 1475 - step) and ahead[1][1] == 1475
+    assert dict(sig().ahead(0)) == pytest.approx({4.0: 1500, 2.0: 1500, 1.0: 3000})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("frequency", [flat, wild])
+def test_stopped_anywhere_it_goes_on_alike(preset, frequency):
+    """Through JSON, at every iteration; also with growth at fixed intervals."""
+    for changes in ({"rounds": 6}, {"rounds": 0}, {"rounds": 6, "pixels_per_gaussian": 200.0}):
+        changes = {**changes, "preset": preset, "levels": (4.0, 2.0, 1.0), "iterations": 1500,
+                   "level_share": 0.6, "densify_every": 40}
+        whole = drive(sig(**changes), frequency)
+        assert decisions(whole)
+        stopped = sig(**changes)
+        for iteration in range(1, 1501):
+            state = json.loads(json.dumps(stopped.state()))
+            stopped = sig(**changes)
+            stopped.load(state)
+            step, = drive(stopped, frequency, iteration, iteration)
+            # nan is no equal of itself
+            assert repr(step) == repr(whole[iteration - 1])
+
+
+def test_options_may_change_under_way():
+    """As a time budget does: shares are then those of the new end."""
+    schedule = sig()
+    drive(schedule, rising, until=200)
+    schedule.options = dataclasses.replace(schedule.options, iterations=3000)
+    taken = drive(schedule, rising, first=201, until=3000)
+    assert abs(lengths(taken)[1.0] - 1500) <= 2 * schedule.observe_every

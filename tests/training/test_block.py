@@ -1,0 +1,395 @@
+"""A block trains its part of a scene, and ends in the same bytes however often it is stopped."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial import cKDTree
+
+from clsplat.camera import Camera
+from clsplat.cli.main import main
+from clsplat.gaussians import Gaussians
+from clsplat.io.city import CityFolder
+from clsplat.io.ply import read_ply, write_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.loss.exposure import Exposures
+from clsplat.options import resolve
+from clsplat.partition.blocks import cut, largest_sizes, seen_pixels, trainable
+from clsplat.region import Region, Space
+from clsplat.scene import Scene, View
+from clsplat.schedule.constant import Constant
+from clsplat.training import step
+from clsplat.training.block import decided_by, options_of_blocks
+from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
+
+SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}
+KEEPS = {"checkpoint_every": 0, "reset_every": 0, "eval_every": 0}
+
+
+@pytest.fixture(scope="module")
+def city():
+    return read_scene(CITY)
+
+
+def region_of(scene, share, margin=0.0):
+    """The Region that owns about the first `share` of a scene's points along x."""
+    world = scene.points + scene.offset
+    space = Space(np.eye(3), world.mean(axis=0), np.ptp(world, axis=0) / 2)
+    return Region(space, high=[np.quantile(space.to(world)[:, 0], share), np.inf, np.inf],
+                  margin=margin)
+
+
+def block_of(scene, share=0.3, **fields):
+    return replace(scene, region=region_of(scene, share, margin=0.02), **fields)
+
+
+# --- growth
+
+@pytest.fixture
+def rounds(monkeypatch):
+    """Filled by trainings: of each round, the rows, and which gaussians grew and went."""
+    seen, planned = [], step.plan_growth
+
+    def plan_growth(candidates, grows, prunes, rng):
+        seen.append((candidates.rows, grows, prunes))
+        return planned(candidates, grows, prunes, rng)
+    monkeypatch.setattr(step, "plan_growth", plan_growth)
+    return seen
+
+
+def reached_with_bodies(scene, rows):
+    """bool[N]: which gaussians of a training a block of `scene` may change."""
+    centres, sizes = (rows["positions"] * scene.extent + scene.offset,
+                      2 * scene.extent * np.exp(rows["log_scales"].max(axis=1)))
+    reached = scene.region.reaches(centres)
+    for step_aside in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
+        reached &= scene.region.reaches(centres + sizes[:, None] * step_aside)
+    return reached
+
+
+@pytest.mark.parametrize("schedule", [
+    "constant", *(pytest.param(s, marks=pytest.mark.slow) for s in ("sig", "dash", "taming"))])
+def test_only_what_the_region_reaches_grows(item_device, city, tmp_path, rounds, schedule):
+    options = {"schedule": schedule, "densify_every": 20, **SHORT}
+    if schedule == "sig":
+        options = {**LEVELLED, "exposure": "off", "reproject": "off", "iterations": 60}
+    scene = block_of(city)
+    trained(tmp_path / "run", scene, item_device, **options)
+    inside = [reached_with_bodies(scene, rows) for rows, *_ in rounds]
+    assert sum(grows.sum() for _, grows, _ in rounds) > 100
+    for reached, (_, grows, prunes) in zip(inside, rounds):
+        assert not ((grows | prunes) & ~reached).any() and (~reached).sum() > 1000
+
+
+def test_surroundings_stay_as_they_are(item_device, city, tmp_path):
+    """While others grow and opacities are reset."""
+    scene = block_of(city)
+    before = Gaussians.from_points(city.points, city.colours, 1)
+    run = trained(tmp_path / "run", scene, item_device, sh_degree=1, **{**SHORT, "reset_every": 20})
+    after = run.load_model()
+    outside = ~scene.region.reaches(city.points + city.offset)
+    distance, place = cKDTree(after.positions).query(before.positions)
+    same = distance < 1e-5 * scene.extent
+    assert same[outside].all() and same[~outside].mean() < 0.2
+    stays = outside & same
+    for name in ("sh_constant", "opacity_logits", "quaternions"):
+        assert np.array_equal(after.rows[name][place[stays]], before.rows[name][stays]), name
+
+
+def test_what_covers_more_than_a_block_stays(item_device, city, tmp_path, rounds):
+    """Every block sees a haze that one of them owns: changed there alone, as once on caliterra, it
+    changes the tones of all others when they are merged. Nor is it pruned for its size."""
+    scene = block_of(city)
+    haze = int(np.argmin(scene.points[:, 0]))  # deep in the block
+    first = Gaussians.from_points(city.points, city.colours, 1)
+    first.rows["log_scales"][haze] = np.log(3 * scene.extent)
+    first.rows["opacity_logits"][haze] = -3
+    assert scene.region.owns(scene.points[haze:haze + 1] + scene.offset).all()
+    write_ply(tmp_path / "first.ply", first, scene.offset)
+    run = trained(tmp_path / "run", scene, item_device, sh_degree=1, init=str(
+        tmp_path / "first.ply"), **{**SHORT, "reset_every": 20})
+    after = run.load_model()
+    place = int(np.argmax(after.log_scales.max(axis=1)))
+    for name in ("positions", "log_scales", "opacity_logits", "sh_constant", "quaternions"):
+        assert np.allclose(after.rows[name][place], first.rows[name][haze], atol=1e-4), name
+    assert (after.log_scales.max(axis=1) > np.log(scene.extent)).sum() == 1
+    assert sum(grows.sum() for _, grows, _ in rounds) > 100
+
+
+def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path, rounds,
+                                                    monkeypatch):
+    """Or the surroundings would count against what the block's own pixels can tell apart."""
+    asked = []
+    monkeypatch.setattr(Constant, "target", lambda self, iteration, count, above: asked.append(
+        (self.subject.count, self.subject.pixels, count, above)))
+    scene = block_of(city)
+    trained(tmp_path / "run", scene, item_device, engine="device", **SHORT)
+    first, pixels = asked[0][:2]
+    begun = Gaussians.from_points(city.points, city.colours, 0)
+    assert first == trainable(scene, begun.positions, begun.log_scales).sum()
+    assert pixels == seen_pixels(scene.reduced(8), scene.reduced(8).views)
+    for (rows, _, prunes), (_, _, count, above) in zip(rounds, asked, strict=True):
+        inside = reached_with_bodies(scene, rows)
+        assert count == (inside & ~prunes).sum() < (~prunes).sum() / 2
+        assert 0 < above <= count
+
+
+@pytest.mark.slow
+def test_the_limit_is_of_all_gaussians(item_device, city, tmp_path):
+    limit = len(city.points) + 50
+    run = trained(tmp_path / "run", block_of(city), item_device, max_gaussians=limit, **SHORT)
+    assert limit - 20 <= len(run.load_model().positions) <= limit
+
+
+# --- what a block is made of
+
+def test_shares_of_pixels_add_up(city):
+    """Cells that own all places, each once, are shown by all pixels."""
+    inner = region_of(city, 0.4)
+    outer = replace(inner, low=np.where(np.isfinite(inner.high), inner.high, -np.inf),
+                    high=np.full(3, np.inf))
+    whole = sum(view.camera.width * view.camera.height for view in city.views)
+    assert seen_pixels(city, city.views) == whole
+    for scene in (city, replace(city, observations=None)):
+        parts = [seen_pixels(replace(scene, region=r), scene.views) for r in (inner, outer)]
+        assert abs(sum(parts) - whole) <= 2 and min(parts) > 0.2 * whole
+    few = replace(city, region=inner)
+    assert sum(seen_pixels(few, (view,)) for view in city.views) == pytest.approx(
+        seen_pixels(few, city.views), abs=len(city.views))
+
+
+SIZE, FOCAL = (64, 48), 50.0
+# along the axis of `looking`: the gaussians, where they are, and how large they are
+OWN, EDGE, NEAR, BEHIND, ASIDE, REACHING, OTHER_SIDE = range(7)
+PLACES = [(0, 0, 5), (0, 0, 12), (0, 0, 30), (0, 0, -20), (60, 0, 50), (60, 0, 50), (0, -60, 50)]
+DEVIATIONS = [1e-5, 1e-5, 1.0, 9.0, 1.0, 11.0, 13.0]
+
+
+def looking(offset):
+    """A Scene of one view from the origin along z, in a frame at `offset`; and the Region that owns
+    z < 10 and reaches 15, of the world."""
+    camera = Camera(*SIZE, (FOCAL, FOCAL), (32.0, 24.0), np.eye(3), np.zeros(3))
+    points = np.array([[0.0, 0, 4], [0, 0, 6]])
+    scene = Scene("look", (View("a", camera, b""),), points, np.zeros((2, 3), np.uint8),
+                  np.full(3, offset))
+    space = Space(np.eye(3), np.full(3, offset), np.full(3, 10.0))
+    return scene, Region(space, low=[-np.inf, -np.inf, 0], high=[np.inf, np.inf, 1], margin=0.5)
+
+
+def gaussians_at(positions, deviations):
+    """Gaussians of these largest standard deviations, thin in the other directions."""
+    made = Gaussians.from_points(np.array(positions, float), np.zeros((len(positions), 3)), 0)
+    scales = np.log(np.array(deviations, np.float32))[:, None] - np.float32([3, 0, 5])
+    return Gaussians({**made.rows, "log_scales": scales}, 0)
+
+
+@pytest.mark.parametrize("offset", [0.0, 3e6])
+def test_cut(offset):
+    """Small ones stay where the region reaches them; behind it, those that the view shows."""
+    scene, region = looking(offset)
+    given = gaussians_at(PLACES, DEVIATIONS)
+    result = cut(given, scene, region, scene.views)
+    kept = [OWN, EDGE, NEAR, REACHING, OTHER_SIDE]
+    for name, values in result.gaussians.rows.items():
+        assert np.array_equal(values, given.rows[name][kept]), name
+    assert asdict(replace(result, gaussians=None)) == {
+        "gaussians": None, "own": 1, "margin": 1, "surroundings": 3, "unseen": 2, "thinned": 0}
+
+
+def test_sizes_in_the_view_that_shows_them_largest():
+    scene, _ = looking(0.0)
+    view = scene.views[0]
+    twice = replace(view, camera=view.camera.resized(128, 96))
+    positions, deviations = np.array(PLACES, float), np.array(DEVIATIONS)
+    once = largest_sizes(positions, deviations, [view], near=0.01)
+    assert once[NEAR] == pytest.approx(2 * FOCAL * 1.0 / 30) and once[REACHING] == 22.0
+    assert once[BEHIND] == once[ASIDE] == 0
+    assert once[OTHER_SIDE] == 26.0
+    for views in ([view, twice], [twice, view]):
+        assert np.array_equal(largest_sizes(positions, deviations, views, 0.01), 2 * once)
+    assert largest_sizes(positions, deviations, [view], near=31.0)[NEAR] == 0
+
+
+def test_far_gaussians_are_thinned_to_the_same_area():
+    """Of many that a view shows as half a pixel, a quarter stays, twice as large."""
+    scene, region = looking(0.0)
+    count, distance = 4000, 1000.0
+    rng = np.random.default_rng(0)
+    places = np.column_stack([rng.uniform(-300, 300, (count, 2)), np.full(count, distance)])
+    given = gaussians_at(places, np.full(count, 0.25 * distance / FOCAL))
+    result = cut(given, scene, region, scene.views)
+    assert result.surroundings == result.gaussians.count == count - result.thinned
+    assert result.unseen == result.own == result.margin == 0
+    assert abs(result.surroundings - count / 4) < 4 * np.sqrt(count * 3 / 16)
+    larger = result.gaussians.log_scales - given.log_scales[:result.gaussians.count]
+    assert np.allclose(larger, np.log(2), atol=1e-4)
+    assert np.array_equal(result.gaussians.positions,
+                          cut(given, scene, region, scene.views).gaussians.positions)
+
+
+# --- exposures
+
+def test_exposures_keep_the_mean_they_started_with(float_device):
+    rng = np.random.default_rng(0)
+    initial = np.eye(3, 4) + rng.normal(0, 0.1, (3, 3, 4))
+    exposures = Exposures(float_device, 3, rate=0.05, initial=initial)
+    image = float_device.upload(rng.random((3, 8, 8)).astype(np.float32))
+    before = exposures.apply(1, image).download()
+    flat = image.download().reshape(3, -1)
+    expected = initial[1, :, :3] @ flat + initial[1, :, 3:]
+    assert np.allclose(before.reshape(3, -1), expected, atol=1e-5)
+    for _ in range(3):
+        exposures.adjoint(1, image, image)
+    exposures.recentre()
+    transforms = exposures.download()["transforms"].reshape(3, 3, 4)
+    assert np.abs(transforms[1] - initial[1]).max() > 0.05
+    assert np.allclose(transforms.mean(axis=0), initial.mean(axis=0), atol=1e-6)
+    rest = exposures.between([(0, 1)]).download()
+    assert np.allclose(rest, Exposures(float_device, 3, initial=transforms.astype(float)).between(
+        [(0, 1)]).download(), atol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, city, tmp_path):
+    # longer than an epoch: they are recentred on the way
+    options = {**LEVELLED, **KEEPS, "reproject": "off", "iterations": 40, "test_every": 8}
+    run = trained(tmp_path / "coarse", city, item_device, **options)
+    learned, held = run.load_exposures(), run.load_checkpoint()[0]["exposure.transforms"]
+    names = [view.name for view in city.split(8)[0]]
+    assert list(learned) == names
+    assert np.array_equal(np.reshape(list(learned.values()), (-1, 12)), held)
+    some = {name: learned[name] + 0.2 for name in names[:5]}
+    block = trained(tmp_path / "block", replace(city, exposures=some), item_device,
+                    **{**options, "iterations": 1})
+    after = block.load_exposures()
+    assert all(np.abs(after[name] - some.get(name, np.eye(3, 4))).max() < 3e-3 for name in names)
+
+
+def test_a_run_without_exposures_leaves_none(item_device, city, tmp_path):
+    run = trained(tmp_path / "run", city, item_device, iterations=1, exposure="off")
+    assert run.load_exposures() is None
+
+
+# --- options
+
+@pytest.mark.parametrize("schedule", ["sig", "constant", "dash", "taming"])
+def test_a_coarse_run_has_smaller_photos(schedule):
+    chosen = resolve({}, {"schedule": schedule, "coarse": True})
+    same = resolve({}, {"schedule": schedule})
+    assert chosen == replace(same, coarse=True, downscale=2.0, max_resolution=800)
+    assert resolve({}, {"coarse": True, "downscale": 8.0}).downscale == 8
+
+
+def test_blocks_follow_the_coarse_run(tmp_path):
+    coarse, given = RunFolder(tmp_path), {"exposure": "auto", "coarse": True, "iterations": 9}
+    coarse.write_options({"needs": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}})
+    options = resolve({}, options_of_blocks(given, decided_by(coarse)))
+    assert (options.exposure, options.sh_degree, options.test_every) == ("on", 2, 0)
+    assert (options.coarse, options.downscale, options.iterations) == (False, 1, 9)
+    assert options.sh_every == 1
+    assert options_of_blocks({"sh_every": 50}, {})["sh_every"] == 50
+
+
+# --- the command
+
+VIEWS = list(range(1, 32, 2))
+FIRST = 2000  # gaussians
+
+
+@pytest.fixture
+def folder(city, tmp_path):
+    """A city with one block of half its views."""
+    there = CityFolder(tmp_path / "city")
+    there.path.mkdir()
+    there.write({"fingerprint": fingerprint(city)})
+    there.write_partition({"method": "by hand"})
+    written(there, city)
+    return there
+
+
+def written(there, city, **options):
+    region = region_of(city, 0.5, margin=0.05)
+    starts = Gaussians.from_points(city.points[:FIRST], city.colours[:FIRST], 1)
+    exposures = {view.name: np.eye(3, 4) * 1.02 for view in city.views}
+    values = {**EVENTFUL, "iterations": 40, "densify_until": 40, "densify_every": 10,
+              "exposure": "on", "sh_degree": 1, "test_every": 0, **options}
+    return there.write_block(0, city, VIEWS, region, {}, starts, exposures, values,
+                             there.identity())
+
+
+def called(block, *words):
+    """(exit code, output) of `clsplat block`."""
+    result = CliRunner().invoke(main, ["block", str(block.path), *words])
+    return result.exit_code, result.output
+
+
+@pytest.mark.slow
+def test_a_stopped_block_ends_in_the_same_bytes(folder, city, tmp_path):
+    block = folder.block(0)
+    code, output = called(block, "--stop-at", "25")
+    assert code == 130 and output.splitlines()[-1] == \
+        f"{block.path}: stopped, its state is saved; the same command goes on"
+    assert not RunFolder(block.run).has_model
+    code, output = called(block)
+    assert (code, output.splitlines()[-1]) == (0, f"{block.run}: finished")
+    run = RunFolder.open(block.run)
+    assert [r["iteration"] for r in run.records() if r["event"] == "grow"] == [31]
+    assert next(r["gaussians"] for r in run.records() if r["event"] == "step") == FIRST
+    model = read_ply(run.path / "point_cloud.ply")
+    assert model.sh_degree == 1 and model.count > FIRST
+
+    again = CityFolder(tmp_path / "again")
+    again.path.mkdir()
+    again.write(folder.read())
+    again.write_partition(folder.read_partition())
+    other = written(again, city)
+    assert called(other, "-q") == (0, "")
+    assert model_digest(RunFolder(other.run)) == model_digest(run)
+    assert (other.run / "exposures.json").read_bytes() == (
+        block.run / "exposures.json").read_bytes()
+
+    before = (block.run / "point_cloud.ply").stat().st_mtime_ns
+    assert called(block) == (0, f"{block.run}: was finished before\n")
+    assert (block.run / "point_cloud.ply").stat().st_mtime_ns == before
+    check_other_options(block)
+
+
+def check_other_options(block):
+    """Whoever changes what a block is trained with does not get the old result for the new."""
+    record = json.loads((block.path / "block.json").read_text())
+    record["options"]["iterations"] = 41
+    (block.path / "block.json").write_text(json.dumps(record))
+    code, output = called(block)
+    assert code == 2 and output == (
+        f"error: {block.run}: was begun with iterations 40, and block.json has 41; put that back, "
+        "or remove the run\n")
+
+
+@pytest.mark.parametrize("what", ["city", "partition"])
+def test_a_block_of_another_city(folder, what):
+    if what == "city":
+        folder.write({"fingerprint": "0"})
+    else:
+        folder.write_partition({"method": "another"})
+    code, output = called(folder.block(0))
+    assert code == 2 and output.startswith(
+        f"error: {folder.block(0).path}: a block of another {what} than that of ")
+    assert output.count("\n") == 1 and not folder.block(0).run.exists()
+
+
+@pytest.mark.parametrize("options, complaint", [
+    ({"iterations": "many"}, "option 'iterations' wants int"), ({"no_such": 1}, "unknown option"),
+    ({"schedule": "constant", "rounds": 3}, "--rounds: means nothing to --schedule constant")])
+def test_bad_options_of_a_block(folder, options, complaint):
+    block = folder.block(0)
+    (block.path / "block.json").write_text(json.dumps({**block.read(), "options": options}))
+    code, output = called(block)
+    assert code == 2 and complaint in output and output.count("\n") == 1
+
+
+def test_a_folder_that_is_no_block(tmp_path):
+    code, output = called(CityFolder(tmp_path).block(3))
+    assert code == 2 and "block.json: no such file; give a folder CITY/blocks/NNN" in output

@@ -1,0 +1,257 @@
+"""What a scene needs of what is optional: found out, said why, refused where it cannot be met."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clsplat.covisibility.exposure_drift import DRIFTS
+from clsplat.errors import InputError
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from clsplat.schedule import scaled_steps
+from clsplat.training import needs
+from clsplat.training.needs import (
+    LOOKED_AT,
+    SHINE,
+    SMALL_SIDE,
+    VISIBLE,
+    find_needs,
+    needed_degree,
+    smallest_size,
+)
+from tests.covisibility.test_neighbours import circle
+from tests.data.tiny_training import CITY
+
+
+@pytest.fixture(scope="module")
+def city():
+    return read_scene(CITY).reduced(4)
+
+
+def found(scene, **options):
+    return find_needs(scene, scene.views, resolve({}, options))
+
+
+@pytest.fixture
+def drift(monkeypatch):
+    """Sets the drift that is measured; returns what it was measured on."""
+    seen = []
+
+    def set_to(value):
+        def measure(views, photos, points, colours):
+            seen.append((views, photos, points))
+            return value
+        monkeypatch.setattr(needs, "exposure_drift", measure)
+        return seen
+    return set_to
+
+
+def test_nothing_is_left_open(city, drift):
+    drift(0.0)
+    for schedule in ("sig", "constant", "dash"):
+        options = found(city, schedule=schedule).options
+        assert options.exposure in ("on", "off") and options.reproject in ("on", "off")
+        unchanged = {"exposure": "off", "reproject": "off"}
+        assert replace(options, **unchanged) == replace(resolve({}, {"schedule": schedule}),
+                                                        **unchanged)
+
+
+@pytest.mark.parametrize("measured, answer", [(DRIFTS, "on"), (0.99 * DRIFTS, "off"), (0, "off")])
+def test_exposures_are_learned_where_photos_drift(city, drift, measured, answer):
+    drift(measured)
+    result = found(city, exposure="auto")
+    assert result.options.exposure == answer
+    reason = result.reasons["exposure"]
+    assert reason.startswith(f"{answer}: ") and f"{100 * measured:.1f} %" in reason
+    assert "32 photos" in reason
+
+
+def test_the_city_does_not_drift_until_its_photos_are_darkened(city, monkeypatch):
+    assert found(city).options.exposure == "off"
+    read = needs.decoded
+    monkeypatch.setattr(needs, "decoded", lambda views: (
+        (photo * (0.6 if i % 2 else 1)).astype(np.uint8) for i, photo in enumerate(read(views))))
+    assert found(city).options.exposure == "on"
+
+
+@pytest.mark.parametrize("answer", ["on", "off"])
+def test_what_is_asked_for_is_not_measured(city, drift, answer):
+    seen = drift(1.0)
+    result = found(city, exposure=answer)
+    assert (result.options.exposure, seen) == (answer, [])
+    assert result.reasons["exposure"] == f"{answer}: asked for"
+
+
+def test_few_small_photos_stand_for_all(city, drift):
+    seen = drift(0.0)
+    large = replace(city.views[0], camera=city.views[0].camera.resized(4 * SMALL_SIDE, 100))
+    many = replace(city, views=(large, *city.views * 5))
+    find_needs(many, many.views, resolve({}, {"reproject": "off"}))
+    (views, _, points), = seen
+    assert 0.5 * LOOKED_AT <= len(views) <= LOOKED_AT and points is many.points
+    assert [view.name for view in views] == [view.name for view in many.views[::3]]
+    assert max(max(v.camera.width, v.camera.height) for v in views) <= SMALL_SIDE
+
+
+@pytest.mark.parametrize("asked", ["auto", "on"])
+def test_adjacent_photos_are_found(city, drift, asked):
+    drift(0.0)
+    result = found(city, reproject=asked)
+    assert result.options.reproject == "on" and len(result.neighbours) == len(city.views)
+    assert all(number not in adjacent for number, adjacent in enumerate(result.neighbours))
+    assert result.reasons["reproject"] == "on: 32 of 32 photos have an adjacent one"
+
+
+@pytest.mark.parametrize("options", [
+    {}, {"reproject": "auto", "reproject_weight": 0.0}, {"schedule": "taming"}], ids=str)
+def test_adjacent_photos_are_not_looked_for(city, drift, monkeypatch, options):
+    drift(0.0)
+    monkeypatch.delattr(needs, "adjacent_views")
+    result = found(city, **options)
+    assert (result.options.reproject, result.neighbours) == ("off", None)
+    assert result.reasons["reproject"] == "off: not asked for"
+
+
+def test_photos_that_share_nothing(city, drift):
+    drift(0.0)
+    apart = replace(city, observations=city.observations[:0])
+    result = found(apart, reproject="auto")
+    assert (result.options.reproject, result.neighbours) == ("off", None)
+    assert result.reasons["reproject"] == "off: no two photos share 20 sparse points"
+    with pytest.raises(InputError, match="city: --reproject on needs .* use --reproject auto"):
+        found(apart, reproject="on")
+
+
+def test_the_shortest_side_counts(city):
+    cameras = [city.views[0].camera.resized(*size) for size in ((90, 70), (300, 60), (61, 500))]
+    views = [replace(city.views[0], camera=camera) for camera in cameras]
+    assert smallest_size(views) == (300, 60)
+
+
+@pytest.mark.parametrize("degrees, degree", [
+    ((0, 1), 0), ((0, 2), 1), ((0, 8), 1), ((0, 5, 10), 1), ((0, 12), 2), ((0, 25), 3),
+    ((0, 90, 180), 3)])
+@pytest.mark.parametrize("tracks", [True, False])
+def test_views_that_agree_need_fewer_harmonics(drift, degrees, degree, tracks):
+    drift(0.0)
+    scene = circle(*degrees)
+    scene = scene if tracks else replace(scene, observations=None)
+    result = found(scene, sh_degree="auto")
+    assert result.options.sh_degree == result.found["sh_degree"] == degree
+    middle = f"{(max(degrees) - min(degrees)) / 2:.1f} degrees"
+    assert result.reasons["sh_degree"].startswith(f"{degree}: 99% of the points are seen from "
+                                                  "within ")
+    assert middle in result.reasons["sh_degree"] or max(degrees) == 180
+
+
+def test_points_that_no_two_views_see_leave_the_highest_degree(drift):
+    drift(0.0)
+    scene = circle(0, 1)
+    alone = replace(scene, observations=scene.observations[:1])
+    result = found(alone, sh_degree="auto")
+    assert result.options.sh_degree == 3 and "nothing is known" in result.reasons["sh_degree"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["city", "caliterra", "boruszyn", "lund"])
+def test_flights_and_walks_keep_all_harmonics(name, drift):
+    path = CITY if name == "city" else CITY.parents[2] / "shared" / "data" / name
+    if not path.is_dir():
+        pytest.skip(f"{path} is not here")
+    drift(0.0)
+    assert found(read_scene(path), sh_degree="auto").options.sh_degree == 3
+
+
+def test_all_harmonics_are_the_default(city, drift):
+    drift(0.0)
+    result = found(city)
+    assert result.options.sh_degree == 3 and not result.parts["sh_degree"].asked
+    assert result.reasons["sh_degree"] == "3: all, the default"
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_a_degree_that_is_asked_for_is_used(city, drift, degree):
+    drift(0.0)
+    result = found(city, sh_degree=degree)
+    assert result.options.sh_degree == degree and result.parts["sh_degree"].asked
+    assert result.reasons["sh_degree"] == f"{degree}: asked for"
+    assert not found(city, sh_degree="auto").parts["sh_degree"].asked
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_a_lower_degree_is_right_to_a_step_of_8_bits(degree):
+    """Harmonics to degree 3 are the polynomials to degree 3 on the sphere, so cubics are fitted by
+    polynomials of `degree` on the widest cap that is said to need no more."""
+    cap = max(c for c in np.arange(0.05, 15, 0.05) if needed_degree(c) == degree)
+    rng = np.random.default_rng(degree)
+    sphere = rng.normal(size=(4000, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    worst = {}
+    for times in (1, 6):
+        tilt = np.deg2rad(times * cap) * np.sqrt(rng.random(400))
+        turn = rng.uniform(0, 2 * np.pi, 400)
+        near = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn),
+                         np.cos(tilt)], 1)
+        errors = []
+        for _ in range(100):
+            turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+            cubic = rng.normal(size=20)
+            colour = powers(near @ turned, 3) @ cubic
+            colour *= SHINE / np.abs(powers(sphere, 3) @ cubic).max()
+            basis = powers(near, degree)
+            errors.append(np.abs(basis @ np.linalg.lstsq(basis, colour)[0] - colour).max())
+        worst[times] = max(errors)
+    assert worst[1] <= VISIBLE < worst[6]
+
+
+def powers(directions, degree):
+    """Columns x^i y^j z^k, i + j + k <= degree."""
+    x, y, z = directions.T
+    return np.stack([x**i * y**j * z**k for i in range(degree + 1) for j in range(degree + 1 - i)
+                     for k in range(degree + 1 - i - j)], axis=1)
+
+
+def test_scales_are_told(drift):
+    drift(0.0)
+    scene = circle(0, 10)
+    near, far = scene.views
+    away = replace(far, camera=replace(far.camera, translation=np.array([0, 0, 40.0])))
+    scene = replace(scene, views=(near, away))
+    result = found(scene)
+    assert result.reasons["antialiased"] == (
+        "off: not asked for; nine points in ten are seen at scales within a factor of 4.0")
+    assert found(scene, antialiased=True).found["antialiased"] == "on"
+
+
+def test_levels_are_named(city, drift):
+    drift(0.0)
+    large = replace(city, views=tuple(
+        replace(view, camera=view.camera.resized(320, 240)) for view in city.views))
+    result = found(large)
+    assert result.found["levels"] == (3.0, 2.0, 1.0)
+    assert result.reasons["levels"] == (
+        "3 2 1: 106 x 80 to 320 x 240 pixels; sides below 64 are left out")
+    assert found(large, levels=(4.0, 1.0)).reasons["levels"] == (
+        "4 1: asked for; 80 x 60 to 320 x 240 pixels")
+    assert found(large, schedule="constant").found["levels"] == (1.0,)
+
+
+def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift):
+    drift(0.0)
+    options = scaled_steps(resolve({}, {"schedule": "taming", "iterations": 7000}))
+    needed = 3 * 59 * 1.5 * 15 * 4400 * 4  # bytes, at the end
+
+    def engine(memory, **changes):
+        device = SimpleNamespace(real=np.dtype(np.float32),
+                                 handle=SimpleNamespace(global_mem_size=memory))
+        return find_needs(city, city.views, replace(options, **changes), device)
+
+    assert engine(2.02 * needed).options.engine == "device"
+    result = engine(1.98 * needed)
+    assert result.options.engine == "numpy" == result.found["engine"]
+    assert "take up to 67 MiB of the device's 132" in result.reasons["engine"]
+    assert engine(1.98 * needed, sh_degree=2).options.engine == "device"
+    assert engine(1.0, engine="device").reasons["engine"] == "device: asked for"
+    assert find_needs(city, city.views, options).options.engine == "auto"

@@ -1,0 +1,201 @@
+"""A view of a block shows the part of its photo that the block is in, as the whole photo would."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.city import CityFolder
+from clsplat.io.images import read_image, read_photo, write_image
+from clsplat.io.resample import resample
+from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.partition.blocks import find_windows, seen_pixels
+from clsplat.region import Region, Space
+from clsplat.rendering.slabs import Parts, SlabRenderer
+from clsplat.scene import View
+from tests import cases
+from tests.data.tiny_training import CITY
+from tests.kernels.chain import (
+    camera_of,
+    renderer_of,
+    size_of,
+    stored_degree,
+    upload_rows,
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return read_scene(CITY)
+
+
+@pytest.fixture(scope="module")
+def gaussians(scene):
+    return Gaussians.from_points(scene.points, scene.colours, 0)
+
+
+def region_of(scene, share, margin=0.1):
+    """The Region that owns about the first `share` of a scene's points along x."""
+    world = scene.points + scene.offset
+    space = Space(np.eye(3), world.mean(axis=0), np.ptp(world, axis=0) / 2)
+    return Region(space, high=[np.quantile(space.to(world)[:, 0], share), np.inf, np.inf],
+                  margin=margin)
+
+
+CAMERA = Camera(640, 480, (500.0, 510.0), (321.0, 244.0), np.eye(3), np.zeros(3))
+POINTS = np.random.default_rng(0).normal(0, 1, (50, 3)) + [0, 0, 4]
+
+
+def test_a_part_of_a_photo_shows_what_the_whole_does_there():
+    part = CAMERA.cropped(96, 32, 400, 288)
+    assert (part.width, part.height) == (304, 256)
+    assert np.allclose(part.project(POINTS)[0], CAMERA.project(POINTS)[0] - [96, 32])
+    assert part.borders == (-96, -32, 544, 448)
+    again = part.cropped(10, 20, 200, 200)
+    assert again.borders == (-106, -52, 534, 428)
+    assert np.allclose(again.project(POINTS)[0], CAMERA.project(POINTS)[0] - [106, 52])
+    half = part.reduced(2)
+    assert (half.width, half.height, half.borders) == (152, 128, (-48, -16, 272, 224))
+
+
+def test_the_largest_resolution_is_of_the_whole_photo():
+    part = CAMERA.cropped(96, 32, 416, 288).reduced(1, max_resolution=320)
+    assert (part.width, part.height) == (160, 128)
+    assert part.focal == CAMERA.reduced(2).focal
+
+
+@pytest.mark.parametrize("name", ["ragged", "giants", "near_plane"])
+def test_a_render_of_a_part_is_part_of_the_render(device, name):
+    """Also where gaussians lie far outside the part: what clamps their Jacobians is the whole."""
+    case = cases.gaussians(name)
+    width, height = size_of(case)
+    left, top, right, bottom = window = width // 2, height // 3, width - 3, height - 1
+    renderer, rows, camera = renderer_of(device, case), upload_rows(
+        device, case["rows"]), camera_of(case)
+
+    def drawn(camera):
+        frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height,
+                                case["degree"])
+        return frame.image.download()
+
+    expected = drawn(camera)[:, top:bottom, left:right]
+    part = camera.cropped(*window)
+    assert abs(drawn(part) - expected).max() < 2e-6 * (1 + abs(expected).max())
+    slabs = SlabRenderer(device, stored_degree(case), case["near"],
+                         background=case["background"])
+    frame = slabs.render(Parts.of(case["rows"], 16), slabs.pack(part), part.width, part.height,
+                         case["degree"])
+    assert abs(frame.image.download() - expected).max() < 2e-6 * (1 + abs(expected).max())
+    if name == "giants":  # the case would notice
+        assert abs(drawn(replace(part, whole=None)) - expected).max() > 2e-5
+
+
+@pytest.mark.parametrize("window", [(0, 0, 3, 3), (40, 2, 61, 9), (2, 28, 9, 37)])
+def test_no_part_of_a_model_is_passed_over(float_device, window):
+    """Off the centre of a wide photo, where the steepest rays are on one side."""
+    case = cases.gaussians("giants", count=3000)
+    case["camera"] |= {"fx": 8.0, "fy": 8.0}
+    rng = np.random.default_rng(0)
+    case["rows"]["positions"] = cases.single(rng.normal(0, 12, (3000, 3)))
+    case["rows"]["log_scales"] = cases.single(rng.uniform(-3, 2, (3000, 3)))
+    case["rows"]["opacity_logits"] = cases.single(np.full(3000, 4.0))
+    camera = camera_of(case).cropped(*window)
+    renderer = renderer_of(float_device, case)
+    frame = renderer.render(upload_rows(float_device, case["rows"]), renderer.pack(camera),
+                            camera.width, camera.height, 0)
+    drawn = set(frame.visible.download().tolist())
+    seen = {piece.start for piece in Parts.of(case["rows"], 1).seen(camera, case["near"])}
+    assert drawn <= seen and len(seen) < 3000 and len(drawn) > 100
+
+
+def test_a_photo_is_read_in_part(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)
+    write_image(tmp_path / "a.png", pixels)
+    part = CAMERA.cropped(96, 32, 400, 288)
+
+    def read(camera):
+        return read_photo(View("a", camera, tmp_path / "a.png"))
+
+    assert np.array_equal(read(part), pixels[32:288, 96:400])
+    for factor, size in ((2, (152, 128)), (3, (101, 85))):
+        assert np.array_equal(read(part.reduced(factor)), resample(pixels[32:288, 96:400], size))
+    assert np.array_equal(read(CAMERA.reduced(2)), read_image(tmp_path / "a.png", (320, 240)))
+
+
+def test_windows_hold_what_the_region_reaches(scene, gaussians):
+    region = region_of(scene, 0.3)
+    windows = find_windows(gaussians, scene, region, scene.views)
+    reached = replace(scene, region=region).reached(gaussians.positions)
+    assert len(windows) > 20
+    areas, shown = [], []
+    for view in scene.views:
+        size = view.camera.width, view.camera.height
+        left, top, right, bottom = windows.get(view.name, (0, 0, *size))
+        assert left % 16 == top % 16 == 0
+        assert right % 16 == 0 or right == size[0]
+        assert bottom % 16 == 0 or bottom == size[1]
+        assert right - left >= 48 and bottom - top >= 48  # 64 but for the photo's end
+        areas.append((right - left) * (bottom - top) / np.prod(size))
+        pixels, _ = view.camera.project(gaussians.positions[reached & view.sees(scene.points)])
+        shown.append(((pixels > (left, top)) & (pixels < (right, bottom))).all(axis=1))
+    assert np.concatenate(shown).mean() > 0.98 and np.mean(areas) < 0.75
+
+
+def test_a_view_that_shows_nothing_of_a_block_stays_whole(scene, gaussians):
+    away = replace(scene, views=tuple(
+        replace(view, camera=replace(view.camera, translation=view.camera.translation - [
+            0, 0, 1e5])) for view in scene.views[:3]))
+    assert find_windows(gaussians, away, region_of(scene, 0.3), away.views) == {}
+
+
+def test_a_scene_cropped_keeps_the_observations_that_it_shows(scene):
+    view = scene.views[5]
+    cropped = scene.cropped({view.name: (64, 32, 192, 160)})
+    point, number = scene.observations.T
+    pixels, _ = view.camera.project(scene.points[point])
+    inside = (number != 5) | ((pixels > (64, 32)) & (pixels < (192, 160))).all(axis=1)
+    assert 0 < (~inside).sum() < (number == 5).sum()
+    assert np.array_equal(cropped.observations, scene.observations[inside])
+    assert cropped.views[5].camera.width == 128 and cropped.views[4] is scene.views[4]
+    assert replace(scene, observations=None).cropped({}).observations is None
+
+
+def test_windows_change_little_of_the_pixels_that_show_a_block(scene, gaussians):
+    part = replace(scene, region=region_of(scene, 0.3))
+    cropped = part.cropped(find_windows(gaussians, scene, part.region, scene.views))
+    whole = seen_pixels(part, part.views)
+    assert 0.75 * whole < seen_pixels(cropped, cropped.views) < 1.1 * whole
+
+
+@pytest.fixture
+def block(scene, gaussians, tmp_path):
+    city = CityFolder(tmp_path / "city")
+    city.make()
+    city.write({"fingerprint": fingerprint(scene)})
+    city.write_partition({"method": "by hand"})
+    return city.write_block(0, scene, [3, 8], region_of(scene, 0.3),
+                            {scene.views[3].name: (16, 32, 128, 160)}, gaussians, None, {},
+                            city.identity())
+
+
+def test_a_block_is_read_with_its_windows(block, scene):
+    first, second = read_scene(block.path).views
+    assert (first.camera.width, first.camera.height) == (112, 128)
+    assert np.allclose(first.camera.borders, (-16, -32, 304, 208))
+    assert second.camera.width == 320 and second.camera.whole is None
+    assert np.array_equal(read_photo(first), read_image(scene.views[3].source)[32:160, 16:128])
+
+
+@pytest.mark.parametrize("window", [7, [1, 2, 3], [0, 0, 400, 100], [-1, 0, 50, 50], [9, 0, 9, 5],
+                                    [0.0, 0, 16, 16], [0, 0, 16, 9999]])
+def test_a_damaged_window_is_refused(block, scene, window):
+    path = block.path / "region.json"
+    record = json.loads(path.read_text())
+    record["windows"][scene.views[3].name] = window
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError, match="region.json: damaged .*partition the city again"):
+        read_scene(block.path)
