@@ -1,5 +1,5 @@
-"""The reference, and the example docs/examples/torch_autograd.py on a device, against an independent
-implementation: gsplat 1.5.3's pure-torch code, on the CPU, in float64.
+"""The reference against an independent one: gsplat 1.5.3's pure-torch code, on the CPU, in float64.
+So are the gradients that the example docs/examples/torch_autograd.py takes on a device.
 
 Needs torch and gsplat, which clsplat does not; elsewhere it is skipped. To run it, from the root:
 
