@@ -7,7 +7,7 @@ small made-up checkout in every way and sees the checks notice.
 import ast
 import configparser
 import re
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pytest
 
@@ -165,16 +165,21 @@ def function_imports(root):
 
 
 def families(root):
+    """The files of cl/ itself."""
     return [path for _, path in sources(root, "cl", suffixes=(".cl",)) if path.parent.name == "cl"]
+
+
+def homes(root, family):
+    """The modules that may declare a family's kernels: there should be one."""
+    return [name for name, home in sources(root, "clsplat")
+            if home.stem == family and not name.startswith(("clsplat/cli/", "clsplat/bench/"))]
 
 
 def rhyme(root):
     for path in families(root):
-        stem = path.stem
-        homes = [name for name, home in sources(root, "clsplat")
-                 if home.stem == stem and not name.startswith(("clsplat/cli/", "clsplat/bench/"))]
-        if len(homes) != 1:
-            yield f"cl/{stem}.cl: wants one clsplat/**/{stem}.py, there are {len(homes)}"
+        stem, found = path.stem, len(homes(root, path.stem))
+        if found != 1:
+            yield f"cl/{stem}.cl: wants one clsplat/**/{stem}.py, there are {found}"
         for verse in (f"tests/reference/{stem}.py", f"tests/kernels/test_{stem}.py",
                       f"clsplat/bench/{stem}.py"):
             if not (root / verse).exists() and not (
@@ -228,7 +233,7 @@ def names(root):
 
 
 def packaging(root):
-    """setup.cfg lists every package, or the wheel lacks it though the checkout works."""
+    """setup.cfg lists every package and kernel, or the wheel lacks it though the checkout works."""
     setup = configparser.ConfigParser()
     setup.read(root / "setup.cfg")
     listed = set(setup.get("options", "packages", fallback="").split())
@@ -236,6 +241,12 @@ def packaging(root):
         package = folder.relative_to(root).as_posix().replace("/", ".")
         if package not in listed:
             yield f"setup.cfg: package {package} is not listed"
+    patterns = setup.get("options.package_data", "clsplat.cl", fallback="").split(", ")
+    for path in sorted(path for path in (root / "cl").rglob("*") if path.is_file()):
+        name = path.relative_to(root / "cl").as_posix()
+        if not any(PurePosixPath(name).match(pattern) and name.count("/") == pattern.count("/")
+                   for pattern in patterns):
+            yield f"setup.cfg: the wheel lacks cl/{name}"
 
 
 def top_level(root):
@@ -261,7 +272,9 @@ def test_the_house_is_in_order(check):
 SMALL = {
     "pyproject.toml": "[build-system]\nrequires = []\n",
     "setup.cfg": "[options]\npackages =\n  clsplat\n  clsplat.bench\n  clsplat.cli\n"
-                 "  clsplat.device\n  clsplat.io\n  clsplat.rendering\n  clsplat.schedule\n",
+                 "  clsplat.device\n  clsplat.io\n  clsplat.rendering\n  clsplat.schedule\n"
+                 "[options.package_data]\n"
+                 "clsplat.cl = *.cl, item/*.cl, group/*.cl, include/*.h\n",
     "clsplat/__init__.py": "__version__ = '1'\n",
     "clsplat/errors.py": "class E(Exception): ...\n",
     "clsplat/camera.py": "from clsplat.errors import E\n",
@@ -346,6 +359,7 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/io/image_utils.py", "", "'utils' says nothing"),
     ("tests/helpers/blend.py", "", "'helpers' says nothing"),
     ("clsplat/training/loop.py", "", "package clsplat.training is not listed"),
+    ("cl/item/tiles.h", "", "the wheel lacks cl/item/tiles.h"),
     ("notes.txt", "", "notes.txt: does not belong"),
     ("pyproject.toml", "[project]\nname = 'x'\n", "[project] belongs in setup.cfg"),
 ])

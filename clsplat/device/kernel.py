@@ -52,8 +52,10 @@ class Launch:
     arguments: dict = field(default_factory=dict)
 
     def __str__(self):
-        return {"each": f"each of {self.units}", "items": f"{self.units} items",
-                "groups": f"{self.units} groups of {self.group}"}[self.kind]
+        units, group = (" × ".join(text.split()) for text in (self.units, self.group))
+        if self.kind == "items":
+            return f"{units} items" + f", groups of {group}" * (group != "1")
+        return f"each of {units}" if self.kind == "each" else f"{units} groups of {group}"
 
 
 def each(elements):
