@@ -3,7 +3,6 @@
 // rows: uint[V], the same, or NO_ROW for one that nothing follows. One writer a slot.
 #include "real.h"
 #include "each.h"
-#define NO_ROW UINT_MAX
 
 // flags: uint[N], 1 where a view has seen the row; keys: uint[N], there the row, or NO_ROW where
 // nothing is to follow its gradient in one view or more.
@@ -19,21 +18,8 @@ __kernel void batch_mark(uint count, __global const uint *restrict visible,
     }
 }
 
-// sums[rows[v], :] += share gradient[v, :]. Item form: a work-item walks rows. Group form: elements.
-__kernel void batch_add(uint count, uint width, real share, __global const uint *restrict rows,
-                        __global const real *restrict gradient, __global real *restrict sums)
-{
 #if FORM_ITEM
-    FOR_EACH(v, count) {
-        if (rows[v] != NO_ROW)
-            for (uint column = 0; column < width; column++)
-                sums[(ulong)rows[v] * width + column] += share * gradient[v * width + column];
-    }
+#include "item/batch.cl"
 #else
-    FOR_EACH(i, (ulong)count * width) {
-        const uint row = rows[i / width];
-        if (row != NO_ROW)
-            sums[(ulong)row * width + i % width] += share * gradient[i];
-    }
+#include "group/batch.cl"
 #endif
-}

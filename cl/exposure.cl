@@ -1,21 +1,19 @@
 // A colour transform a training view, c' = M c + t, learned beside the gaussians: photos drift in
 // brightness and white balance (an affine colour map a photo, as Kerbl et al. 2024 use).
-// transforms: real[V, 12], a row [M | t] in row-major order; images and gradients: real[3, H, W],
-// pixels = H W; partials: real[blocks, 12], sums over BLOCK pixels each, added up by reduce.cl
-// (blocks of a fixed size: the same order of additions on any number of cores, and short sums).
+// transforms: real[V, TRANSFORM_REALS], a row [M | t] in row-major order; images and gradients:
+// real[3, H, W], pixels = H W; partials: real[blocks, TRANSFORM_REALS], sums over EXPOSURE_BLOCK pixels
+// each, added up by reduce.cl (blocks of a fixed size: the same order of additions on any number of
+// cores, and short sums).
 #include "real.h"
 #include "each.h"
-
-#define ENTRIES 12
-#define LOAD_ONE(OFFSET, P) (*(P))
-#define STORE_ONE(VALUE, OFFSET, P) (*(P) = (VALUE))
+#include "vector.h"
 
 __kernel void exposure_apply(uint pixels, uint view, __global const real *restrict transforms,
                              __global const real *restrict image, __global real *restrict result)
 {
-    real e[ENTRIES];
-    for (int k = 0; k < ENTRIES; k++)
-        e[k] = transforms[view * ENTRIES + k];
+    real e[TRANSFORM_REALS];
+    for (int k = 0; k < TRANSFORM_REALS; k++)
+        e[k] = transforms[view * TRANSFORM_REALS + k];
     FOR_EACH(p, pixels) {
         const real r = image[p], g = image[pixels + p], b = image[2ul * pixels + p];
         result[p] = e[0] * r + e[1] * g + e[2] * b + e[3];
@@ -48,76 +46,17 @@ __kernel void exposure_apply(uint pixels, uint view, __global const real *restri
     }
 DEFINE_PIXELS(pixels1, real, LOAD_ONE, STORE_ONE)
 
-// Item form: a work-item walks blocks, 16 pixels at a time. Group form: a group owns a block.
 #if FORM_ITEM
-DEFINE_PIXELS(pixels16, real16, vload16, vstore16)
-
-__kernel void exposure_adjoint(uint pixels, uint view, uint blocks,
-                               __global const real *restrict transforms,
-                               __global const real *restrict image,
-                               __global const real *restrict grad,
-                               __global real *restrict grad_image, __global real *restrict partials)
-{
-    real e[ENTRIES];
-    for (int k = 0; k < ENTRIES; k++)
-        e[k] = transforms[view * ENTRIES + k];
-    FOR_EACH(block, blocks) {
-        real16 wide[ENTRIES];
-        real rest[ENTRIES];
-        for (int k = 0; k < ENTRIES; k++)
-            wide[k] = rest[k] = 0;
-        ulong p = block * BLOCK;
-        const ulong end = min(p + BLOCK, (ulong)pixels);
-        for (; p + 16 <= end; p += 16)
-            pixels16(pixels, e, image + p, grad + p, grad_image + p, wide);
-        for (; p < end; p++)
-            pixels1(pixels, e, image + p, grad + p, grad_image + p, rest);
-        for (int k = 0; k < ENTRIES; k++)
-            partials[block * ENTRIES + k] = sum16(wide[k]) + rest[k];
-    }
-}
+#include "item/exposure.cl"
 #else
-#include "group.h"
-DEFINE_LANE_SUM(lane_sum, real)
-
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void exposure_adjoint(uint pixels, uint view, uint blocks, __global const real *restrict transforms,
-                      __global const real *restrict image, __global const real *restrict grad,
-                      __global real *restrict grad_image, __global real *restrict partials)
-{
-    __local real scratch[LANES];
-    const ulong block = get_group_id(0), begin = block * BLOCK;
-    real e[ENTRIES], sums[GROUP_LANES][ENTRIES], lanes[GROUP_LANES];
-    for (int k = 0; k < ENTRIES; k++) {
-        e[k] = transforms[view * ENTRIES + k];
-        for (uint own = 0; own < GROUP_LANES; own++)
-            sums[own][k] = 0;
-    }
-    FOR_LANES(i, own, min((ulong)BLOCK, pixels - begin)) {
-        const ulong p = begin + i;
-        pixels1(pixels, e, image + p, grad + p, grad_image + p, sums[own]);
-    }
-    for (int k = 0; k < ENTRIES; k++) {
-        for (uint own = 0; own < GROUP_LANES; own++)
-            lanes[own] = sums[own][k];
-        const real total = lane_sum(lanes, scratch);
-        if (get_local_id(0) == 0)
-            partials[block * ENTRIES + k] = total;
-    }
-}
+#include "group/exposure.cl"
 #endif
 
 // One step of Adam (Kingma & Ba 2015) on the row of `view`, by one work-item: twelve numbers that
 // only count if all are finite; else the row stays and `skipped` counts it. The loss has the penalty
 // pull mean((E - I)^2) beside the image's gradient `totals`; the bias corrections go by the row's own
-// steps. m, v: real[V, 12], counts: uint[V]. log(beta) and 1 - beta are written out: in single
-// precision 1 - 0.999^t loses digits.
-#define ONE_MINUS_BETA1 0.1
-#define ONE_MINUS_BETA2 0.001
-#define LOG_BETA1 -0.10536051565782628
-#define LOG_BETA2 -0.0010005003335835344
-#define EPSILON 1e-15
-
+// steps, from log(beta): in single precision 1 - 0.999^t loses digits. m, v: real[V, TRANSFORM_REALS];
+// counts: uint[V].
 __kernel void exposure_step(uint view, real rate, real pull, __global const real *restrict totals,
                             __global real *restrict transforms, __global real *restrict m,
                             __global real *restrict v, __global uint *restrict counts,
@@ -125,13 +64,13 @@ __kernel void exposure_step(uint view, real rate, real pull, __global const real
 {
     if (get_global_id(0) > 0)
         return;
-    transforms += view * ENTRIES;
-    m += view * ENTRIES;
-    v += view * ENTRIES;
-    real gradient[ENTRIES];
-    for (int k = 0; k < ENTRIES; k++) {
+    transforms += view * TRANSFORM_REALS;
+    m += view * TRANSFORM_REALS;
+    v += view * TRANSFORM_REALS;
+    real gradient[TRANSFORM_REALS];
+    for (int k = 0; k < TRANSFORM_REALS; k++) {
         const real from_identity = transforms[k] - (k % 5 == 0 ? 1 : 0);
-        gradient[k] = totals[k] + pull * 2 / ENTRIES * from_identity;
+        gradient[k] = totals[k] + pull * 2 / TRANSFORM_REALS * from_identity;
         if (!isfinite(gradient[k] * gradient[k])) { // an infinite v would never heal
             ++*skipped;
             return;
@@ -140,10 +79,10 @@ __kernel void exposure_step(uint view, real rate, real pull, __global const real
     const uint step = ++counts[view];
     const real correction1 = -expm1(step * (real)LOG_BETA1);
     const real correction2 = -expm1(step * (real)LOG_BETA2);
-    for (int k = 0; k < ENTRIES; k++) {
+    for (int k = 0; k < TRANSFORM_REALS; k++) {
         const real g = gradient[k];
         m[k] += (real)ONE_MINUS_BETA1 * (g - m[k]);
         v[k] += (real)ONE_MINUS_BETA2 * (g * g - v[k]);
-        transforms[k] -= rate * (m[k] / correction1) / (sqrt(v[k] / correction2) + (real)EPSILON);
+        transforms[k] -= rate * (m[k] / correction1) / (sqrt(v[k] / correction2) + (real)ADAM_EPSILON);
     }
 }

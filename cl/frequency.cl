@@ -11,6 +11,7 @@
 // log_scales: real[N, 3]; opacity_logits: real[N]; one row of partials a work-item, fixed order.
 #include "real.h"
 #include "each.h"
+#define GROUP SCAN_GROUP
 #include "group.h"
 
 #define AXES 3
@@ -20,10 +21,9 @@ enum { // logarithms of what is summed
     TERM_SIGMA = TERM_POWER + AXES, // the sigma that release averages, an axis each
     TERM_OPACITY = TERM_SIGMA + AXES, // robust's o
     TERM_SEEN, // o sigma, an axis each
-    TERMS = TERM_SEEN + AXES
 };
-#define SUM_COUNT TERMS // sums: of exp(term - largest term), then how many count
-#define SUMS (TERMS + 1)
+#define SUM_COUNT FREQUENCY_TERMS // sums: of exp(term - largest term), then how many count
+typedef char all_terms_have_a_column[TERM_SEEN + AXES == FREQUENCY_TERMS && SUM_COUNT + 1 == FREQUENCY_SUMS ? 1 : -1];
 // Beyond this |log sigma|, single precision does not hold sigma, its inverse or the sum of three.
 #define LARGEST_LOG 87.0
 
@@ -65,17 +65,17 @@ __kernel void frequency_largest(uint count, __global const real *restrict log_sc
                                 __global const real *restrict opacity_logits,
                                 __global real *restrict partials)
 {
-    real terms[TERMS], largest[TERMS];
-    for (uint k = 0; k < TERMS; k++)
+    real terms[FREQUENCY_TERMS], largest[FREQUENCY_TERMS];
+    for (uint k = 0; k < FREQUENCY_TERMS; k++)
         largest[k] = -INFINITY;
     FOR_EACH(i, count) {
         if (!terms_of(vload3(i, log_scales), opacity_logits[i], terms))
             continue;
-        for (uint k = 0; k < TERMS; k++)
+        for (uint k = 0; k < FREQUENCY_TERMS; k++)
             largest[k] = fmax(largest[k], terms[k]);
     }
-    for (uint k = 0; k < TERMS; k++)
-        partials[get_global_id(0) * TERMS + k] = largest[k];
+    for (uint k = 0; k < FREQUENCY_TERMS; k++)
+        partials[get_global_id(0) * FREQUENCY_TERMS + k] = largest[k];
 }
 
 // maxima[c] = max_i partials[i, c]; a work-group of GROUP items a column.
@@ -86,7 +86,7 @@ void max_columns(uint count, __global const real *restrict partials, __global re
     const uint lane = get_local_id(0), column = get_group_id(0);
     real largest = -INFINITY;
     for (ulong i = lane; i < count; i += GROUP)
-        largest = fmax(largest, partials[i * TERMS + column]);
+        largest = fmax(largest, partials[i * FREQUENCY_TERMS + column]);
     scratch[lane] = largest;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint stride = GROUP / 2; stride > 0; stride >>= 1) {
@@ -102,18 +102,18 @@ __kernel void frequency_sums(uint count, __global const real *restrict log_scale
                              __global const real *restrict opacity_logits,
                              __global const real *restrict maxima, __global real *restrict partials)
 {
-    real terms[TERMS], sums[SUMS];
-    for (uint k = 0; k < SUMS; k++)
+    real terms[FREQUENCY_TERMS], sums[FREQUENCY_SUMS];
+    for (uint k = 0; k < FREQUENCY_SUMS; k++)
         sums[k] = 0;
     FOR_EACH(i, count) {
         if (!terms_of(vload3(i, log_scales), opacity_logits[i], terms))
             continue;
-        for (uint k = 0; k < TERMS; k++)
+        for (uint k = 0; k < FREQUENCY_TERMS; k++)
             sums[k] += exp(terms[k] - maxima[k]);
         sums[SUM_COUNT] += 1;
     }
-    for (uint k = 0; k < SUMS; k++)
-        partials[get_global_id(0) * SUMS + k] = sums[k];
+    for (uint k = 0; k < FREQUENCY_SUMS; k++)
+        partials[get_global_id(0) * FREQUENCY_SUMS + k] = sums[k];
 }
 
 // values: real[3 variants, 3 axes]; one work-item.

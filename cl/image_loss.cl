@@ -10,9 +10,9 @@
 // holds the maps between the two kernels.
 //
 // `image_loss` writes maps and partials; `image_loss_adjoint` convolves the maps (the window is its
-// own adjoint) to grad_image: real[3, H, W]. Item form: a work-item slides down a strip of 16
-// columns with a ring of the last 11 rows. Group form: a group owns a tile and its halo.
+// own adjoint) to grad_image: real[3, H, W].
 #include "real.h"
+#include "vector.h"
 
 #define RADIUS 5
 #define TAPS 11
@@ -23,12 +23,6 @@ __constant real WINDOW[TAPS] = {
     0.001028380084479109, 0.007598758135239185, 0.03600077212843083, 0.10936068950970002,
     0.21300553771125370, 0.26601172486179436, 0.21300553771125370, 0.10936068950970002,
     0.03600077212843083, 0.007598758135239185, 0.001028380084479109};
-
-#if FORM_ITEM
-typedef real16 vreal;
-#else
-typedef real vreal;
-#endif
 
 // SSIM from the window means of x, y, x^2 + y^2 and x y, and its gradients by the means of x, x^2
 // and x y.
@@ -47,7 +41,7 @@ inline vreal ssim(vreal x, vreal y, vreal squares, vreal xy, vreal *by_x, vreal 
 }
 
 #if FORM_ITEM
-#include "image_loss_item.h"
+#include "item/image_loss.cl"
 #else
-#include "image_loss_group.h"
+#include "group/image_loss.cl"
 #endif

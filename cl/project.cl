@@ -20,7 +20,6 @@
 #endif
 #define AREA_RATIO_MIN 2.5e-5 // of sharp to filtered footprint, so that its root has a gradient
 #define GRADIENT_MAX 1e18 // larger counts as not finite: Adam squares it
-#define NO_ROW UINT_MAX
 
 typedef struct {
     real3 p; // camera frame

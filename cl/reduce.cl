@@ -1,6 +1,7 @@
 // Column sums of rows in a fixed order: totals[c] = sum_i rows[i, c]. rows: real[N, width].
 // One work-group of GROUP items a column; the order does not depend on GROUP.
 #include "real.h"
+#define GROUP SCAN_GROUP
 #include "group.h"
 DEFINE_LANE_SUM(lane_sum, real)
 

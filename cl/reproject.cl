@@ -9,27 +9,14 @@
 // NEAREST z, which bounds z ds/dz to some tens of image sizes; if all four texels of the sample
 // exist; and if what comes of it is finite. Others count nothing and have no gradient.
 //
-// geometries: real[P, 12], rows H row-major and e; colours: real[P, 12], rows of [M | m]; `pair`
-// says which row; photo: uchar[3, H, W]; neighbour: uchar[3, H2, W2]; partials: real[H, 2], a row's sum of squares and
-// number. Item form: a work-item owns a row. Group form: a group does.
+// geometries: real[P, GEOMETRY_REALS], rows H row-major and e; colours: real[P, TRANSFORM_REALS], rows
+// of [M | m]; `pair` says which row; photo: uchar[3, H, W]; neighbour: uchar[3, H2, W2]; partials:
+// real[H, 2], a row's sum of squares and number.
 #include "real.h"
 #include "each.h"
 #define COVERED 0.5
 #define NEAREST 0.1
 #define BYTE ((real)(1.0 / 255))
-
-#if FORM_ITEM
-#define FOR_ROW(x, own, width)                                                                     \
-    const uint own = 0;                                                                            \
-    for (int x = 0; x < (width); x++)
-#define GROUP_LANES 1
-#define ROW_SUM(values) (*(values))
-#else
-#include "group.h"
-DEFINE_LANE_SUM(lane_sum, real2)
-#define FOR_ROW(x, own, width) FOR_LANES(x, own, (uint)(width))
-#define ROW_SUM(values) lane_sum(values, scratch)
-#endif
 
 // |colour difference|^2 and 1 of one pixel and the gradients by its depth and T, or zeros.
 inline real2 reproject_pixel(int x, int y, int width, int height, int neighbour_width,
@@ -82,35 +69,11 @@ inline real2 reproject_pixel(int x, int y, int width, int height, int neighbour_
     return (real2)(square, 1);
 }
 
-__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void reproject(int width, int height, int neighbour_width, int neighbour_height,
-               __global const real *restrict depth, __global const real *restrict transmittance,
-               __global const uchar *restrict photo, __global const uchar *restrict neighbour,
-               __global const real *restrict geometries, __global const real *restrict colours,
-               uint pair, __global real *restrict grad_depth, 
-               __global real *restrict grad_transmittance, __global real *restrict partials)
-{
-#if !FORM_ITEM
-    __local real2 scratch[LANES];
+#if FORM_ITEM
+#include "item/reproject.cl"
+#else
+#include "group/reproject.cl"
 #endif
-    const int row = get_group_id(0);
-    real2 sums[GROUP_LANES];
-    for (uint lane = 0; lane < GROUP_LANES; lane++)
-        sums[lane] = (real2)(0);
-    FOR_ROW(x, own, width) {
-        const long pixel = (long)row * width + x;
-        real2 grads;
-        sums[own] += reproject_pixel(
-            x, row, width, height, neighbour_width, neighbour_height, depth[pixel],
-            transmittance[pixel], photo, neighbour, geometries + 12 * (ulong)pair,
-            colours + 12 * (ulong)pair, &grads);
-        grad_depth[pixel] = grads.x;
-        grad_transmittance[pixel] = grads.y;
-    }
-    const real2 total = ROW_SUM(sums);
-    if (get_local_id(0) == 0)
-        vstore2(total, row, partials);
-}
 
 // The gradients of the sum of squares to those of weight times its mean, in place.
 __kernel void scale_gradients(uint count, real weight, __global const real *restrict sums,

@@ -3,7 +3,6 @@
 // views saw it. grad_means: real[V, 2], pixels; rows: uint[V]; sums over N gaussians, in place.
 #include "real.h"
 #include "each.h"
-#define NO_ROW UINT_MAX
 
 __kernel void accumulate(uint count, real half_width, real half_height,
                          __global const uint *restrict rows, __global const real *restrict grad_means,

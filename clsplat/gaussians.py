@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from clsplat.constants import SH_C0
 from clsplat.errors import InputError
 
-SH_C0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
 INITIAL_OPACITY = 0.1
 MINIMUM_DISTANCE = 1e-7  # of the cloud's extent; coincident points get this scale, not zero
 

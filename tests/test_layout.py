@@ -7,7 +7,7 @@ small made-up checkout in every way and sees the checks notice.
 import ast
 import configparser
 import re
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pytest
 
@@ -19,7 +19,7 @@ BUILD_OUTPUTS = {"out", "build", "dist", "clsplat.egg-info", "__pycache__"}
 
 # a module imports from its own package and from the lines above its own
 LAYERS = (
-    {"errors"},
+    {"constants", "errors"},
     {"extensions"},
     {"device"},
     {"primitives"},
@@ -70,6 +70,7 @@ READS_ITSELF = {"clsplat/scene.py": ("clsplat.io", "clsplat.report.notebook"),
 
 FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}
 LONGEST_FILE = 400
+FORM_SWITCH = '#if FORM_ITEM\n#include "item/{0}"\n#else\n#include "group/{0}"\n#endif\n'
 # stem -> why its family has no benchmark
 NO_BENCHMARK = {}
 
@@ -163,18 +164,57 @@ def function_imports(root):
                 yield f"{name}:{line}: {target} is imported inside a function"
 
 
+def families(root):
+    """The files of cl/ itself."""
+    return [path for _, path in sources(root, "cl", suffixes=(".cl",)) if path.parent.name == "cl"]
+
+
+def homes(root, family):
+    """The modules that may declare a family's kernels: there should be one."""
+    return [name for name, home in sources(root, "clsplat")
+            if home.stem == family and not name.startswith(("clsplat/cli/", "clsplat/bench/"))]
+
+
 def rhyme(root):
-    for _, path in sources(root, "cl", suffixes=(".cl",)):
-        stem = path.stem
-        homes = [name for name, home in sources(root, "clsplat")
-                 if home.stem == stem and not name.startswith(("clsplat/cli/", "clsplat/bench/"))]
-        if len(homes) != 1:
-            yield f"cl/{stem}.cl: wants one clsplat/**/{stem}.py, there are {len(homes)}"
+    for path in families(root):
+        stem, found = path.stem, len(homes(root, path.stem))
+        if found != 1:
+            yield f"cl/{stem}.cl: wants one clsplat/**/{stem}.py, there are {found}"
         for verse in (f"tests/reference/{stem}.py", f"tests/kernels/test_{stem}.py",
                       f"clsplat/bench/{stem}.py"):
             if not (root / verse).exists() and not (
                     verse.startswith("clsplat/bench") and stem in NO_BENCHMARK):
                 yield f"cl/{stem}.cl: {verse} is missing"
+
+
+def kernel_forms(root):
+    """A family's two forms are files of its name in cl/item and cl/group, which it includes."""
+    known = {path.stem for path in families(root)}
+    for folder in ("item", "group"):
+        for name, path in sources(root, f"cl/{folder}", suffixes=(".cl",)):
+            if path.stem not in known:
+                yield f"{name}: there is no cl/{path.stem}.cl"
+    for path in families(root):
+        has = [(root / "cl" / form / path.name).exists() for form in ("item", "group")]
+        switches = path.read_text().count("FORM_ITEM")
+        if has[0] != has[1]:
+            yield f"cl/{path.name}: has one form only"
+        elif switches != has[0] or has[0] and FORM_SWITCH.format(path.name) not in path.read_text():
+            yield f"cl/{path.name}: must include its forms, and know them by nothing else"
+
+
+def form_branches(root):
+    """Only the device layer asks for a kernel's form: what differs is data (device.Forms)."""
+    for name, path in sources(root, "clsplat"):
+        if name.startswith("clsplat/device/"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            asked = ([node.left, *node.comparators] if isinstance(node, ast.Compare) else
+                     [node.slice] if isinstance(node, ast.Subscript) else [])
+            if any(isinstance(each, ast.Attribute) and each.attr == "form" or
+                   isinstance(each, ast.Constant) and each.value in ("item", "group") and
+                   isinstance(node, ast.Compare) for each in asked):
+                yield f"{name}:{node.lineno}: asks for the form; declare it as device.Forms"
 
 
 def sizes(root):
@@ -193,7 +233,7 @@ def names(root):
 
 
 def packaging(root):
-    """setup.cfg lists every package, or the wheel lacks it though the checkout works."""
+    """setup.cfg lists every package and kernel, or the wheel lacks it though the checkout works."""
     setup = configparser.ConfigParser()
     setup.read(root / "setup.cfg")
     listed = set(setup.get("options", "packages", fallback="").split())
@@ -201,6 +241,12 @@ def packaging(root):
         package = folder.relative_to(root).as_posix().replace("/", ".")
         if package not in listed:
             yield f"setup.cfg: package {package} is not listed"
+    patterns = setup.get("options.package_data", "clsplat.cl", fallback="").split(", ")
+    for path in sorted(path for path in (root / "cl").rglob("*") if path.is_file()):
+        name = path.relative_to(root / "cl").as_posix()
+        if not any(PurePosixPath(name).match(pattern) and name.count("/") == pattern.count("/")
+                   for pattern in patterns):
+            yield f"setup.cfg: the wheel lacks cl/{name}"
 
 
 def top_level(root):
@@ -213,7 +259,8 @@ def top_level(root):
             yield f"pyproject.toml: [{section}] belongs in setup.cfg"
 
 
-CHECKS = (layers, walls, function_imports, rhyme, sizes, names, packaging, top_level)
+CHECKS = (layers, walls, function_imports, rhyme, kernel_forms, form_branches, sizes,
+          names, packaging, top_level)
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -225,7 +272,9 @@ def test_the_house_is_in_order(check):
 SMALL = {
     "pyproject.toml": "[build-system]\nrequires = []\n",
     "setup.cfg": "[options]\npackages =\n  clsplat\n  clsplat.bench\n  clsplat.cli\n"
-                 "  clsplat.device\n  clsplat.io\n  clsplat.rendering\n  clsplat.schedule\n",
+                 "  clsplat.device\n  clsplat.io\n  clsplat.rendering\n  clsplat.schedule\n"
+                 "[options.package_data]\n"
+                 "clsplat.cl = *.cl, item/*.cl, group/*.cl, include/*.h\n",
     "clsplat/__init__.py": "__version__ = '1'\n",
     "clsplat/errors.py": "class E(Exception): ...\n",
     "clsplat/camera.py": "from clsplat.errors import E\n",
@@ -235,7 +284,9 @@ SMALL = {
     "clsplat/rendering/blend.py": "from clsplat.device.find import x\n",
     "clsplat/schedule/constant.py": "import numpy\n",
     "clsplat/cli/blend.py": "import click\ndef f():\n    from clsplat.rendering.blend import x\n",
-    "cl/blend.cl": "kernel\n",
+    "cl/blend.cl": FORM_SWITCH.format("blend.cl"),
+    "cl/item/blend.cl": "kernel\n",
+    "cl/group/blend.cl": "kernel\n",
     "cl/include/real.h": "real\n",
     "tests/reference/blend.py": "import numpy\n",
     "tests/kernels/test_blend.py": "import tests.reference.blend\n",
@@ -290,6 +341,17 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("cl/sort.cl", "", "tests/reference/sort.py is missing"),
     ("cl/sort.cl", "", "tests/kernels/test_sort.py is missing"),
     ("cl/sort.cl", "", "clsplat/bench/sort.py is missing"),
+    ("cl/item/sort.cl", "kernel", "there is no cl/sort.cl"),
+    ("cl/group/sort.cl", "kernel", "there is no cl/sort.cl"),
+    ("cl/sort.cl", "#if FORM_ITEM\n#endif", "cl/sort.cl: must include its forms"),
+    ("cl/blend.cl", "kernel", "cl/blend.cl: must include its forms"),
+    ("cl/blend.cl", 2 * FORM_SWITCH.format("blend.cl"), "and know them by nothing else"),
+    ("clsplat/rendering/blend.py", "def f(device):\n    return device.form == 'item'",
+     "blend.py:2: asks for the form"),
+    ("clsplat/rendering/blend.py", "def f(form):\n    return 1 if 'group' == form else 2",
+     "blend.py:2: asks for the form"),
+    ("clsplat/rendering/blend.py", "def f(device):\n    return {'item': 1}[device.form]",
+     "blend.py:2: asks for the form"),
     ("clsplat/camera.py", "x = 1\n" * 401, "401 lines"),
     ("cl/include/real.h", "//\n" * 401, "401 lines"),
     ("cl/blend.cl", "//\n" * 401, "401 lines"),
@@ -297,6 +359,7 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/io/image_utils.py", "", "'utils' says nothing"),
     ("tests/helpers/blend.py", "", "'helpers' says nothing"),
     ("clsplat/training/loop.py", "", "package clsplat.training is not listed"),
+    ("cl/item/tiles.h", "", "the wheel lacks cl/item/tiles.h"),
     ("notes.txt", "", "notes.txt: does not belong"),
     ("pyproject.toml", "[project]\nname = 'x'\n", "[project] belongs in setup.cfg"),
 ])

@@ -9,9 +9,9 @@ enum {
     CAMERA_NEAR = 19,
     CAMERA_LOW_PASS = 20, // pixels squared, added to the footprint's variances
     CAMERA_SIZE = 21, // width, height
-    CAMERA_RATIOS = 23, // lowest x/z and y/z for the Jacobian, and highest
-    CAMERA_REALS = 27
+    CAMERA_RATIOS = 23 // lowest x/z and y/z for the Jacobian, and highest
 };
+typedef char the_camera_is_whole[CAMERA_RATIOS + 4 == CAMERA_REALS ? 1 : -1];
 
 inline real3 to_camera(__global const real *camera, real3 world)
 {

@@ -1,23 +1,5 @@
-// Alpha of a splat at a pixel, for a scalar (group form) or a row of 16 pixels (item form).
-// vreal: the width; vmask: what comparing two of them gives.
-#if FORM_ITEM
-typedef real16 vreal;
-typedef mask16 vmask;
-#define TO_MASK convert_mask16
-#define AS_INTS as_int16
-#define AS_VREAL as_float16
-#else
-typedef real vreal;
-#if REAL_IS_DOUBLE
-typedef long vmask;
-#else
-typedef int vmask;
-#endif
-#define TO_MASK (vmask)
-#define AS_INTS as_int
-#define AS_VREAL as_float
-#endif
-
+// Alpha of a splat at a pixel, or at a row of 16 pixels (vector.h).
+#include "vector.h"
 #include "exp_power.h"
 
 // The contribution of a splat given its unclamped alpha. In tests (SMOOTH_CUTOFF) the step at

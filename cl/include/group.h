@@ -1,6 +1,6 @@
 // Work-group scan and sum in a fixed order. Every item of the group must call it (it has barriers).
 #ifndef GROUP
-#error "GROUP, the work-group size, must be defined"
+#error "GROUP, the work-group size, must be defined before"
 #endif
 
 // Every i below count once, by all items of the group together; to be followed by a block. The trip
@@ -49,7 +49,6 @@
 
 // Sums over many, in an order that does not depend on GROUP: lane l of LANES adds up l, l + LANES,
 // ..., then a fixed tree the lanes. An item has GROUP_LANES of them, one in groups of 256.
-#define LANES 256
 #define GROUP_LANES (LANES / GROUP)
 
 // Every i below count once, by all items of the group together, for the item's own-th lane; to be

@@ -3,7 +3,6 @@
 #ifndef SH_REST
 #error "SH_REST, the stored harmonics above the constant (0, 3, 8 or 15), must be defined"
 #endif
-#define SH_C0 ((real)0.28209479177387814)
 #define SH_C1 ((real)0.4886025119029199)
 #define SH_C2A ((real)1.0925484305920792)
 #define SH_C2B ((real)0.31539156525252005)

@@ -1,8 +1,5 @@
 // Which tiles a splat touches: the exact ellipse at its opacity-aware cutoff, by rows of tiles.
 // Count and emit both walk this, so that they cannot disagree on the rule.
-#ifndef TILE
-#error "TILE, the width of a tile in pixels, must be defined"
-#endif
 
 typedef struct {
     real mean_x, mean_y, shear, half_width, extent_y;

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from clsplat.api.device import best_device
 from clsplat.camera import Camera
+from clsplat.constants import NO_ROW
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.images import encode_image
-from clsplat.optimise.adam import NO_ROW
 from clsplat.rendering import pipeline
 from clsplat.rendering.slabs import gaussian_limit, open_model
 from clsplat.scene import NEAR_SHARE

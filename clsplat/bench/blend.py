@@ -11,7 +11,7 @@ FORWARD, ADJOINT = 39, 62  # operations a pixel and splat blended
 def main(argv):
     bench = Bench(argv, __doc__, gaussians="200k", depth=False)
     device, depth = bench.device, bench.options.depth
-    defines = blend_defines(device, depth, smooth_cutoff=False)
+    defines = blend_defines(depth)
     for count in bench.options.gaussians:
         city = CityFrame(device, count)
         frame, background = city.frame, city.renderer.background

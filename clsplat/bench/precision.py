@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clsplat.constants import NO_ROW
 from clsplat.device import choose_device
 from clsplat.gaussians import LEARNED
 from clsplat.rendering.pipeline import Renderer
@@ -32,7 +33,6 @@ from .variants import (
 )
 from .workloads import city
 
-NO_ROW = 2**32 - 1  # of a gradient that was not finite
 VISIBLE_ERROR = 1e-4  # of an image value
 
 

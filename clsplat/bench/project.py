@@ -25,7 +25,7 @@ def main(argv):
         sums = blend_adjoint(
             device, frame.splats, frame.pairs, frame.blended, renderer.background, frame.image,
             device.zeros((1, 1)), device.zeros((1, 1)),
-            blend_defines(device, with_depth=False, smooth_cutoff=False))
+            blend_defines(with_depth=False))
         inputs = device, rows, visible, camera, 3, DEFINES
         cases = {  # function, bytes, operations
             "cull": (partial(cull, device, rows, camera, DEFINES),

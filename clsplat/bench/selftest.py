@@ -8,11 +8,12 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from clsplat.camera import Camera
+from clsplat.constants import NO_ROW, SH_C0
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Device
-from clsplat.gaussians import LEARNED, SH_C0
+from clsplat.gaussians import LEARNED
 from clsplat.loss.image_loss import image_loss, loss_value
-from clsplat.optimise.adam import NO_ROW, DeviceAdam, adam_update
+from clsplat.optimise.adam import DeviceAdam, adam_update
 from clsplat.primitives.gather import compact, gather, scatter
 from clsplat.primitives.reduce import sum_columns
 from clsplat.primitives.scan import exclusive_scan

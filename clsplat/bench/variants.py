@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clsplat.constants import SPLAT_OPACITY, SPLAT_REALS
 from clsplat.device import Device
-from clsplat.rendering.project import SPLAT_REALS
 
 RENDERING = ("project.cl", "bin.cl", "blend.cl")  # files that read what a variant defines
 NO_STEP = 2**24  # alphas below 1 / NO_STEP do not change a float32 transmittance of 1
@@ -98,18 +98,18 @@ class VariantDevice(Device):
         super().__init__(handle, variant.precision, form, build_options=variant.flags)
         self.variant, self.depth_keys = variant, depth_keys
 
-    def launch(self, kernel, items, group=None, defines=(), **values):
+    def launch(self, kernel, defines=(), /, **values):
         half = self.variant.half
         if half == "sums" and kernel.function == "sum_pairs":
             _round_to_half(values["sums"], slice(None), self.variant.half_scale)
         if kernel.file in RENDERING:
             defines += self.variant.defines
-        super().launch(kernel, items, group, defines, **values)
+        super().launch(kernel, defines, **values)
         if kernel.function == "cull" and self.depth_keys is not None:
             own = values["depth_keys"].download()
             values["depth_keys"].write(np.where(self.depth_keys, self.depth_keys, own))
         if half in ("splats", "shapes") and kernel.function == "project":
-            columns = np.arange(0 if half == "splats" else 2, SPLAT_REALS)
+            columns = np.arange(0 if half == "splats" else SPLAT_OPACITY, SPLAT_REALS)
             _round_to_half(values["splats"], columns)
 
 

@@ -1,17 +1,18 @@
 """What each splat contributed to a rendered frame (cl/contribution.cl)."""
 
-from clsplat.device import Kernel
-from clsplat.rendering.project import SPLAT_REALS
+from clsplat.constants import SPLAT_REALS
+from clsplat.device import Forms, Kernel, each, groups, items
 
 COLUMNS = 4  # pixels, weight, weighted image, distance
 
 CONTRIBUTION = Kernel(
-    "contribution.cl", "contribution", width="int", height="int", tiles_x="int",
+    "contribution.cl", "contribution", Forms(item=items("T"), group=groups("T", "TILE TILE")),
+    width="int", height="int", tiles_x="int",
     first_tile="int", ranges=("uint", "T", 2), sorted_splats=("uint", "P"), slots=("uint", "P"),
     splats=("real", "V", SPLAT_REALS), last=("int", "H", "W"), weights=("real", "H", "W"),
     sums=("real", "P", COLUMNS))
 SUM = Kernel(
-    "contribution.cl", "sum_contributions", count="uint", carried="uint",
+    "contribution.cl", "sum_contributions", each("count"), count="uint", carried="uint",
     order=("uint", "V"), counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
     totals=("real", "V", COLUMNS))
 
@@ -30,18 +31,15 @@ def contribution(device, frame, weights):
 
 def _add_band(device, frame, pairs, weights, totals):
     width, height = frame.size
-    splats, tile = frame.splats, device.tile
-    defines = (("TILE", tile), ("GROUP", tile**2), ("SMOOTH_CUTOFF", 0))
-    group = 1 if device.form == "item" else tile**2
+    splats = frame.splats
     sums = device.empty((pairs.count, COLUMNS))
-    device.launch(CONTRIBUTION, len(pairs.ranges) * group, group, defines, width=width,
-                  height=height, tiles_x=pairs.tiles_x, first_tile=pairs.tiles.start,
-                  ranges=pairs.ranges, sorted_splats=pairs.sorted_splats, slots=pairs.slots,
-                  splats=splats, last=frame.blended.last, weights=weights, sums=sums)
+    device.launch(CONTRIBUTION, width=width, height=height, tiles_x=pairs.tiles_x,
+                  first_tile=pairs.tiles.start, ranges=pairs.ranges,
+                  sorted_splats=pairs.sorted_splats, slots=pairs.slots, splats=splats,
+                  last=frame.blended.last, weights=weights, sums=sums)
     carried = totals is not None
     if not carried:
         totals = device.empty((len(splats), COLUMNS))
-    device.launch_each(SUM, len(splats), defines, count=len(splats), carried=carried,
-                       order=pairs.order, counts=pairs.counts, offsets=pairs.offsets, sums=sums,
-                       totals=totals)
+    device.launch(SUM, count=len(splats), carried=carried, order=pairs.order, counts=pairs.counts,
+                  offsets=pairs.offsets, sums=sums, totals=totals)
     return totals

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.ndimage import sobel
 
+from clsplat.constants import SPLAT_CONIC, SPLAT_CUTOFF, SPLAT_DEPTH, SPLAT_EXTENT_Y
 from clsplat.densify.contribution import contribution
 from clsplat.loss.image_loss import image_loss, loss_value
 
@@ -60,14 +61,15 @@ def _seen(device, frame, photo, ssim_weight):
         np.float64)
     splats = frame.splats.download().astype(np.float64)
     return loss, frame.visible.download(), {
-        "depth": splats[:, 11], "radius": _radius(splats), "distance": distance,
+        "depth": splats[:, SPLAT_DEPTH], "radius": _radius(splats), "distance": distance,
         "weighted": weighted, "pixels": pixels, "weight": weight}
 
 
 def _radius(splats):
     """float64[V], pixels: the standard deviation along the longer axis, of splats[V, 12]
     (cl/include/splat.h). From the extent: the inverse of a needle's conic has no digits left."""
-    cutoff, (a, b, c), extent_y = splats[:, 3], splats[:, 4:7].T, splats[:, 7]
+    cutoff, extent_y = splats[:, SPLAT_CUTOFF], splats[:, SPLAT_EXTENT_Y]
+    a, b, c = splats[:, SPLAT_CONIC:SPLAT_CONIC + 3].T
     yy = extent_y**2 / cutoff
     xx, xy = yy * c / a, -yy * b / a
     return np.sqrt((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))

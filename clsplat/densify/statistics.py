@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.device import Kernel, each
 
-ACCUMULATE = Kernel("statistics.cl", "accumulate", count="uint", half_width="real",
-                    half_height="real", rows=("uint", "V"), grad_means=("real", "V", 2),
-                    grad_norm_sum=("real", "N"), seen_count=("uint", "N"))
+ACCUMULATE = Kernel("statistics.cl", "accumulate", each("count"), count="uint",
+                    half_width="real", half_height="real", rows=("uint", "V"),
+                    grad_means=("real", "V", 2), grad_norm_sum=("real", "N"),
+                    seen_count=("uint", "N"))
 
 
 class Statistics:
@@ -23,10 +24,10 @@ class Statistics:
 
     def accumulate(self, gradients, width, height):
         """Add one view's `render.pipeline.Gradients`; width, height: of its image, pixels."""
-        self.device.launch_each(
-            ACCUMULATE, len(gradients.rows), count=len(gradients.rows), half_width=width / 2,
-            half_height=height / 2, rows=gradients.rows, grad_means=gradients.means,
-            grad_norm_sum=self.grad_norm_sum, seen_count=self.seen_count)
+        self.device.launch(
+            ACCUMULATE, count=len(gradients.rows), half_width=width / 2, half_height=height / 2,
+            rows=gradients.rows, grad_means=gradients.means, grad_norm_sum=self.grad_norm_sum,
+            seen_count=self.seen_count)
 
     def mean_gradient(self):
         """float[N] on the host: the mean screen gradient over the views that saw each gaussian."""

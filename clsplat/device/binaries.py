@@ -10,12 +10,10 @@ import json
 import os
 import time
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 
 import pyopencl as cl
 
-from clsplat.device.source import kernel_folder
 from clsplat.errors import DeviceError
 
 PLATFORMS = ("Intel(R) OpenCL",)
@@ -23,8 +21,8 @@ KEPT_DAYS = 60  # after its last use
 
 
 def build(context, device, source, options, kernel, others=()):
-    """(program, checked) of `source` (text) for one device; pyopencl's errors where it does not
-    build.
+    """(program, checked) of `source` for one device: text without #include, or a change of what it
+    includes would not be noticed. pyopencl's errors where it does not build.
 
     A binary has no names of arguments, by which a kernel's declaration is checked. So it is kept
     with the declarations that fitted, of `kernel` and `others`, and read back for these only:
@@ -57,17 +55,12 @@ def _file_of(device, source, options):
     """Where this program is kept; None for a platform without need, or a user without a home."""
     if device.platform.name not in PLATFORMS:
         return None
-    words = (source, _headers(), options, device.platform.version, device.name, device.version,
+    words = (source, options, device.platform.version, device.name, device.version,
              device.driver_version)
     try:
         return Path.home() / ".cache" / "clsplat" / "kernels" / _digest(repr(words).encode()).hex()
     except RuntimeError:  # a container's user who has no home
         return None
-
-
-@cache
-def _headers():
-    return [file.read_text("utf-8") for file in sorted((kernel_folder() / "include").glob("*.h"))]
 
 
 def _digest(content):

@@ -10,15 +10,15 @@ import numpy as np
 import pyopencl as cl
 import pyopencl.tools
 
+from clsplat.constants import LANES
 from clsplat.device import binaries
 from clsplat.device.array import Array
 from clsplat.device.capabilities import probe_capabilities
-from clsplat.device.kernel import SCALARS
+from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Kernel
 from clsplat.device.runtimes import ignore_file_limits
-from clsplat.device.source import kernel_folder, kernel_source
+from clsplat.device.source import defines as defined
+from clsplat.device.source import kernel_source
 from clsplat.errors import TOO_LARGE, DeviceError
-
-RUNS_A_CORE = 4  # of the item form: enough for cores that are not equally busy
 
 
 class Device:
@@ -46,7 +46,7 @@ class Device:
         self.group_size = min(128, handle.max_work_group_size)
         # a group owns a 16 x 16 tile, or 8 x 8 where groups are small; the item form's rows are 16
         self.tile = 16 if self.form == "item" or handle.max_work_group_size >= 256 else 8
-        self.scan_group = min(256, 1 << handle.max_work_group_size.bit_length() - 1)
+        self.scan_group = min(LANES, 1 << handle.max_work_group_size.bit_length() - 1)
         # sizes change from view to view: coarse bins (two an octave) are reused, fine ones pile up
         self._pool = cl.tools.MemoryPool(
             cl.tools.ImmediateAllocator(self.queue), leading_bits_in_bin_id=1)
@@ -59,7 +59,7 @@ class Device:
         self._profile = None
         self._dtypes = {**SCALARS, "real": self.real.type}
         self._base_options = [
-            "-I", str(kernel_folder() / "include"), "-cl-std=CL1.2", "-cl-kernel-arg-info",
+            "-cl-std=CL1.2", "-cl-kernel-arg-info",
             f"-DREAL_IS_DOUBLE={int(precision == 'double')}",
             f"-DFORM_ITEM={int(self.form == 'item')}",
             *([] if precision == "double" else ["-cl-single-precision-constant"]),
@@ -125,49 +125,47 @@ class Device:
 
     # --- launching
 
-    def launch(self, kernel, items, group=None, defines=(), **values):
-        """Run `kernel` over at least `items` work-items (rounded up to whole groups).
+    def launch(self, kernel, defines=(), /, **values):
+        """Run `kernel`, over as many work-items as its contract says.
 
-        group: work-items a group, for kernels that require one; defines: ((name, value), ...)
-        build-time constants; values: the kernel's arguments by name.
+        defines: ((name, value), ...) build-time constants; values: the kernel's arguments by name,
+        those of both forms.
         """
-        if items <= 0:
+        call = kernel.bind(self, values)
+        if not call.items:
             return
-        arguments, size = kernel.checked(self.real, values)
-        self.kernel_bytes += size
-        built = self._kernels.get((kernel, defines)) or self._build(kernel, defines)
-        group = group or self.group_size
-        event = built(self.queue, (-(-items // group) * group,), (group,), *arguments)
+        self.kernel_bytes += call.nbytes
+        built = self._build(kernel, defines)
+        event = built(self.queue, (call.items,), (call.group,), *call.arguments)
         if self._profile is not None:
             self._profile.append((kernel.function, event))
 
-    def launch_each(self, kernel, elements, defines=(), /, **values):
-        """Run a kernel written with FOR_EACH (cl/include/each.h) over so many elements."""
-        if self.form == "item":
-            runs = min(elements, RUNS_A_CORE * self.compute_units)
-            self.launch(kernel, runs, 1, defines, **values)
-        else:
-            self.launch(kernel, elements, self.group_size, defines, **values)
-
     def _build(self, kernel, defines):
+        """The compiled kernel of this device's form and sizes, compiled once."""
+        key = kernel, defines, self.tile, self.scan_group
+        if key not in self._kernels:
+            sizes = tuple((name, getattr(self, size)) for name, size in DEVICE_SIZES.items())
+            self._kernels[key] = self._built(kernel.file, kernel.forms.of(self), sizes + defines)
+        return self._kernels[key]
+
+    def _built(self, file, kernel, defines):
         begin = time.perf_counter()
-        program, checked = self._programs.get((kernel.file, defines), (None, None))
+        program, checked = self._programs.get((file, defines), (None, None))
         if program is None or checked is not None and kernel.signature not in checked:
-            options = self._base_options + [f"-D{name}={value}" for name, value in defines]
+            options = self._base_options + defined(defines)
             try:
                 with warnings.catch_warnings():  # runtimes chatter about every successful build
                     warnings.simplefilter("ignore", cl.CompilerWarning)
                     program, checked = binaries.build(
-                        self.context, self.handle, kernel_source(kernel.file), options, kernel,
-                        kernel.declared[kernel.file])
+                        self.context, self.handle, kernel_source(file), options, kernel,
+                        [other.forms.of(self) for other in Kernel.declared[file]])
             except cl.Error as error:
-                raise DeviceError(f"{self.name}: {kernel.file} does not build:\n{error}") from None
-            self._programs[kernel.file, defines] = program, checked
+                raise DeviceError(f"{self.name}: {file} does not build:\n{error}") from None
+            self._programs[file, defines] = program, checked
         built = cl.Kernel(program, kernel.function)
         kernel.check_built(built)
         built.set_scalar_arg_dtypes(
             [self._dtypes[a] if isinstance(a, str) else None for a in kernel.arguments.values()])
-        self._kernels[kernel, defines] = built
         self.build_seconds += time.perf_counter() - begin
         return built
 

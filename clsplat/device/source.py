@@ -1,9 +1,13 @@
 """Finds the OpenCL sources: inside the package once installed, else beside it in a checkout."""
 
+import re
 from functools import cache
 from pathlib import Path
 
+from clsplat.constants import NO_ROW, SHARED
 from clsplat.errors import DeviceError
+
+INCLUDE = re.compile(r'^#include "(.+)"$')
 
 
 @cache
@@ -18,4 +22,29 @@ def kernel_folder():
 
 @cache
 def kernel_source(name):
-    return (kernel_folder() / name).read_text(encoding="utf-8")
+    """The text of a file of `cl` with all that it includes in place of the #include lines.
+
+    Caches of compiled kernels, ours and those of drivers, go by this text, so they notice a change
+    of an included file. #line directives let compilers name the files.
+    """
+    return "\n".join(_lines(name))
+
+
+def _lines(name):
+    """A file's lines; name: "blend.cl", "item/blend.cl", "real.h" of include/, or a whole path."""
+    folder = kernel_folder() / ("include" if name.endswith(".h") else "")
+    yield f'#line 1 "{name}"'
+    for number, line in enumerate((folder / name).read_text(encoding="utf-8").splitlines(), 1):
+        if included := INCLUDE.match(line):
+            yield from _lines(included[1])
+            yield f'#line {number + 1} "{name}"'
+        else:
+            yield line
+
+
+def defines(pairs):
+    """Compiler options that define the numbers that host and kernels share, and `pairs`, ((name,
+    value), ...), which win. A float's repr reads back as the same double, or as the nearest float.
+    """
+    return [f"-D{name}={value}{'u' * (value == NO_ROW)}"
+            for name, value in {**SHARED, **dict(pairs)}.items()]

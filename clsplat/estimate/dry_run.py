@@ -47,7 +47,7 @@ class DryDevice(Device):
             dtype = self.real if values.dtype.kind == "f" else values.dtype
         return self.hold(values.shape, dtype)
 
-    def launch(self, kernel, items, group=None, defines=(), **values):
+    def launch(self, kernel, defines=(), /, **values):
         self._latest = kernel.function
 
     def answer(self):
@@ -91,7 +91,7 @@ class DryAdam:
     def __init__(self, device, dense):
         self.device, self.dense, self.m, self.v = device, dense, {}, {}
 
-    def step(self, rows, gradients, step, rates, used, held=None):
+    def step(self, rows, gradients, step, rates, used, frozen=None):
         count = len(rows["positions"]) if self.dense else len(gradients.rows)
         touched = self.device.hold((count,), np.uint32)
         latest = [None]  # lives until there is the next

@@ -3,18 +3,17 @@ held-out view misses."""
 
 import numpy as np
 
+from clsplat.constants import ALPHA_STEPS
 from clsplat.errors import InputError
 from clsplat.evaluation.views import evaluate_views, read_scene_of, run_options
 from clsplat.rendering.pipeline import Renderer
 
-ALPHA_MIN = 1 / 255  # cl/include/splat.h: fainter contributions are skipped
-
 
 def alive(gaussians):
     """bool[N]: whether a gaussian can be seen at all. Alpha is opacity times what falls off from 1,
-    and below ALPHA_MIN is nothing: without the others every image has the same bytes."""
+    and below 1 / ALPHA_STEPS is nothing: without the others every image has the same bytes."""
     with np.errstate(over="ignore"):
-        return 1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))) >= ALPHA_MIN
+        return 1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))) >= 1 / ALPHA_STEPS
 
 
 def needed_sh_degree(run, device, cost, scene_path=None):

@@ -2,23 +2,26 @@
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.constants import EXPOSURE_BLOCK, TRANSFORM_REALS
+from clsplat.device import Forms, Kernel, each, groups, items
 from clsplat.primitives.reduce import sum_columns
 
-BLOCK = 2048  # pixels a partial sum covers
 IDENTITY = np.eye(3, 4)
 LEARNED = ("transforms", "m", "v", "counts")
 WORST_CONDITION = 1e3  # of a transform that can still be undone
 
 _VIEW = dict(pixels="uint", view="uint")
-_ROWS, _IMAGE = ("real", "V", 12), ("real", 3, "H", "W")
-APPLY = Kernel("exposure.cl", "exposure_apply", **_VIEW, transforms=_ROWS, image=_IMAGE,
-               result=_IMAGE)
-ADJOINT = Kernel("exposure.cl", "exposure_adjoint", **_VIEW, blocks="uint", transforms=_ROWS,
-                 image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE, partials=("real", "P", 12))
-STEP = Kernel("exposure.cl", "exposure_step", view="uint", rate="real", pull="real",
-              totals=("real", 12), transforms=_ROWS, m=_ROWS, v=_ROWS, counts=("uint", "V"),
-              skipped=("uint", 1))
+_ROWS, _IMAGE = ("real", "V", TRANSFORM_REALS), ("real", 3, "H", "W")
+APPLY = Kernel("exposure.cl", "exposure_apply", each("pixels"), **_VIEW, transforms=_ROWS,
+               image=_IMAGE, result=_IMAGE)
+ADJOINT = Kernel(
+    "exposure.cl", "exposure_adjoint",
+    Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), **_VIEW, blocks="uint",
+    transforms=_ROWS, image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE,
+    partials=("real", "P", TRANSFORM_REALS))
+STEP = Kernel("exposure.cl", "exposure_step", items("1"), view="uint", rate="real", pull="real",
+              totals=("real", TRANSFORM_REALS), transforms=_ROWS, m=_ROWS, v=_ROWS,
+              counts=("uint", "V"), skipped=("uint", 1))
 
 
 class Exposures:
@@ -33,17 +36,16 @@ class Exposures:
     def __init__(self, device, views, rate=1e-3, pull=0.01, initial=None, learns=True):
         self.device, self.rate, self.pull, self.learns = device, rate, pull, learns
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
-        self._mean = self._recentred.reshape(views, 12).mean(axis=0)
-        self.transforms = device.upload(self._recentred.reshape(views, 12))
-        self.m, self.v = device.zeros((views, 12)), device.zeros((views, 12))
+        self._mean = self._recentred.reshape(views, TRANSFORM_REALS).mean(axis=0)
+        self.transforms = device.upload(self._recentred.reshape(views, TRANSFORM_REALS))
+        self.m, self.v = (device.zeros(self.transforms.shape) for _ in range(2))
         self.counts, self.skipped = (device.zeros(n, np.uint32) for n in (views, 1))
-        self._defines = (("BLOCK", BLOCK), ("GROUP", device.scan_group))
 
     def apply(self, view, image):
         """real[3, H, W]: the image real[3, H, W] as view number `view` would have taken it."""
         pixels, result = _pixels(image), self.device.empty(image.shape)
-        self.device.launch_each(APPLY, pixels, self._defines, pixels=pixels, view=view,
-                                transforms=self.transforms, image=image, result=result)
+        self.device.launch(APPLY, pixels=pixels, view=view, transforms=self.transforms, image=image,
+                           result=result)
         return result
 
     def adjoint(self, view, image, grad):
@@ -54,17 +56,12 @@ class Exposures:
         for the device.
         """
         device, pixels = self.device, _pixels(image)
-        blocks = -(-pixels // BLOCK)
-        grad_image, partials = device.empty(image.shape), device.empty((blocks, 12))
-        values = dict(pixels=pixels, view=view, blocks=blocks, transforms=self.transforms,
+        blocks = -(-pixels // EXPOSURE_BLOCK)
+        grad_image, partials = device.empty(image.shape), device.empty((blocks, TRANSFORM_REALS))
+        device.launch(ADJOINT, pixels=pixels, view=view, blocks=blocks, transforms=self.transforms,
                       image=image, grad=grad, grad_image=grad_image, partials=partials)
-        if device.form == "item":
-            device.launch_each(ADJOINT, blocks, self._defines, **values)
-        else:
-            group = device.scan_group
-            device.launch(ADJOINT, blocks * group, group, self._defines, **values)
         if self.learns:
-            device.launch(STEP, 1, 1, self._defines, view=view, rate=self.rate, pull=self.pull,
+            device.launch(STEP, view=view, rate=self.rate, pull=self.pull,
                           totals=sum_columns(device, partials), transforms=self.transforms,
                           m=self.m, v=self.v, counts=self.counts, skipped=self.skipped)
         return grad_image
@@ -95,7 +92,7 @@ class Exposures:
             if np.linalg.cond(back[:, :3]) < WORST_CONDITION:
                 matrix = to[:, :3] @ np.linalg.inv(back[:, :3])
                 maps[row] = np.column_stack([matrix, to[:, 3] - matrix @ back[:, 3]])
-        return self.device.upload(maps.reshape(-1, 12))
+        return self.device.upload(maps.reshape(-1, TRANSFORM_REALS))
 
     def download(self):
         """Name -> host array of everything learned: what `upload` takes over."""

@@ -1,15 +1,17 @@
 """L1 and D-SSIM against a photo, with the gradient (cl/image_loss.cl)."""
 
-from clsplat.device import Kernel
+from clsplat.device import Forms, Kernel, groups, items
 from clsplat.primitives.reduce import sum_columns
 
 STRIP = 128  # rows a work-item of the item form slides down
+CHANNELS = Forms(item=1, group=3)  # a launch: a CPU's cache holds the maps of one
 
 _SIZE = dict(width="int", height="int", strip="int", first_channel="int")
 _IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", 3, "H", "W"),
                maps=("real", "M", 3, "H", "W"))
-VALUE = Kernel("image_loss.cl", "image_loss", **_SIZE, **_IMAGES, partials=("real", "P", 2))
-ADJOINT = Kernel("image_loss.cl", "image_loss_adjoint", **_SIZE, l1_scale="real",
+_TILES = Forms(item=items("M W/16 H/strip"), group=groups("M W/TILE H/TILE", "TILE TILE"))
+VALUE = Kernel("image_loss.cl", "image_loss", _TILES, **_SIZE, **_IMAGES, partials=("real", "P", 2))
+ADJOINT = Kernel("image_loss.cl", "image_loss_adjoint", _TILES, **_SIZE, l1_scale="real",
                  ssim_scale="real", **_IMAGES, grad_image=("real", 3, "H", "W"))
 
 
@@ -22,23 +24,16 @@ def image_loss(device, image, photo, ssim_weight):
     """
     _, height, width = image.shape
     values = 3 * height * width
-    if device.form == "item":
-        channels, group, items = 1, 1, -(-width // 16) * -(-height // STRIP)
-    else:
-        channels, group = 3, device.tile**2
-        items = -(-width // device.tile) * -(-height // device.tile)
-    defines = (("TILE", device.tile), ("GROUP", device.tile**2))
+    channels = CHANNELS.of(device)
+    rows = VALUE.units(device, M=3, W=width, H=height, strip=STRIP)
     maps = device.empty((channels, 3, height, width))
-    partials = device.empty((3 * items, 2))
-    grad_image = device.empty((3, height, width))
+    partials, grad_image = device.empty((rows, 2)), device.empty((3, height, width))
     for first_channel in range(0, 3, channels):
         shared = dict(width=width, height=height, strip=STRIP, first_channel=first_channel,
                       image=image, photo=photo, maps=maps)
-        device.launch(VALUE, channels * items * group, group, defines, **shared,
-                      partials=partials)
-        device.launch(ADJOINT, channels * items * group, group, defines, **shared,
-                      l1_scale=(1 - ssim_weight) / values, ssim_scale=-ssim_weight / values,
-                      grad_image=grad_image)
+        device.launch(VALUE, **shared, partials=partials)
+        device.launch(ADJOINT, **shared, l1_scale=(1 - ssim_weight) / values,
+                      ssim_scale=-ssim_weight / values, grad_image=grad_image)
     return sum_columns(device, partials), grad_image
 
 

@@ -7,17 +7,19 @@ the two colours pulls depths to where the photos agree (SIG, "Densification Regu
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.constants import GEOMETRY_REALS, TRANSFORM_REALS
+from clsplat.device import Forms, Kernel, each, groups, items
 from clsplat.primitives.reduce import sum_columns
 
 _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W"))
-REPROJECT = Kernel("reproject.cl", "reproject", width="int", height="int", neighbour_width="int",
-                   neighbour_height="int", depth=("real", "H", "W"),
-                   transmittance=("real", "H", "W"), photo=("uchar", 3, "H", "W"),
-                   neighbour=("uchar", 3, "J", "K"), geometries=("real", "P", 12),
-                   colours=("real", "P", 12), pair="uint", **_GRADS, partials=("real", "H", 2))
-SCALE = Kernel("reproject.cl", "scale_gradients", count="uint", weight="real", sums=("real", 2),
-               **_GRADS)
+REPROJECT = Kernel(
+    "reproject.cl", "reproject", Forms(item=items("H"), group=groups("H", "SCAN_GROUP")),
+    width="int", height="int", neighbour_width="int", neighbour_height="int",
+    depth=("real", "H", "W"), transmittance=("real", "H", "W"), photo=("uchar", 3, "H", "W"),
+    neighbour=("uchar", 3, "J", "K"), geometries=("real", "P", GEOMETRY_REALS),
+    colours=("real", "P", TRANSFORM_REALS), pair="uint", **_GRADS, partials=("real", "H", 2))
+SCALE = Kernel("reproject.cl", "scale_gradients", each("count"), count="uint", weight="real",
+               sums=("real", 2), **_GRADS)
 
 
 def pack_pairs(device, pairs):
@@ -28,7 +30,8 @@ def pack_pairs(device, pairs):
     row-major, and K_j t, with R and t from camera to camera, K about pixel centres at whole
     numbers; formed in float64, so that far world origins cost nothing.
     """
-    return device.upload(np.array([_geometry(*pair) for pair in pairs]).reshape(-1, 12))
+    rows = np.array([_geometry(*pair) for pair in pairs])
+    return device.upload(rows.reshape(-1, GEOMETRY_REALS))
 
 
 def _geometry(camera, neighbour):
@@ -57,16 +60,13 @@ def reproject(device, depth, transmittance, photo, neighbour, geometries, colour
     """
     height, width = depth.shape
     _, neighbour_height, neighbour_width = neighbour.shape
-    group = 1 if device.form == "item" else device.scan_group
-    defines = (("GROUP", group),)
     grads = dict(grad_depth=device.empty(depth.shape),
                  grad_transmittance=device.empty(depth.shape))
     partials = device.empty((height, 2))
-    device.launch(REPROJECT, height * group, group, defines, width=width, height=height,
-                  neighbour_width=neighbour_width, neighbour_height=neighbour_height, depth=depth,
-                  transmittance=transmittance, photo=photo, neighbour=neighbour,
-                  geometries=geometries, colours=colours, pair=pair, **grads, partials=partials)
+    device.launch(REPROJECT, width=width, height=height, neighbour_width=neighbour_width,
+                  neighbour_height=neighbour_height, depth=depth, transmittance=transmittance,
+                  photo=photo, neighbour=neighbour, geometries=geometries, colours=colours,
+                  pair=pair, **grads, partials=partials)
     sums = sum_columns(device, partials)
-    device.launch_each(SCALE, height * width, defines, count=height * width, weight=weight,
-                       sums=sums, **grads)
+    device.launch(SCALE, count=height * width, weight=weight, sums=sums, **grads)
     return sums, grads["grad_depth"], grads["grad_transmittance"]

@@ -11,37 +11,38 @@ import math
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.constants import ADAM_EPSILON, NO_ROW, ONE_MINUS_BETA1, ONE_MINUS_BETA2
+from clsplat.device import Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import gather, scatter
 
-BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # adam.cl has the same
-NO_ROW = 2**32 - 1
-
+_COLUMNS = Forms(item=each("count"), group=each("count used"))
 _ARGUMENTS = dict(count="uint", stride="uint", used="uint", rate="real", correction="real")
 _MOMENTS = dict(gradient=("real", "V", "W"), parameter=("real", "N", "W"), m=("real", "N", "W"),
                 v=("real", "N", "W"))
-ROWS = Kernel("adam.cl", "adam_rows", **_ARGUMENTS, rows=("uint", "V"), **_MOMENTS)
-ALL = Kernel("adam.cl", "adam_all", **_ARGUMENTS, places=("uint", "N"), **_MOMENTS)
-INVERT = Kernel("adam.cl", "invert_rows", count="uint", visible=("uint", "V"), rows=("uint", "V"),
-                places=("uint", "N"))
-HOLD_PLACES = Kernel("adam.cl", "hold_places", count="uint", held=("uint", "N"),
-                     places=("uint", "N"))
-HOLD = Kernel("adam.cl", "hold_rows", count="uint", visible=("uint", "V"), held=("uint", "N"),
-              rows=("uint", "V"))
+ROWS = Kernel("adam.cl", "adam_rows", _COLUMNS, **_ARGUMENTS, rows=("uint", "V"), **_MOMENTS)
+ALL = Kernel("adam.cl", "adam_all", _COLUMNS, **_ARGUMENTS, places=("uint", "N"), **_MOMENTS)
+INVERT = Kernel("adam.cl", "invert_rows", each("count"), count="uint", visible=("uint", "V"),
+                rows=("uint", "V"), places=("uint", "N"))
+FREEZE_PLACES = Kernel("adam.cl", "freeze_places", each("count"), count="uint",
+                       frozen=("uint", "N"), places=("uint", "N"))
+FREEZE_ROWS = Kernel("adam.cl", "freeze_rows", each("count"), count="uint", visible=("uint", "V"),
+                     frozen=("uint", "N"), rows=("uint", "V"))
 
 
-def hold_rows(device, gradients, held):
-    """Take their rows from the Gradients of gaussians that are to stay as they are: held uint[N]
-    on the device, not 0."""
-    count = len(gradients.rows)
-    device.launch_each(HOLD, count, count=count, visible=gradients.visible, held=held,
-                       rows=gradients.rows)
+def freeze_rows(device, gradients, frozen):
+    """Take the rows of frozen gaussians from the Gradients, so that nothing follows these.
+
+    frozen : uint[N] on the device, not 0 where a gaussian stays as it is
+    """
+    device.launch(FREEZE_ROWS, count=len(gradients.rows), visible=gradients.visible, frozen=frozen,
+                  rows=gradients.rows)
 
 
 def corrections(step):
     """The bias corrections 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t) of step t, from 1."""
-    return 1 / (1 - BETA1**step), 1 / float(np.sqrt(1 - BETA2**step))
+    beta1, beta2 = 1 - ONE_MINUS_BETA1, 1 - ONE_MINUS_BETA2
+    return 1 / (1 - beta1**step), 1 / float(np.sqrt(1 - beta2**step))
 
 
 def _flat(array):
@@ -56,24 +57,27 @@ class DeviceAdam:
         self.m = {name: device.zeros(array.shape) for name, array in rows.items()}
         self.v = {name: device.zeros(array.shape) for name, array in rows.items()}
 
-    def step(self, rows, gradients, step, rates, used, held=None):
+    def step(self, rows, gradients, step, rates, used, frozen=None):
         """Update parameters `rows` (field -> real[N, ...]) in place.
 
-        gradients: `render.pipeline.Gradients`, without rows of what is held (`hold_rows`); step:
-        from 1; rates: field -> learning rate; used: field -> leading floats of a row that may
-        change (0 leaves a field alone); held: uint[N] mask on the device; rows where it is
-        not 0 keep parameters and moments, even if no view sees them; None: no row is held.
+        gradients : Gradients of rendering.pipeline, without the rows of frozen gaussians
+            (`freeze_rows`)
+        step : from 1
+        rates : field -> learning rate
+        used : field -> leading floats of a row that may change; 0 leaves a field alone
+        frozen : uint[N] on the device; where it is not 0, rows keep parameters and moments even if
+            no view sees them; None: no row is frozen
         """
         device, seen, count = self.device, gradients.rows, len(rows["positions"])
         first, second = corrections(step)
         if self.dense:
             places = device.empty(count, np.uint32)
-            if held is None:
+            if frozen is None:
                 places.fill(NO_ROW)
             else:
-                device.launch_each(HOLD_PLACES, count, count=count, held=held, places=places)
-            device.launch_each(INVERT, len(seen), count=len(seen), visible=gradients.visible,
-                               rows=seen, places=places)
+                device.launch(FREEZE_PLACES, count=count, frozen=frozen, places=places)
+            device.launch(INVERT, count=len(seen), visible=gradients.visible, rows=seen,
+                          places=places)
         for name, parameter in rows.items():
             if not used[name]:
                 continue
@@ -82,11 +86,10 @@ class DeviceAdam:
                 stride=gradient.shape[1], used=used[name], rate=rates[name] * first,
                 correction=second, gradient=gradient, parameter=_flat(parameter),
                 m=_flat(self.m[name].narrow(count)), v=_flat(self.v[name].narrow(count)))
-            columns = 1 if device.form == "item" else used[name]
             if self.dense:
-                device.launch_each(ALL, count * columns, count=count, places=places, **values)
+                device.launch(ALL, count=count, places=places, **values)
             else:
-                device.launch_each(ROWS, len(seen) * columns, count=len(seen), rows=seen, **values)
+                device.launch(ROWS, count=len(seen), rows=seen, **values)
 
     def regrow(self, source, kept, capacity):
         """Follow the rows: the first `kept` of `source` uint[M] are old, the rest start new."""
@@ -122,14 +125,14 @@ class NumpyAdam:
         self.m = {name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
         self.v = {name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
 
-    def step(self, rows, gradients, step, rates, used, held=None):
+    def step(self, rows, gradients, step, rates, used, frozen=None):
         """As `DeviceAdam.step`."""
         count = len(rows["positions"])
         seen = gradients.rows.download()
         usable = seen != NO_ROW
         touched = seen[usable]
         if self.dense:
-            stays = np.zeros(count, bool) if held is None else held.download() > 0
+            stays = np.zeros(count, bool) if frozen is None else frozen.download() > 0
             stays[gradients.visible.download()[~usable]] = True
             touched = np.flatnonzero(~stays).astype(np.uint32)
             places = np.searchsorted(touched, seen[usable])
@@ -183,7 +186,7 @@ def adam_update(parameter, gradient, m, v, step, rate):
     """(parameter, m, v) after one step of Adam (Kingma & Ba 2015), arrays of one shape."""
     first, second = corrections(step)
     one = parameter.dtype.type
-    m = m + one(1 - BETA1) * (gradient - m)
-    v = v + one(1 - BETA2) * (gradient * gradient - v)
-    moved = one(rate * first) * m / (np.sqrt(v) * one(second) + one(EPSILON))
+    m = m + one(ONE_MINUS_BETA1) * (gradient - m)
+    v = v + one(ONE_MINUS_BETA2) * (gradient * gradient - v)
+    moved = one(rate * first) * m / (np.sqrt(v) * one(second) + one(ADAM_EPSILON))
     return parameter - moved, m, v

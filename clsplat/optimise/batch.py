@@ -5,13 +5,14 @@ import math
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.device import Forms, Kernel, each
 from clsplat.primitives.gather import compact, gather
 from clsplat.rendering.pipeline import Gradients
 
-MARK = Kernel("batch.cl", "batch_mark", count="uint", visible=("uint", "V"), rows=("uint", "V"),
-              flags=("uint", "N"), keys=("uint", "N"))
-ADD = Kernel("batch.cl", "batch_add", count="uint", width="uint", share="real", rows=("uint", "V"),
+MARK = Kernel("batch.cl", "batch_mark", each("count"), count="uint", visible=("uint", "V"),
+              rows=("uint", "V"), flags=("uint", "N"), keys=("uint", "N"))
+ADD = Kernel("batch.cl", "batch_add", Forms(item=each("count"), group=each("count width")),
+             count="uint", width="uint", share="real", rows=("uint", "V"),
              gradient=("real", "V", "W"), sums=("real", "N", "W"))
 
 
@@ -28,8 +29,8 @@ def batch_mean(device, count, views, found, used):
     sums = {}
     for gradients in found:
         seen = len(gradients.rows)
-        device.launch_each(MARK, seen, count=seen, visible=gradients.visible, rows=gradients.rows,
-                           flags=flags, keys=keys)
+        device.launch(MARK, count=seen, visible=gradients.visible, rows=gradients.rows, flags=flags,
+                      keys=keys)
         for name, gradient in gradients.fields.items():
             if not used[name]:
                 continue
@@ -37,10 +38,9 @@ def batch_mean(device, count, views, found, used):
                 sums[name] = device.empty((count, *gradient.shape[1:]))
                 sums[name].fill(0)
             width = math.prod(gradient.shape[1:])
-            device.launch_each(
-                ADD, seen * (1 if device.form == "item" else width), count=seen, width=width,
-                share=1 / views, rows=gradients.rows, gradient=gradient.reshaped(seen, width),
-                sums=sums[name].reshaped(count, width))
+            device.launch(ADD, count=seen, width=width, share=1 / views, rows=gradients.rows,
+                          gradient=gradient.reshaped(seen, width),
+                          sums=sums[name].reshaped(count, width))
     rows, visible = compact(device, flags, keys)
     fields = {name: gather(device, values, visible) for name, values in sums.items()}
     return Gradients(fields, None, rows, visible)

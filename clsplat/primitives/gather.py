@@ -2,15 +2,16 @@
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.device import Kernel, each
 from clsplat.primitives.scan import exclusive_scan
 
-GATHER = Kernel("gather.cl", "gather", count="uint", width="uint", indices=("uint", "N"),
-                rows=("real", "M", "W"), result=("real", "N", "W"))
-SCATTER = Kernel("gather.cl", "scatter", count="uint", width="uint", indices=("uint", "N"),
-                 values=("real", "N", "W"), rows=("real", "M", "W"))
-COMPACT = Kernel("gather.cl", "compact", count="uint", flags=("uint", "N"), offsets=("uint", "N"),
-                 keys=("uint", "N"), kept_keys=("uint", "N"), kept=("uint", "N"))
+GATHER = Kernel("gather.cl", "gather", each("count width"), count="uint", width="uint",
+                indices=("uint", "N"), rows=("real", "M", "W"), result=("real", "N", "W"))
+SCATTER = Kernel("gather.cl", "scatter", each("count width"), count="uint", width="uint",
+                 indices=("uint", "N"), values=("real", "N", "W"), rows=("real", "M", "W"))
+COMPACT = Kernel("gather.cl", "compact", each("count"), count="uint", flags=("uint", "N"),
+                 offsets=("uint", "N"), keys=("uint", "N"), kept_keys=("uint", "N"),
+                 kept=("uint", "N"))
 
 
 def gather(device, rows, indices, result=None):
@@ -23,7 +24,7 @@ def gather(device, rows, indices, result=None):
         result = device.empty((count, *rows.shape[1:]))
     width = _width(rows)
     if width:
-        device.launch_each(GATHER, count * width, count=count, width=width, indices=indices,
+        device.launch(GATHER, count=count, width=width, indices=indices,
                       rows=rows.reshaped(len(rows), width),
                       result=result.narrow(count).reshaped(count, width))
     return result
@@ -33,7 +34,7 @@ def scatter(device, values, indices, rows):
     """rows[indices[i]] = values[i], in place, for distinct indices uint[N]."""
     count, width = len(indices), _width(rows)
     if width:
-        device.launch_each(SCATTER, count * width, count=count, width=width, indices=indices,
+        device.launch(SCATTER, count=count, width=width, indices=indices,
                       values=values.reshaped(count, width), rows=rows.reshaped(len(rows), width))
 
 
@@ -49,7 +50,7 @@ def compact(device, flags, keys):
     count = len(flags)
     offsets, totals = exclusive_scan(device, flags)
     kept_keys, kept = (device.empty(count, np.uint32) for _ in range(2))
-    device.launch_each(COMPACT, count, count=count, flags=flags, offsets=offsets, keys=keys,
+    device.launch(COMPACT, count=count, flags=flags, offsets=offsets, keys=keys,
                   kept_keys=kept_keys, kept=kept)
     total = int(totals.last())
     return kept_keys.narrow(total), kept.narrow(total)

@@ -2,27 +2,22 @@
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.constants import PER_ITEM
+from clsplat.device import Forms, Kernel, groups, items
 
-REDUCE = Kernel("scan.cl", "scan_reduce", count="uint", chunk="uint", values=("uint", "N"),
-                totals=("ulong", "T"))
-APPLY = Kernel("scan.cl", "scan_apply", count="uint", chunk="uint", values=("uint", "N"),
-               totals=("ulong", "T"), offsets=("uint", "N"))
-
-PER_ITEM = 8  # of the group form; scan.cl has the same
 SMALLEST_CHUNK = 4096  # of the item form: below this a second thread costs more than it brings
 
-
-def group_defines(device):
-    """The work-group size, as the group form wants it."""
-    return (("GROUP", device.scan_group),)
+_CHUNKS = Forms(item=items("count/chunk"), group=groups("count/chunk", "SCAN_GROUP"))
+REDUCE = Kernel("scan.cl", "scan_reduce", _CHUNKS, count="uint", chunk="uint",
+                values=("uint", "N"), totals=("ulong", "T"))
+APPLY = Kernel("scan.cl", "scan_apply", _CHUNKS, count="uint", chunk="uint",
+               values=("uint", "N"), totals=("ulong", "T"), offsets=("uint", "N"))
 
 
 def chunk_size(device, count):
     """Elements a chunk: enough chunks for every core, or a fixed number a group."""
-    if device.form == "group":
-        return device.scan_group * PER_ITEM
-    return max(SMALLEST_CHUNK, -(-count // (2 * device.compute_units)))
+    return Forms(item=max(SMALLEST_CHUNK, -(-count // (2 * device.compute_units))),
+                 group=device.scan_group * PER_ITEM).of(device)
 
 
 def exclusive_scan(device, values):
@@ -34,12 +29,7 @@ def exclusive_scan(device, values):
     chunk = chunk_size(device, count)
     chunks = -(-count // chunk)
     totals = device.empty(chunks + 1, np.uint64)
-    item = device.form == "item"
-    group = 1 if item else device.scan_group
-    defines = group_defines(device)
-    items = chunks * group
-    device.launch(REDUCE, items, group, defines, count=count, chunk=chunk, values=values,
-                  totals=totals)
-    device.launch(APPLY, items, group, defines, count=count, chunk=chunk, values=values,
-                  totals=totals, offsets=offsets)
+    shared = dict(count=count, chunk=chunk, values=values, totals=totals)
+    device.launch(REDUCE, **shared)
+    device.launch(APPLY, **shared, offsets=offsets)
     return offsets, totals

@@ -8,10 +8,9 @@ binned, and in the group form blended, once more for its adjoint, since nothing 
 
 import numpy as np
 
+from clsplat.constants import BUCKET, PAIR_SUMS
 from clsplat.errors import DeviceError
-from clsplat.gaussians import LEARNED
-from clsplat.rendering.bin import BUCKET, PAIR_LIMIT, tile_grid
-from clsplat.rendering.project import SPLAT_REALS
+from clsplat.rendering.bin import HAS_BUCKETS, PAIR_LIMIT, tile_grid
 
 FRAME_SHARE = 0.25  # of the device's memory; parameters, moments and photos may have the rest
 LARGEST_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up by half at most
@@ -38,7 +37,7 @@ def choose_bands(counts, limit):
 
 def pair_limit(device, width, height, with_depth):
     """Pairs that a band may have: those for which a device has room, and kernels have numbers."""
-    sums, checkpoints = pair_reals(device.form, with_depth, device.tile)
+    sums, checkpoints = pair_reals(device, with_depth)
     real, (tiles_x, tiles_y) = device.real.itemsize, tile_grid(device, width, height)
     spare = BUCKET * tiles_x * tiles_y if checkpoints else 0  # a bucket that is not full, a tile
     at_once = FRAME_SHARE * device.handle.global_mem_size / (
@@ -47,29 +46,7 @@ def pair_limit(device, width, height, with_depth):
     return min(PAIR_LIMIT, int(min(at_once, in_a_buffer)) - spare)
 
 
-def frame_bytes(pairs, splats, pixels, form, with_depth=False, sh_degree=3, real_bytes=4, tile=16):
-    """Most bytes that rendering a frame and its adjoint hold at a time, the gradients included.
-
-    With indices of 4 bytes, reals of r, s = 9 sums a pair and c = 0 reals of checkpoints a pair in
-    the item form, 32 in the group form (with depth 10, and 40), g reals a gaussian:
-    pairs (8 + r s + r c) + splats (16 + r (12 + s)) in the blend adjoint, or
-    pairs (8 + r c) + splats (20 + r (14 + s + g)) behind it, and
-    pixels (4 + 4 r), with depth 5 r, and again a pixel's checkpoint in the group form.
-    In single precision, without depth: 44 or 172 bytes a pair at most, 20 or 36 a pixel.
-    pairs: of the largest band. What the device's pool takes for this is more: it rounds sizes up
-    (by a fifth on average), and keeps what frames of other sizes took.
-    """
-    sums, checkpoints = pair_reals(form, with_depth, tile)
-    channels = 4 + with_depth
-    lists = 2 * INDEX_BYTES + real_bytes * checkpoints  # of a pair, as long as the frame is kept
-    splat = 4 * INDEX_BYTES + real_bytes * (SPLAT_REALS + sums)
-    gradients = INDEX_BYTES + real_bytes * (2 + sum(f.width(sh_degree) for f in LEARNED))
-    pixel = INDEX_BYTES + real_bytes * channels * (1 if form == "item" else 2)
-    return (pairs * lists + splats * splat + pixels * pixel
-            + max(pairs * real_bytes * sums, splats * gradients))
-
-
-def pair_reals(form, with_depth, tile):
-    """Reals a pair: of the adjoint's sums, and of the group form's checkpoints."""
-    checkpoints = (4 + with_depth) * tile**2 // BUCKET if form == "group" else 0
-    return 9 + with_depth, checkpoints
+def pair_reals(device, with_depth):
+    """Reals a pair: of the adjoint's sums, and of the checkpoints of its bucket."""
+    states = (4 + with_depth) * device.tile**2 // BUCKET
+    return PAIR_SUMS + with_depth, HAS_BUCKETS.of(device) * states

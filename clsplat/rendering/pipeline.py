@@ -50,7 +50,7 @@ class Gradients:
     """Gradients of a loss by the rows that a view saw.
 
     fields: name -> real[V, *row shape]; means: real[V, 2], by the splat's mean, pixels; rows:
-    uint[V], the gaussian of each, or 2^32 - 1 where a gradient was not finite; visible: uint[V],
+    uint[V], the gaussian of each, or NO_ROW where a gradient was not finite; visible: uint[V],
     the gaussian of each, whatever its gradient.
     """
 
@@ -141,10 +141,10 @@ class Renderer:
     def _add_band(self, frame, pairs, grads, sums):
         """The sums of a band added to those of earlier ones."""
         device, defines = self.device, self._blend_defines(frame.with_depth)
-        if pairs is not frame.pairs and device.form == "group":  # for the checkpoints
+        if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             blend(device, frame.splats, pairs, *frame.size, self.background, defines, frame.blended)
         return blend_adjoint(device, frame.splats, pairs, frame.blended, self.background, *grads,
                              defines, sums)
 
     def _blend_defines(self, with_depth):
-        return blend_defines(self.device, with_depth, self.smooth_cutoff)
+        return blend_defines(with_depth, self.smooth_cutoff)

@@ -17,17 +17,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clsplat.constants import ALPHA_STEPS, SPLAT_REALS, TRANSMITTANCE_MIN
 from clsplat.gaussians import LEARNED
 from clsplat.rendering.bands import LARGEST_SHARE
 from clsplat.rendering.blend import Blended
 from clsplat.rendering.pipeline import Renderer
-from clsplat.rendering.project import LOW_PASS, SPLAT_REALS, clamped_ratios, cull
+from clsplat.rendering.project import LOW_PASS, clamped_ratios, cull
 
 MODEL_SHARE = 0.3  # of the device's memory for a model and its splats; two may be compared
 INDICES = 6  # uint a gaussian that culling and sorting take
 PART = 1 << 16  # rows that share a box
-TRANSMITTANCE_MIN = 1e-4  # as cl/include/splat.h has it
-CUTOFF = 2.01 * np.log(255)  # squared distance: at least largest_extent's of cl/project.cl
+CUTOFF = 2.01 * np.log(ALPHA_STEPS)  # squared distance: at least largest_extent's of cl/project.cl
 ROUNDING = 1e-5  # of coordinates, that float32 may lose on the way to a pixel
 CULLED = ("positions", "log_scales", "quaternions", "opacity_logits")
 

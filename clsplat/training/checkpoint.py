@@ -28,8 +28,8 @@ def save(training):
     parts = {"row": model.download().rows, "m": m, "v": v, "statistics": {
         "grad_norm_sum": statistics.grad_norm_sum.download(),
         "seen_count": statistics.seen_count.download()}}
-    if training.step.held is not None:
-        parts["statistics"]["held"] = training.step.held.download()
+    if training.step.frozen is not None:
+        parts["statistics"]["frozen"] = training.step.frozen.download()
     if training.step.exposures:
         parts["exposure"] = training.step.exposures.download()
     arrays = {f"{kind}.{name}": values for kind, fields in parts.items()
@@ -56,8 +56,8 @@ def load(training, arrays, state):
     step.model.adam.upload(_fields(arrays, "m", LEARNED), _fields(arrays, "v", LEARNED))
     step.statistics.grad_norm_sum.write(arrays["statistics.grad_norm_sum"])
     step.statistics.seen_count.write(arrays["statistics.seen_count"])
-    if step.held is not None:
-        step.held.write(arrays["statistics.held"])
+    if step.frozen is not None:
+        step.frozen.write(arrays["statistics.frozen"])
     if step.exposures:
         step.exposures.upload({name.partition(".")[2]: values for name, values in arrays.items()
                                if name.startswith("exposure.")})

@@ -1,22 +1,25 @@
 """How fine the detail is that a model holds: its scene frequency (cl/frequency.cl)."""
 
-from clsplat.device import Kernel
+from clsplat.constants import FREQUENCY_SUMS, FREQUENCY_TERMS, LANES
+from clsplat.device import Forms, Kernel, groups, items
 from clsplat.primitives.reduce import sum_columns
 
 VARIANTS = ("paper", "release", "robust")
 AXES = ("mean", "max", "min")  # over a gaussian's three axes, of 1 / sigma
 ROWS_AN_ITEM = 128  # few, so that single precision can add them up
-LARGEST_GROUP = 256  # whose items come together, whatever the group: the same sums of each
-TERMS, SUMS = 11, 12  # columns; frequency.cl has the same
+TOGETHER = Forms(item=1, group=LANES)  # work-items, in whatever groups: the same sums of each
 
 _ROWS = dict(count="uint", log_scales=("real", "N", 3), opacity_logits=("real", "N"))
-LARGEST = Kernel("frequency.cl", "frequency_largest", **_ROWS, partials=("real", "P", TERMS))
-MAXIMA = Kernel("frequency.cl", "max_columns", count="uint", partials=("real", "P", TERMS),
-                maxima=("real", TERMS))
-PARTIALS = Kernel("frequency.cl", "frequency_sums", **_ROWS, maxima=("real", TERMS),
-                  partials=("real", "P", SUMS))
-VALUES = Kernel("frequency.cl", "frequency_values", maxima=("real", TERMS), sums=("real", SUMS),
-                values=("real", len(VARIANTS), len(AXES)))
+_MAXIMA = dict(maxima=("real", FREQUENCY_TERMS))
+_ITEMS = Forms(item=items("P"), group=items("P", "SCAN_GROUP"))
+LARGEST = Kernel("frequency.cl", "frequency_largest", _ITEMS, **_ROWS,
+                 partials=("real", "P", FREQUENCY_TERMS))
+MAXIMA = Kernel("frequency.cl", "max_columns", groups("FREQUENCY_TERMS", "SCAN_GROUP"),
+                count="uint", partials=("real", "P", FREQUENCY_TERMS), **_MAXIMA)
+PARTIALS = Kernel("frequency.cl", "frequency_sums", _ITEMS, **_ROWS, **_MAXIMA,
+                  partials=("real", "P", FREQUENCY_SUMS))
+VALUES = Kernel("frequency.cl", "frequency_values", items("1"), **_MAXIMA,
+                sums=("real", FREQUENCY_SUMS), values=("real", len(VARIANTS), len(AXES)))
 
 
 def scene_frequency(device, rows, unit=1.0):
@@ -33,20 +36,17 @@ def scene_frequency(device, rows, unit=1.0):
     single precision cannot hold; where none counts, all values are nan.
     """
     count = len(rows["opacity_logits"])
-    lanes = device.scan_group
-    group, together = (1, 1) if device.form == "item" else (lanes, LARGEST_GROUP)
-    items = (count // (ROWS_AN_ITEM * together) + 1) * together
-    defines = (("GROUP", lanes),)
+    together = TOGETHER.of(device)
+    work_items = (count // (ROWS_AN_ITEM * together) + 1) * together
     fields = dict(count=count, log_scales=rows["log_scales"],
                   opacity_logits=rows["opacity_logits"])
-    largest, partials = device.empty((items, TERMS)), device.empty((items, SUMS))
-    maxima, values = device.empty(TERMS), device.empty((len(VARIANTS), len(AXES)))
-    device.launch(LARGEST, items, group, defines, **fields, partials=largest)
-    device.launch(MAXIMA, TERMS * lanes, lanes, defines, count=items, partials=largest,
-                  maxima=maxima)
-    device.launch(PARTIALS, items, group, defines, **fields, maxima=maxima, partials=partials)
-    device.launch(VALUES, 1, 1, defines, maxima=maxima, sums=sum_columns(device, partials),
-                  values=values)
+    largest, partials = (device.empty((work_items, columns))
+                         for columns in (FREQUENCY_TERMS, FREQUENCY_SUMS))
+    maxima, values = device.empty(FREQUENCY_TERMS), device.empty((len(VARIANTS), len(AXES)))
+    device.launch(LARGEST, **fields, partials=largest)
+    device.launch(MAXIMA, count=work_items, partials=largest, maxima=maxima)
+    device.launch(PARTIALS, **fields, maxima=maxima, partials=partials)
+    device.launch(VALUES, maxima=maxima, sums=sum_columns(device, partials), values=values)
     return {f"{variant}_{axis}": float(value) / unit
             for variant, line in zip(VARIANTS, values.download())
             for axis, value in zip(AXES, line)}

@@ -28,7 +28,7 @@ class Kept:
             return False
         step.model.adam.upload(*self._moments)
         step.statistics.clear(step.model.count)
-        step.hold()
+        step.find_frozen()
         return True
 
 

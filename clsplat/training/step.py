@@ -12,7 +12,7 @@ from clsplat.device import Array
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.image_loss import image_loss
 from clsplat.loss.reproject import reproject
-from clsplat.optimise.adam import hold_rows
+from clsplat.optimise.adam import freeze_rows
 from clsplat.optimise.batch import batch_mean
 from clsplat.optimise.rates import learning_rates
 from clsplat.training.skipped import Skipped
@@ -39,7 +39,7 @@ class Step:
 
     extent: scene extent, world units; options: TrainOptions with scaled steps; exposures:
     loss.exposure.Exposures or None; trains: of positions and log_scales float32[N, 3], which may
-    change, bool[N]; None: all. It is asked at each growth; the others are `held`, uint[N] on the
+    change, bool[N]; None: all. It is asked at each growth; the others are `frozen`, uint[N] on the
     device.
     """
 
@@ -48,8 +48,8 @@ class Step:
         self.device, self.exposures, self.trains = renderer.device, exposures, trains
         self.statistics = Statistics(self.device, model.count)
         self.skipped = Skipped(renderer.skipped, *([exposures.skipped] if exposures else []))
-        self.held = None
-        self.hold()
+        self.frozen = None
+        self.find_frozen()
         self.pixel_pairs = 0  # pairs of gaussian and pixel so far: all pixels of a tile it meets
 
     def run(self, iteration, plan, samples):
@@ -61,7 +61,7 @@ class Step:
                      batch_mean(self.device, self.model.count, views, found, used))
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
         learned = {field.name: self.model.rows[field.name] for field in LEARNED}
-        self.model.adam.step(learned, gradients, iteration, rates, used, self.held)
+        self.model.adam.step(learned, gradients, iteration, rates, used, self.frozen)
         return losses
 
     def _gradients_of(self, plan, sample, losses):
@@ -84,8 +84,8 @@ class Step:
                 plan.regularises)
         gradients = self.renderer.adjoint(rows, frame, grad_image, grad_depth, grad_transmittance)
         self.skipped.asked += len(gradients.rows) + bool(exposures)
-        if self.held is not None:
-            hold_rows(self.device, gradients, self.held)
+        if self.frozen is not None:
+            freeze_rows(self.device, gradients, self.frozen)
         if plan.gathers:
             self.statistics.accumulate(gradients, width, height)
         return gradients
@@ -104,14 +104,14 @@ class Step:
         event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
         if plan.resets_opacity:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
-                                     None if self.held is None else self.held.download() == 0)
+                                     None if self.frozen is None else self.frozen.download() == 0)
         return event
 
-    def hold(self):
-        """Find anew which gaussians are held."""
+    def find_frozen(self):
+        """Find anew which gaussians are frozen."""
         if self.trains:
             rows = (self.model.rows[name].download() for name in ("positions", "log_scales"))
-            self.held = self.device.upload((~self.trains(*rows)).astype(np.uint32))
+            self.frozen = self.device.upload((~self.trains(*rows)).astype(np.uint32))
 
     def _grow(self, iteration, plan, schedule, scoring_views):
         model, options = self.model, self.options
@@ -121,20 +121,21 @@ class Step:
         rng = np.random.default_rng([options.seed, iteration])
         gradient = self.statistics.mean_gradient()
         candidates = Candidates(rows, self.extent, options, plan.prunes_large)
-        self.hold()
-        held = np.zeros(model.count, bool) if self.held is None else self.held.download() > 0
-        prunes = candidates.prunes & ~held
+        self.find_frozen()
+        frozen = (np.zeros(model.count, bool) if self.frozen is None
+                  else self.frozen.download() > 0)
+        prunes = candidates.prunes & ~frozen
         scores = None
         if schedule.selection == "score":
             scores = taming_scores(self.renderer, model.rows, scoring_views(), plan.degree,
                                    options.ssim_weight, gradient)
             if schedule.spares_half(iteration):
                 prunes = half_of(prunes, scores, rng)
-        gradient = np.where(held, -np.inf, gradient)  # what is around a block stays as it is
+        gradient = np.where(frozen, -np.inf, gradient)  # what is around a block stays as it is
         grows = self._chosen(iteration, schedule, gradient, candidates, prunes, scores, rng)
         growth = plan_growth(candidates, grows, prunes, rng)
         model.regrow(growth)
-        self.hold()
+        self.find_frozen()
         self.statistics.clear(model.count)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 

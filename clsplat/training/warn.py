@@ -5,6 +5,7 @@ None of this stops a training; a user who knows better goes on.
 
 import numpy as np
 
+from clsplat.constants import ALPHA_STEPS
 from clsplat.covisibility.exposure_drift import LUMA
 from clsplat.scene import LEAST_PARALLAX
 from clsplat.training.photos import at_level, decoded
@@ -17,7 +18,7 @@ FEW_PHOTOS, FEW_POINTS = 10, 100
 LEAST_COVER = 0.05  # of a photo's cells; 0.6 to 1 in four aerial and street scenes
 LEAST_CONTRAST = 2.0  # grey levels, standard deviation: less is one colour
 LEAST_SMOOTHNESS = 0.2  # correlation of neighbouring pixels: 0.65 to 0.98 there, 0 in noise
-FAINTEST = -np.log(254.0)  # logit of the opacity 1/255, below which nothing is drawn
+FAINTEST = -np.log(ALPHA_STEPS - 1.0)  # logit of 1 / ALPHA_STEPS: nothing fainter is drawn
 
 
 def find_warnings(scene, views, opacity_logits):

@@ -8,8 +8,9 @@ import pytest
 
 from clsplat.city.merge import cropped, joined, seam_table
 from clsplat.city.seams import LEAST_PIXELS, _scores, find_borders, find_seams
+from clsplat.constants import SH_C0
 from clsplat.evaluation.views import render_view
-from clsplat.gaussians import LEARNED, SH_C0, Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions

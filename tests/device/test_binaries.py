@@ -1,10 +1,12 @@
 """Compiled kernels are read back in the next process, and only where they are what was written."""
 
+import shutil
+
 import numpy as np
 import pyopencl as cl
 import pytest
 
-from clsplat.device import Device, Kernel, binaries
+from clsplat.device import Device, Kernel, binaries, each, source
 from clsplat.errors import DeviceError
 from clsplat.rendering import blend
 
@@ -14,9 +16,10 @@ __kernel void twice(uint count, __global const float *values, __global float *re
     results[get_global_id(0)] = 2 * values[get_global_id(0)];
 }
 """
-TWICE = Kernel("twice.cl", "twice", count="uint", values=("float", "N"), results=("float", "N"))
-SWAPPED = Kernel("swapped.cl", "twice", count="uint", results=("float", "N"),
-                 values=("float", "N"))
+TWICE = Kernel("twice.cl", "twice", each("count"), count="uint", values=("float", "N"),
+               results=("float", "N")).forms.item
+SWAPPED = Kernel("swapped.cl", "twice", each("count"), count="uint", results=("float", "N"),
+                 values=("float", "N")).forms.item
 
 
 @pytest.fixture
@@ -52,9 +55,24 @@ def test_whatever_changes_the_program_compiles_again(float_device, folder, monke
     build(float_device)
     assert was_compiled(build(float_device, SOURCE + "\n"))
     assert was_compiled(build(float_device, options=("-cl-kernel-arg-info", "-DX=1")))
-    monkeypatch.setattr(binaries, "_headers", lambda: ["another header"])
-    assert was_compiled(build(float_device))
-    assert len(list(folder.iterdir())) == 4
+    assert len(list(folder.iterdir())) == 3
+
+
+@pytest.mark.parametrize("name", ["scan.cl", "item/scan.cl", "group/scan.cl", "include/group.h"])
+def test_the_name_of_a_binary_covers_what_its_source_includes(
+        float_device, folder, tmp_path, monkeypatch, name):
+    def named():
+        texts = [source.kernel_source.__wrapped__(file) for file in ("scan.cl", "gather.cl")]
+        return [binaries._file_of(float_device.handle, text, []) for text in texts]
+
+    copy = tmp_path / "cl"
+    shutil.copytree(source.kernel_folder(), copy)
+    monkeypatch.setattr(source, "kernel_folder", lambda: copy)
+    before = named()
+    with (copy / name).open("a") as file:
+        file.write("// another line\n")
+    after = named()
+    assert after[0] != before[0] and after[1] == before[1]
 
 
 @pytest.mark.parametrize("damage", [
@@ -80,7 +98,8 @@ def test_a_wrong_declaration_is_compiled_each_time_and_so_noticed(float_device, 
 def test_a_wrong_declaration_is_refused_however_often(float_device, folder, tmp_path, times):
     (tmp_path / "twice.cl").write_text(SOURCE)
     names = str(tmp_path / "twice.cl")
-    right, wrong = (Kernel(names, "twice", **each.arguments) for each in (TWICE, SWAPPED))
+    right, wrong = (Kernel(names, "twice", each("count"), **kernel.arguments)
+                    for kernel in (TWICE, SWAPPED))
     for _ in range(times):
         device = Device(float_device.handle, form=float_device.form)
         device._build(right, ())
@@ -116,5 +135,5 @@ def test_platforms_with_a_cache_of_their_own_are_left_alone(float_device, folder
 def test_both_forms_of_the_blend_kernel_are_kept(float_device, folder):
     for form in ("item", "group"):
         device = Device(float_device.handle, form=form)
-        device._build(blend.BLEND[form], blend.blend_defines(device, True, False))
+        device._build(blend.BLEND, blend.blend_defines(with_depth=True))
     assert len(list(folder.iterdir())) == 2

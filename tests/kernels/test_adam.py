@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from clsplat.constants import NO_ROW
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.adam import NO_ROW, DeviceAdam, NumpyAdam, hold_rows
+from clsplat.optimise.adam import DeviceAdam, NumpyAdam, freeze_rows
 from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -34,9 +35,9 @@ class Run:
         self.engine = engine(device, self.rows, dense)
         self.count, self.steps = count, 0
 
-    def step(self, seen, used=WIDTHS, scale=1.0, held=None):
+    def step(self, seen, used=WIDTHS, scale=1.0, frozen=None):
         """One step on gradients of `seen` random rows; every fifth row's is marked as not finite:
-        its parameters and moments stay, in a dense engine as well. So do those of `held` bool[N].
+        its parameters and moments stay, in a dense engine as well. So do those of `frozen` bool[N].
         """
         self.steps += 1
         rows = self.rng.permutation(self.count)[:seen].astype(np.uint32)
@@ -45,7 +46,7 @@ class Run:
             spread = np.zeros_like(self.expected[name])
             spread[rows] = values.astype(self.device.real)
             changed = np.setdiff1d(np.arange(self.count) if self.dense else rows, rows[::5])
-            changed = changed if held is None else changed[~held[changed]]
+            changed = changed if frozen is None else changed[~frozen[changed]]
             columns = slice(0, used[name])
             flat = [a.reshape(self.count, -1)[:, columns] for a in (
                 self.expected[name], spread, self.first[name], self.second[name])]
@@ -58,10 +59,10 @@ class Run:
             fields[name][::5] = np.nan
         gradients = Gradients({name: self.device.upload(v) for name, v in fields.items()},
                               self.device.zeros((seen, 2)), self.device.upload(rows), visible)
-        if held is not None:
-            held = self.device.upload(held.astype(np.uint32))
-            hold_rows(self.device, gradients, held)
-        self.engine.step(self.rows, gradients, self.steps, RATES, used, held)
+        if frozen is not None:
+            frozen = self.device.upload(frozen.astype(np.uint32))
+            freeze_rows(self.device, gradients, frozen)
+        self.engine.step(self.rows, gradients, self.steps, RATES, used, frozen)
 
     def check(self, what=""):
         precision = precision_of(self.device)
@@ -85,16 +86,16 @@ def test_steps_on_varying_rows(device, engine, dense):
 @ENGINES
 @DENSE
 def test_held_rows_stay_though_they_have_moments(device, engine, dense):
-    """Seen or not; what has been trained may come to be held."""
+    """Seen or not; what has been trained may come to be frozen."""
     run = Run(device, engine, 40, dense)
     run.step(40)
     before = run.rows["positions"].download()
-    held = np.arange(40) % 3 == 0
+    frozen = np.arange(40) % 3 == 0
     for seen in (25, 1, 0, 33):
-        run.step(seen, held=held)
+        run.step(seen, frozen=frozen)
     run.check()
     moved = (run.rows["positions"].download() != before).any(axis=1)
-    assert not moved[held].any() and moved[~held].sum() > 20
+    assert not moved[frozen].any() and moved[~frozen].sum() > 20
 
 
 @pytest.mark.oclgrind
@@ -172,12 +173,12 @@ def test_moments_are_saved_taken_over_and_forgotten(device, engine):
 
 @pytest.mark.parametrize("seen", [0, 1, 255, 256, 300])
 def test_rows_that_are_held(device, seen):
-    """Gradients of held gaussians are taken out, the others and their order stay."""
+    """Gradients of frozen gaussians are taken out, the others and their order stay."""
     rng = np.random.default_rng(seen)
     visible = rng.permutation(400)[:seen].astype(np.uint32)
     rows = np.where(rng.random(seen) < 0.2, NO_ROW, visible).astype(np.uint32)
-    held = (rng.random(400) < 0.5) * rng.integers(1, 2**31, 400)
+    frozen = (rng.random(400) < 0.5) * rng.integers(1, 2**31, 400)
     gradients = Gradients({}, None, device.upload(rows), device.upload(visible))
-    hold_rows(device, gradients, device.upload(held, np.uint32))
-    expected = np.where(held[visible] > 0, NO_ROW, rows)
+    freeze_rows(device, gradients, device.upload(frozen, np.uint32))
+    expected = np.where(frozen[visible] > 0, NO_ROW, rows)
     assert np.array_equal(gradients.rows.download(), expected)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.optimise.adam import NO_ROW
+from clsplat.constants import NO_ROW
 from clsplat.optimise.batch import batch_mean
 from clsplat.rendering.pipeline import Gradients
 from tests.checks import close

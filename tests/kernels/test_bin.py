@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from clsplat.rendering.bin import BUCKET, TooManyPairs, bin_splats, count_tiles, tile_grid
+from clsplat.constants import BUCKET
+from clsplat.rendering.bin import TooManyPairs, bin_splats, count_tiles, tile_grid
 from tests import cases
 from tests.kernels.chain import pack_splats
 from tests.reference.bin import tiles_of

@@ -18,7 +18,7 @@ class Blended:
 
     def __init__(self, device, rows, size, background=BACKGROUND, with_depth=True, smooth=False):
         self.device, self.with_depth = device, with_depth
-        self.defines = blend_defines(device, with_depth, smooth)
+        self.defines = blend_defines(with_depth, smooth)
         self.background = device.upload(np.asarray(background, float))
         self.splats = device.upload(rows)
         self.pairs = bin_splats(

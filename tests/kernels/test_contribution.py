@@ -25,7 +25,7 @@ def a_frame(device, rows, size):
     numbers = device.upload(np.arange(len(rows), dtype=np.uint32))
     pairs = bin_splats(device, splats, numbers, width, height)
     blended = blend(device, splats, pairs, width, height, device.upload(np.zeros(3)),
-                    blend_defines(device, with_depth=False, smooth_cutoff=False))
+                    blend_defines(with_depth=False))
     return Frame(None, 0, numbers, splats, numbers, pairs, (None,), pairs.count, blended, False)
 
 

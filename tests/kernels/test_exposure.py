@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from clsplat.loss.exposure import BLOCK, Exposures
+from clsplat.constants import EXPOSURE_BLOCK
+from clsplat.loss.exposure import Exposures
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -62,7 +63,8 @@ def test_value_gradient_and_steps(device, size):
 
 def test_sizes_stand_around_a_block():
     pixels = [width * height for width, height in SIZES]
-    assert {1, BLOCK - 1, BLOCK, BLOCK + 1} < set(pixels) and max(pixels) > 4 * BLOCK
+    around = {EXPOSURE_BLOCK - 1, EXPOSURE_BLOCK, EXPOSURE_BLOCK + 1}
+    assert {1, *around} < set(pixels) and max(pixels) > 4 * EXPOSURE_BLOCK
 
 
 def test_views_step_by_their_own_count(device):

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from clsplat.device import Device, Kernel
+from clsplat.device import Device, Forms, Kernel, each, groups, items
 from clsplat.errors import DeviceError, ShapeError
 from clsplat.primitives.gather import GATHER
 from clsplat.primitives.scan import exclusive_scan
 
-TYPES = {name: kind for name, kind in GATHER.arguments.items()}
+TYPES = GATHER.forms.item.arguments
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def call(float_device):
             "rows": float_device.zeros((9, 3)), "result": float_device.zeros((4, 3))}
 
     def launch(**changes):
-        float_device.launch(GATHER, 12, **{**good, **changes})
+        float_device.launch(GATHER, **{**good, **changes})
     return launch
 
 
@@ -40,28 +40,61 @@ def test_unknown_and_missing_arguments_are_named(call, float_device):
     with pytest.raises(ShapeError, match="colour"):
         call(colour=1)
     with pytest.raises(ShapeError, match="width"):
-        float_device.launch(GATHER, 1, count=1)
+        float_device.launch(GATHER, count=1)
 
 
 def test_swapped_arguments_are_refused(float_device):
     """Same types, other order: the compiler's own names tell."""
     swapped = {name: TYPES[name] for name in ("width", "count", "indices", "rows", "result")}
     with pytest.raises(DeviceError, match="argument 0 is 'uint count', declared 'uint width'"):
-        float_device._build(Kernel("gather.cl", "gather", **swapped), ())
+        float_device._build(Kernel("gather.cl", "gather", each("count"), **swapped), ())
 
 
 def test_wrong_types_and_counts_are_refused(float_device):
     with pytest.raises(DeviceError, match="argument 2"):
         float_device._build(
-            Kernel("gather.cl", "gather", **{**TYPES, "indices": ("real", "N")}), ())
+            Kernel("gather.cl", "gather", each("count"), **{**TYPES, "indices": ("real", "N")}), ())
     with pytest.raises(DeviceError, match="takes 5 arguments, 4 declared"):
         float_device._build(
-            Kernel("gather.cl", "gather", **dict(list(TYPES.items())[:4])), ())
+            Kernel("gather.cl", "gather", each("count"), **dict(list(TYPES.items())[:4])), ())
 
 
 def test_a_kernel_that_does_not_build_names_its_file(float_device):
     with pytest.raises(DeviceError, match="sort.cl does not build"):
-        float_device._build(Kernel("sort.cl", "sort_count", count="uint"), ())
+        float_device._build(Kernel("sort.cl", "sort_count", each("count"), count="uint"), ())
+
+
+@pytest.mark.parametrize("launch, expected", [
+    (items("count"), (7, 1)), (items("count/3 2"), (6, 1)), (items("N/TILE"), (1, 1)),
+    (items("count", "5"), (10, 5)), (groups("count", "SCAN_GROUP"), (7 * 64, 64)),
+    (groups("N 2", "TILE TILE"), (2 * 12 * 256, 256)), (groups("BUCKET", "2"), (64, 2)),
+    (items("0"), (0, 1)), (each("count N"), {"item": (8, 1), "group": (96, 32)})])
+def test_launches_have_the_declared_size(float_device, monkeypatch, launch, expected):
+    device = float_device
+    for name, size in {"scan_group": 64, "group_size": 32, "compute_units": 2, "tile": 16}.items():
+        monkeypatch.setattr(device, name, size)
+    kernel = Kernel("none.cl", "none", launch, count="uint", rows=("real", "N"))
+    call = kernel.bind(device, {"count": 7, "rows": device.zeros(12)})
+    if isinstance(expected, dict):
+        expected = expected[device.form]
+    assert (call.items, call.group) == expected and call.nbytes == 48
+
+
+def test_each_form_has_its_own_launch_and_arguments(float_device):
+    kernel = Kernel("none.cl", "none", Forms(item=items("count", more=("real", "N")),
+                                             group=groups("size", "2", size="uint")), count="uint")
+    rows = float_device.zeros(3)
+    call = kernel.bind(float_device, {"count": 5, "more": rows, "size": 3})
+    assert call[1:] == Forms(item=([5, rows.buffer], 12, 5, 1),
+                             group=([5, 3], 0, 6, 2)).of(float_device)
+    with pytest.raises(ShapeError, match="size"):  # whatever the form: a call is right in both
+        kernel.bind(float_device, {"count": 5, "more": rows})
+
+
+@pytest.mark.parametrize("size", ["rows", "chunk", "N/width", "COUNT"])
+def test_a_launch_by_what_is_no_argument_is_refused(size):
+    with pytest.raises(DeviceError, match="launched by"):
+        Kernel("none.cl", "none", items(size), count="uint", rows=("real", "N"))
 
 
 def test_arrays_check_what_is_written_and_narrowed(float_device):

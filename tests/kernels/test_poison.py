@@ -7,6 +7,7 @@ is marked, so that the optimiser leaves it alone, and counted.
 import numpy as np
 import pytest
 
+from clsplat.constants import NO_ROW
 from tests import cases
 from tests.kernels.chain import (
     camera_of,
@@ -17,7 +18,7 @@ from tests.kernels.chain import (
     upload_rows,
 )
 
-POISONED, NO_ROW = 5, 2**32 - 1
+POISONED = 5
 SLOTS = {
     "positions": [(0,), (1,), (2,)], "log_scales": [(0,), (2,)],
     "quaternions": [(0,), (3,)], "opacity_logits": [()],

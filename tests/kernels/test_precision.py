@@ -15,7 +15,7 @@ from clsplat.bench.variants import (
     VariantDevice,
 )
 from clsplat.bench.workloads import city
-from clsplat.device import Kernel
+from clsplat.device import Kernel, each
 from tests import cases
 from tests.kernels.chain import camera_of, depth_order, render, size_of
 from tests.reference import blend as blend_reference
@@ -47,12 +47,12 @@ def exp_errors(device, tmp_path, *defines):
     """Relative errors of exp_power over the powers that blending asks for."""
     file = tmp_path / "exp.cl"
     file.write_text(EXP)
-    kernel = Kernel(str(file), "take_exp", count="uint", powers=("real", "N"),
+    kernel = Kernel(str(file), "take_exp", each("count"), count="uint", powers=("real", "N"),
                     results=("real", "N"))
     powers = np.linspace(-6, 0, 1 << 14).astype(np.float32)
     results = device.empty(len(powers))
-    device.launch_each(kernel, len(powers), (("SMOOTH_CUTOFF", 0), *defines), count=len(powers),
-                       powers=device.upload(powers), results=results)
+    device.launch(kernel, defines, count=len(powers), powers=device.upload(powers),
+                  results=results)
     return results.download() / np.exp(powers.astype(np.float64)) - 1
 
 

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from clsplat.constants import PER_ITEM
 from clsplat.primitives import scan
 from tests.reference.scan import exclusive_scan
 
 GROUP = 64
-CHUNK = GROUP * scan.PER_ITEM
+CHUNK = GROUP * PER_ITEM
 COUNTS = (0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 3 * CHUNK + 7)
 
 
@@ -38,7 +39,8 @@ def test_more_chunks_than_lanes_add_up_their_totals(device, monkeypatch):
 
 
 def test_the_devices_own_group_size(device):
-    check(device, np.random.default_rng(1).integers(0, 9, 3 * 8 * device.scan_group + 7, np.uint32))
+    count = 3 * PER_ITEM * device.scan_group + 7
+    check(device, np.random.default_rng(1).integers(0, 9, count, np.uint32))
 
 
 def test_the_total_has_64_bits(device, monkeypatch):

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from clsplat.constants import PER_ITEM
 from clsplat.primitives import scan
 from clsplat.primitives.sort import stable_sort
 from tests.reference.sort import sort_order
 
 GROUP = 64
-CHUNK = GROUP * scan.PER_ITEM
+CHUNK = GROUP * PER_ITEM
 COUNTS = (0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 3 * CHUNK + 7)
 
 

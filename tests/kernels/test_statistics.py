@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
+from clsplat.constants import NO_ROW
 from clsplat.densify.statistics import Statistics
 from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference.statistics import accumulate
-
-NO_ROW = 2**32 - 1
 
 
 def a_view(device, count, seen, seed):

@@ -6,7 +6,7 @@ Left out, because float sums are then added in another order: the kernel form an
 
 import pytest
 
-from clsplat.device import Device, device
+from clsplat.device import Device, kernel
 from clsplat.rendering.bands import choose_bands
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
@@ -58,7 +58,7 @@ def test_500_steps(float_device, city, tmp_path, monkeypatch):
         assert digest(tmp_path / "bands", city, float_device, **LONG) == first
     assert len(numbers) >= 500 and 2 < min(numbers), set(numbers)
     large = cut_otherwise(float_device, group_size=256, compute_units=13)
-    monkeypatch.setattr(device, "RUNS_A_CORE", 7)
+    monkeypatch.setattr(kernel, "RUNS_A_CORE", 7)
     assert digest(tmp_path / "large", city, large, **LONG) == first
 
 
@@ -67,6 +67,6 @@ def test_500_steps(float_device, city, tmp_path, monkeypatch):
 def test_the_whole_method(float_device, city, tmp_path, monkeypatch, changes):
     """Levels, exposures, adjacent photos, scores."""
     first = digest(tmp_path / "first", city, float_device, **changes)
-    monkeypatch.setattr(device, "RUNS_A_CORE", 3)
+    monkeypatch.setattr(kernel, "RUNS_A_CORE", 3)
     other = cut_otherwise(float_device, group_size=32, scan_group=64, compute_units=5)
     assert digest(tmp_path / "other", city, other, **changes) == first

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from clsplat.constants import SH_C0
 from clsplat.errors import InputError
-from clsplat.gaussians import FIELDS, LEARNED, SH_C0, Gaussians
+from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.io.ply import write_ply
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene

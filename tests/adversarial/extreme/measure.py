@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clsplat.constants import NO_ROW
 from clsplat.loss.image_loss import image_loss
 from tests.adversarial.extreme.cases import DOUBLE
 from tests.kernels.chain import (
@@ -19,7 +20,6 @@ from tests.reference.image_loss import image_loss as reference_loss
 from tests.reference.project import project, project_adjoint
 
 SSIM_WEIGHT = 0.2
-NO_ROW = 2**32 - 1
 # root of the smallest normal float32: Adam's square of a smaller gradient vanishes
 NOTHING = 1e-19
 

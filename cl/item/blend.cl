@@ -1,5 +1,6 @@
-// Item form of blend.cl (see there): a work-item owns a tile.
-#define IOTA (real16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
+// Item form of blend.cl (see there), for CPUs: a work-item owns a tile; a row of 16 pixels is one
+// vector; the tile's state lives in private memory; rows a splat's ellipse does not reach, or that are
+// opaque, are skipped.
 
 // A row of the tile, cut at the right border of the image.
 inline void store_row(real16 value, __global real *row, int columns)
@@ -115,12 +116,12 @@ void blend(int width, int height, int tiles_x, int first_tile,
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void blend_adjoint(int width, int height, int tiles_x, int first_tile,
-                   __global const real *restrict background, __global const uint *restrict ranges,
-                   __global const uint *restrict sorted_splats, __global const uint *restrict slots,
-                   __global const real *restrict splats,
+                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
+                   __global const uint *restrict slots, __global const real *restrict splats,
                    __global const real *restrict transmittance, __global const int *restrict last,
                    __global const real *restrict grad_image, __global const real *restrict grad_depth,
-                   __global const real *restrict grad_transmittance, __global real *restrict sums)
+                   __global const real *restrict grad_transmittance, __global real *restrict sums,
+                   __global const real *restrict background)
 {
     const int tile = get_global_id(0), place = first_tile + tile;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
@@ -210,5 +211,30 @@ void blend_adjoint(int width, int height, int tiles_x, int first_tile,
 #if WITH_DEPTH
         sum[SUM_DEPTH] = sum16(s_z);
 #endif
+    }
+}
+
+// An element is a splat; eight columns are one vector, or Intel's compiler would sum every column over
+// several slots at a time, in another order.
+__kernel void sum_pairs(uint count, uint carried, __global const uint *restrict order,
+                        __global const uint *restrict counts,
+                        __global const uint *restrict offsets, __global const real *restrict sums,
+                        __global real *restrict totals)
+{
+    FOR_EACH(v, count) {
+        __global real *own = totals + (ulong)order[v] * SUMS;
+        real8 total = carried ? vload8(0, own) : (real8)(0);
+        real rest[SUMS - 8];
+        for (int j = 0; j < SUMS - 8; j++)
+            rest[j] = carried ? own[8 + j] : 0;
+        const ulong begin = (ulong)offsets[v] * SUMS, end = begin + (ulong)counts[v] * SUMS;
+        for (ulong i = begin; i < end; i += SUMS) {
+            total += vload8(0, sums + i);
+            for (int j = 0; j < SUMS - 8; j++)
+                rest[j] += sums[i + 8 + j];
+        }
+        vstore8(total, 0, own);
+        for (int j = 0; j < SUMS - 8; j++)
+            own[8 + j] = rest[j];
     }
 }

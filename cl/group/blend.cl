@@ -1,18 +1,18 @@
-// Group form of blend.cl (see there): a work-group owns a tile, or a bucket of its pairs.
+// Group form of blend.cl (see there), for GPUs. Forward, a group owns a tile and stages splats in local
+// memory; it notes T and C of every pixel once a bucket of BUCKET pairs. Adjoint, a group of BUCKET
+// lanes owns a bucket: lane l holds splat l while the tile's pixels stream through the lanes,
+// (T, C . grad) passing from lane to lane, so that each lane sums its own splat without any reduction.
 #define PIXELS (TILE * TILE)
-#ifndef BUCKET
-#error "BUCKET, pairs a bucket, must be defined"
-#endif
 
 // Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth.
 __kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1)))
 void blend(int width, int height, int tiles_x, int first_tile,
            __global const real *restrict background, __global const uint *restrict ranges,
-           __global const uint *restrict sorted_splats,
-           __global const uint *restrict bucket_offsets, __global const real *restrict splats,
+           __global const uint *restrict sorted_splats, __global const real *restrict splats,
            __global real *restrict image, __global real *restrict transmittance,
            __global int *restrict last, __global real *restrict depth,
-           __global real *restrict checkpoints, __global real *restrict depth_checkpoints)
+           __global const uint *restrict bucket_offsets, __global real *restrict checkpoints,
+           __global real *restrict depth_checkpoints)
 {
     __local real4 shape[PIXELS], colour[PIXELS], conic[PIXELS];
     __local int open;
@@ -104,17 +104,16 @@ inline real from_previous_lane(real value)
 #endif
 
 __kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
-void blend_adjoint(int width, int height, int tiles_x, int first_tile, uint tiles,
+void blend_adjoint(int width, int height, int tiles_x, int first_tile,
                    __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-                   __global const uint *restrict slots, __global const uint *restrict bucket_offsets,
-                   __global const uint *restrict bucket_tiles, __global const real *restrict splats,
-                   __global const real *restrict image,
-                   __global const real *restrict transmittance, __global const real *restrict depth,
-                   __global const int *restrict last, __global const real *restrict grad_image,
-                   __global const real *restrict grad_depth,
-                   __global const real *restrict grad_transmittance,
-                   __global const real *restrict checkpoints,
-                   __global const real *restrict depth_checkpoints, __global real *restrict sums)
+                   __global const uint *restrict slots, __global const real *restrict splats,
+                   __global const real *restrict transmittance, __global const int *restrict last,
+                   __global const real *restrict grad_image, __global const real *restrict grad_depth,
+                   __global const real *restrict grad_transmittance, __global real *restrict sums,
+                   uint tiles, __global const uint *restrict bucket_offsets,
+                   __global const uint *restrict bucket_tiles, __global const real *restrict image,
+                   __global const real *restrict depth, __global const real *restrict checkpoints,
+                   __global const real *restrict depth_checkpoints)
 {
     __local real4 grads[PIXELS]; // colour cotangent; .w = cotangent . all that the pixel holds
     __local real grads_z[PIXELS];
@@ -221,5 +220,21 @@ void blend_adjoint(int width, int height, int tiles_x, int first_tile, uint tile
 #if WITH_DEPTH
         sum[SUM_DEPTH] = s_z;
 #endif
+    }
+}
+
+// An element is a splat's column.
+__kernel void sum_pairs(uint count, uint carried, __global const uint *restrict order,
+                        __global const uint *restrict counts,
+                        __global const uint *restrict offsets, __global const real *restrict sums,
+                        __global real *restrict totals)
+{
+    FOR_EACH(i, (ulong)count * SUMS) {
+        const ulong v = i / SUMS, begin = offsets[v], end = begin + counts[v];
+        __global real *own = totals + (ulong)order[v] * SUMS + i % SUMS;
+        real total = carried ? *own : 0;
+        for (ulong slot = begin; slot < end; slot++)
+            total += sums[slot * SUMS + i % SUMS];
+        *own = total;
     }
 }

@@ -1,4 +1,5 @@
-// Item form of image_loss.cl (see there): a work-item owns 16 columns by `strip` rows of a channel.
+// Item form of image_loss.cl (see there): a work-item slides down a strip of 16 columns and
+// `strip` rows of a channel, with a ring of the last 11 rows.
 
 // 16 + 2 RADIUS values of one row around a strip; zeros outside the image.
 #define PADDED (16 + 2 * RADIUS)

@@ -1,10 +1,8 @@
-// Group form of image_loss.cl (see there): a group owns a TILE x TILE tile of one channel.
+// Group form of image_loss.cl (see there): a group owns a tile of one channel, and loads its halo.
+#define GROUP (TILE * TILE)
 #include "group.h"
 DEFINE_GROUP_SUM(group_sum, real)
 #define WIDE (TILE + 2 * RADIUS)
-#if GROUP != TILE * TILE
-#error "image_loss needs GROUP = TILE * TILE"
-#endif
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void image_loss(int width, int height, int strip, int first_channel,

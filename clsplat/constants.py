@@ -1,0 +1,49 @@
+"""The numbers that host and kernels share, each written once: `SHARED` becomes -D of every build
+(clsplat/device/source.py). What only kernels know stands in cl/, what only the host knows in its
+module.
+"""
+
+import math
+from types import MappingProxyType
+from typing import Final
+
+NO_ROW: Final = 2**32 - 1  # in place of a row's number: nothing follows this gradient
+
+# columns of a splat's row (cl/include/splat.h)
+SPLAT_MEAN: Final = 0  # pixels
+SPLAT_OPACITY: Final = 2
+SPLAT_CUTOFF: Final = 3  # 2 ln(opacity ALPHA_STEPS): the squared distance at which alpha is skipped
+SPLAT_CONIC: Final = 4  # a, b, c: squared distance = a dx^2 + 2 b dx dy + c dy^2
+SPLAT_EXTENT_Y: Final = 7  # half height of the ellipse at the cutoff, pixels
+SPLAT_COLOUR: Final = 8
+SPLAT_DEPTH: Final = 11
+SPLAT_REALS: Final = 12
+CAMERA_REALS: Final = 27  # of a packed camera (cl/include/camera.h)
+TRANSFORM_REALS: Final = 12  # of a colour transform, 3 x 4
+GEOMETRY_REALS: Final = 12  # of what takes a pixel at a depth to another view (cl/reproject.cl)
+PAIR_SUMS: Final = 9  # of a pair in the blend adjoint; the depth channel has one more
+FREQUENCY_TERMS: Final = 11  # columns of cl/frequency.cl
+FREQUENCY_SUMS: Final = FREQUENCY_TERMS + 1
+
+SH_C0: Final = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
+# blending (Kerbl et al. 2023); docs/numerics.md compares other values of the first two
+ALPHA_STEPS: Final = 255  # alphas below 1 / ALPHA_STEPS are skipped
+TRANSMITTANCE_MIN: Final = 1e-4  # a pixel ends before it would fall below this
+ALPHA_MAX: Final = 0.99
+
+# Adam; 1 - beta is written rather than beta, since in single precision the difference loses digits
+ONE_MINUS_BETA1: Final = 0.1
+ONE_MINUS_BETA2: Final = 0.001
+LOG_BETA1: Final = math.log(1 - ONE_MINUS_BETA1)
+LOG_BETA2: Final = math.log(1 - ONE_MINUS_BETA2)
+ADAM_EPSILON: Final = 1e-15  # Kerbl et al. (2023)
+
+# how kernels are cut
+LANES: Final = 256  # of a sum, in whatever groups: the order of additions; no group is larger
+PER_ITEM: Final = 8  # values of a chunk that a work-item of the group form scans or sorts
+BUCKET: Final = 32  # pairs a bucket of the group form's blend adjoint
+EXPOSURE_BLOCK: Final = 2048  # pixels that a partial sum of the exposure's gradient covers
+
+SHARED: Final = MappingProxyType(
+    {name: value for name, value in list(globals().items()) if name.isupper()})
+

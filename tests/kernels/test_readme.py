@@ -1,0 +1,33 @@
+"""cl/README.md lists every kernel as it is declared; `python -m tests.kernels.test_readme` prints
+its table."""
+
+import importlib
+
+from clsplat.device import Kernel
+from tests.test_layout import ROOT, families, homes
+
+
+def table():
+    """A row a kernel: its arrays and its launches, as the module of its family declares them."""
+    lines = ["| family | kernel | arrays | item form | group form |", "|---|---|---|---|---|"]
+    for family in families(ROOT):
+        home, = homes(ROOT, family.stem)
+        module = importlib.import_module(home.removesuffix(".py").replace("/", "."))
+        for kernel in vars(module).values():
+            if isinstance(kernel, Kernel):
+                arrays = {name: a for form in kernel.forms for name, a in form.arguments.items()
+                          if isinstance(a, tuple)}
+                shown = ", ".join(f"{name} {kind}[{', '.join(map(str, shape))}]"
+                                  for name, (kind, *shape) in arrays.items())
+                item, group = kernel.launches
+                lines.append(f"| {family.stem} | {kernel.function} | {shown} | {item} | "
+                             f"{'the same' if item == group else group} |")
+    return "\n".join(lines) + "\n"
+
+
+def test_the_page_lists_every_kernel():
+    assert (ROOT / "cl/README.md").read_text("utf-8").endswith("\n" + table())
+
+
+if __name__ == "__main__":
+    print(table(), end="")
