@@ -23,7 +23,7 @@ from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.run import CITY, FILES, RunFolder
-from clsplat.region import Region
+from clsplat.partition.region import Region
 
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 WINDOWS = "windows"  # key of region.json

@@ -13,7 +13,7 @@ from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.partition import Partition
-from clsplat.region import Region, Space
+from clsplat.partition.region import Region, Space
 from tests.data.tiny_training import CITY
 
 BLOCKS = 4

@@ -14,7 +14,7 @@ from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition import Partition
-from clsplat.region import Region, Space
+from clsplat.partition.region import Region, Space
 from clsplat.rendering.slabs import open_model
 from tests.data.tiny_training import CITY
 
