@@ -26,7 +26,6 @@ from clsplat.io.ply import read_ply
 from clsplat.io.regular import native
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.rendering.slabs import open_model
-from clsplat.training.begin import of_degree
 
 # pixels that the mean sigma of a level may cover, by whether the renderer is antialiased (measured:
 # to there it meets photos as small better, or at most 0.2 dB worse, than the finest level does)
@@ -60,7 +59,7 @@ class Levels:
         limit: gaussians of the finest model in a cell.
         """
         degree = max(model.sh_degree for model in models)
-        models = [of_degree(model, degree) for model in models]
+        models = [model.with_sh_degree(degree) for model in models]
         positions = [model.positions.astype(np.float64) for model in models]
         blocks = [np.zeros(len(p), int) if owner is None else owner(p) for p in positions]
         cells = [cell for block in np.unique(np.concatenate(blocks))

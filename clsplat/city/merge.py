@@ -126,22 +126,11 @@ def joined(pieces):
     """One Gaussians of several, in order, with harmonics up to the highest degree among them. The
     pieces' rows are given up one field after the other, so that both are not in memory whole."""
     degree = max((piece.sh_degree for piece in pieces), default=0)
-    rows = {}
-    for field in LEARNED:
-        shape = field.row_shape(degree)
-        rows[field.name] = np.concatenate(
-            [_raised(piece.rows.pop(field.name), shape) for piece in pieces]
-            or [np.empty((0, *shape), np.float32)])
-    return Gaussians(rows, degree)
-
-
-def _raised(values, shape):
-    """Rows of a lower SH degree as rows of `shape`: the bands they lack are zero."""
-    if values.shape[1:] == shape:
-        return values
-    result = np.zeros((len(values), *shape), values.dtype)
-    result[:, :values.shape[1]] = values
-    return result
+    pieces = [piece.with_sh_degree(degree) for piece in pieces]
+    return Gaussians({
+        field.name: np.concatenate([piece.rows.pop(field.name) for piece in pieces]
+                                   or [np.empty((0, *field.row_shape(degree)), np.float32)])
+        for field in LEARNED}, degree)
 
 
 def _block(folder, number, partition, scene):
