@@ -137,6 +137,15 @@ class Scene:
         """World units: what is closer to a camera is not drawn."""
         return self.extent * NEAR_SHARE
 
+    def near(self, asked: float) -> float:
+        """The near plane in the units of this scene.
+
+        Parameters
+        ----------
+        asked : original world units, the option `near`; 0: `near_plane`.
+        """
+        return asked / self.unit or self.near_plane
+
     def split(self, test_every: int) -> tuple[tuple[View, ...], tuple[View, ...]]:
         """(train, test) tuples of views: those of `held_out`, or else every `test_every`-th view by
         name, from the first, is held out; 0 holds out none."""
