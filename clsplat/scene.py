@@ -101,8 +101,8 @@ class Scene:
 
         Parameters
         ----------
-        path : a folder with a COLMAP model, transforms.json or the layout of Mega-NeRF or
-            CityGaussian, or a file of `clsplat pack`.
+        path : a folder with a COLMAP model, transforms.json or the layout of CityGaussian, or a
+            file of `clsplat pack`.
         images : the folder of its photos, from the scene's own folder; "": images.
 
         Raises
