@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.camera import Camera, scene_extent
 
 if TYPE_CHECKING:
-    from clsplat.region import Region
+    from clsplat.partition.region import Region
 
 NEAR_SHARE = 1 / 500  # of the extent: holds for scenes in any unit
 # cameras this much closer together than the points are away (or agreeing but for rounding) say
@@ -77,7 +77,7 @@ class Scene:
     observations : int32[M, 2], rows (point, view) that say which view the sparse model saw a point
         in, each once, sorted; None where the file does not tell.
     held_out : names of the views that are for testing where the data set says so itself, or None.
-    region : of a block of a larger scene, the region.Region it owns; else None.
+    region : of a block of a larger scene, the partition.region.Region it owns; else None.
     exposures : of a block, name -> float64[3, 4], the colour transforms its views start from.
     notes : lines that a user should see: what of the files is not used, or is read in another way.
     """
@@ -101,8 +101,8 @@ class Scene:
 
         Parameters
         ----------
-        path : a folder with a COLMAP model, transforms.json or the layout of Mega-NeRF or
-            CityGaussian, or a file of `clsplat pack`.
+        path : a folder with a COLMAP model, transforms.json or the layout of CityGaussian, or a
+            file of `clsplat pack`.
         images : the folder of its photos, from the scene's own folder; "": images.
 
         Raises
@@ -136,6 +136,15 @@ class Scene:
     def near_plane(self) -> float:
         """World units: what is closer to a camera is not drawn."""
         return self.extent * NEAR_SHARE
+
+    def near(self, asked: float) -> float:
+        """The near plane in the units of this scene.
+
+        Parameters
+        ----------
+        asked : original world units, the option `near`; 0: `near_plane`.
+        """
+        return asked / self.unit or self.near_plane
 
     def split(self, test_every: int) -> tuple[tuple[View, ...], tuple[View, ...]]:
         """(train, test) tuples of views: those of `held_out`, or else every `test_every`-th view by

@@ -24,9 +24,11 @@ LAYERS = (
     {"device"},
     {"primitives"},
     {"camera", "options"},
-    {"gaussians", "region", "scene"},
-    {"covisibility", "io"},
-    {"rendering", "schedule", "partition", "synth"},
+    {"gaussians", "scene"},
+    {"covisibility"},
+    {"partition"},
+    {"io"},
+    {"rendering", "schedule", "synth"},
     {"loss", "optimise"},
     {"densify"},
     {"evaluation"},
@@ -42,7 +44,7 @@ LAYERS = (
 LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
 
 # tested without OpenCL, though they stand above the device layer
-NO_DEVICE = {"camera", "options", "gaussians", "region", "scene", "covisibility", "schedule",
+NO_DEVICE = {"camera", "options", "gaussians", "scene", "covisibility", "schedule",
              "partition", "synth", "report"}
 
 # package -> the only folders that may import it
@@ -66,7 +68,9 @@ FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None,
 
 # classes of the Python API that read, write and show themselves, by functions of layers above them
 READS_ITSELF = {"clsplat/scene.py": ("clsplat.io", "clsplat.report.notebook"),
-                "clsplat/gaussians.py": ("clsplat.io",)}
+                "clsplat/gaussians.py": ("clsplat.io",),
+                "clsplat/evaluation/run.py": ("clsplat.training", "clsplat.report.notebook"),
+                "clsplat/evaluation/score.py": ("clsplat.report.notebook",)}
 
 FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}
 LONGEST_FILE = 400

@@ -24,12 +24,14 @@ def evaluate(run, device, images, scene):
     """
     from clsplat.device import choose_device
     from clsplat.evaluation.error_map import MEANING
+    from clsplat.evaluation.run import Run
     from clsplat.evaluation.views import PANELS, evaluate_run
-    from clsplat.io.run import RENDERS, RunFolder
-    folder = RunFolder.open(run)
+    from clsplat.io.run import RENDERS
+    opened = Run.open(run)
+    folder = opened.folder
     folder.check_model()
     with folder.locked() if images else nullcontext():
-        result = evaluate_run(folder, choose_device(device), images, scene)
+        result = evaluate_run(opened, choose_device(device), images, scene)
         click.echo(summary(result))
         if images:
             from clsplat.report.run import renew_pictures

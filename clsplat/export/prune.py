@@ -5,8 +5,7 @@ import numpy as np
 
 from clsplat.constants import ALPHA_STEPS
 from clsplat.errors import InputError
-from clsplat.evaluation.views import evaluate_views, read_scene_of, run_options
-from clsplat.rendering.pipeline import Renderer
+from clsplat.evaluation.views import evaluate_views
 
 
 def alive(gaussians):
@@ -18,22 +17,18 @@ def alive(gaussians):
 
 def needed_sh_degree(run, device, cost, scene_path=None):
     """(degree, [PSNR at degree 0, 1, ...], dB): the lowest degree of the harmonics whose renders of
-    the run's held-out views lose less than `cost` dB of PSNR, a mean over views. scene_path: as of
-    `evaluate.views.evaluate_run`.
+    a Run's held-out views lose less than `cost` dB of PSNR, a mean over views. scene_path: as of
+    `evaluation.views.evaluate_run`.
 
     Raises InputError for a run without held-out views.
     """
-    options, gaussians = run_options(run), run.load_model()
-    scene = read_scene_of(run, scene_path)
-    scene = scene.reduced(options.downscale, options.max_resolution)
-    _, views = scene.split(options.test_every)
+    test_every, scene = run.options.test_every, run.scene(scene_path)
+    _, views = scene.split(test_every)
     if not views:
         raise InputError(f"{run.path}: no held-out views to measure on (--test-every "
-                         f"{options.test_every}); name a degree instead of auto")
-    renderer = Renderer(device, gaussians.sh_degree, options.near or scene.near_plane,
-                        options.antialiased, options.background)
-    rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+                         f"{test_every}); name a degree instead of auto")
+    renderer, rows, highest = run.opened(device, scene)
     scores = [evaluate_views(renderer, rows, degree, views)["psnr"]
-              for degree in range(gaussians.sh_degree + 1)]
+              for degree in range(highest + 1)]
     enough = [degree for degree, score in enumerate(scores) if scores[-1] - score < cost]
-    return min(enough, default=gaussians.sh_degree), scores
+    return min(enough, default=highest), scores

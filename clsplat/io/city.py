@@ -23,7 +23,8 @@ from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.run import CITY, FILES, RunFolder
-from clsplat.region import Region
+from clsplat.partition.partition import Partition
+from clsplat.partition.region import Region
 
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 WINDOWS = "windows"  # key of region.json
@@ -101,6 +102,17 @@ class CityFolder:
             raise InputError(f"{path}: damaged ({REPLACES} is {str(replaces)[:20]!r}); remove it, "
                              f"and {cure}")
         return record
+
+    def partition(self, scene=None):
+        """The Partition, where given of this whole Scene; InputError where it is damaged."""
+        try:
+            partition = Partition.from_record(self.read_partition())
+            if scene is not None:
+                partition.check_views(len(scene.views))
+            return partition
+        except ValueError as error:
+            raise InputError(f"{self.path / PARTITION}: damaged ({reason(error)}); make it again "
+                             f"with `clsplat partition {self.path}`") from None
 
     def identity(self):
         """What a block must be of to belong here: `city`, the scene's fingerprint, and `partition`,

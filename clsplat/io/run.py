@@ -283,9 +283,14 @@ class RunFolder:
         return sorted(((float(name[1]), path) for name, path in found if name), reverse=True)
 
     @property
-    def has_model(self):
+    def model_path(self) -> Path:
+        """Where the finished model is, or will be."""
+        return self.path / MODEL
+
+    @property
+    def has_model(self) -> bool:
         """Whether the training is finished; its last evaluation may not be."""
-        return (self.path / MODEL).is_file()
+        return self.model_path.is_file()
 
     @property
     def is_finished(self) -> bool:
@@ -308,13 +313,14 @@ class RunFolder:
     def check_model(self):
         """InputError where the training is not finished."""
         if not self.has_model:
-            raise InputError(f"{self.path / MODEL}: the run has no model yet; finish it with "
+            raise InputError(f"{self.model_path}: the run has no model yet; finish it with "
                              "--resume")
 
-    def load_model(self) -> Gaussians:
-        """The finished model's Gaussians, in the scene's local coordinates."""
+    def load_model(self, offset=None) -> Gaussians:
+        """The finished model's Gaussians, in the scene's local coordinates; offset: see
+        `ply.read_ply`."""
         self.check_model()
-        return read_ply(self.path / MODEL)
+        return read_ply(self.model_path, offset)
 
     def renders(self):
         """The pictures of views that clsplat wrote and that are still there, as a list of paths.

@@ -3,8 +3,8 @@
 import numpy as np
 
 from clsplat.partition.grid import best_cut
+from clsplat.partition.region import Region
 from clsplat.partition.tracks import seen_by_tracks
-from clsplat.region import Region
 
 
 def blockgs(site, grid, options, drop=None):

@@ -4,9 +4,9 @@
 import numpy as np
 
 from clsplat.partition.partition import Cells
+from clsplat.partition.region import Region
 from clsplat.partition.site import BULK
 from clsplat.partition.tracks import seen_by_tracks
-from clsplat.region import Region
 
 TESTED = 25_000  # gaussians: a cell with fewer is grown for the test, or to an even share of all
 STEP = 0.01  # of contracted space, by which it grows

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from clsplat.region import Region
+from clsplat.partition.region import Region
 
 
 class Cells:

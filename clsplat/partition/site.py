@@ -7,7 +7,7 @@ import numpy as np
 from clsplat.covisibility.neighbours import sightings
 from clsplat.errors import InputError
 from clsplat.partition.frame import ground_axes, quantiles, up_axis
-from clsplat.region import Space, map_axes
+from clsplat.partition.region import Space, map_axes
 
 BULK = (0.01, 0.99)  # quantiles between which the content lies that is no outlier
 LARGEST = 1e15  # world units of bounds, as of points: squares stay far within float32

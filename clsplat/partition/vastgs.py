@@ -5,7 +5,7 @@ import numpy as np
 
 from clsplat.partition.frame import quantiles
 from clsplat.partition.grid import best_cut
-from clsplat.region import Region
+from clsplat.partition.region import Region
 
 FILLS = 0.25  # of the image: a view that a cell fills more of is given to it
 RAYS = 16  # along each side of the image, by which its share is measured

@@ -309,18 +309,8 @@ def test_transforms(tmp_path, case):
     refused(far_away(**parts)(tmp_path / "town"), *words)
 
 
-def test_mega_nerf_and_citygs_without_photos(tmp_path):
+def test_citygs_with_half_of_it(tmp_path):
     scene = read_scene(write_scene(tmp_path / "made"))
-    layouts.write_meganerf(tmp_path / "mega", scene, {"photo_2.png"})
-    photo = next((tmp_path / "mega/train/rgbs").iterdir())
-    photo.unlink()
-    refused(tmp_path / "mega", photo.stem, "1 of 4")
-    photo.symlink_to("/dev/zero")
-    refused(tmp_path / "mega", "a device")
-    table = next((tmp_path / "mega/train/metadata").iterdir())
-    table.unlink()
-    os.mkfifo(table)
-    refused(tmp_path / "mega", table.name, "a pipe")
     layouts.write_citygs(tmp_path / "city", scene, {"photo_1.png", "photo_3.png"})
     shutil.rmtree(tmp_path / "city/val")
     refused(tmp_path / "city", "val", "missing")

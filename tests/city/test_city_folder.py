@@ -17,7 +17,7 @@ from clsplat.io.city import BlockFolder, CityFolder, attached
 from clsplat.io.packed import write_packed
 from clsplat.io.ply import read_ply
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.region import Region, Space
+from clsplat.partition.region import Region, Space
 from tests.data.tiny_training import CITY
 
 VIEWS = [3, 9, 8, 11]  # in no order

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.city.merge import cropped, joined, seam_table
+from clsplat.city.merge import cropped, joined
 from clsplat.city.seams import LEAST_PIXELS, _scores, find_borders, find_seams
 from clsplat.constants import SH_C0
 from clsplat.evaluation.views import render_view
@@ -15,8 +15,9 @@ from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition import Partition
-from clsplat.region import Region, Space
+from clsplat.partition.region import Region, Space
 from clsplat.rendering.slabs import open_model
+from clsplat.report.city import seam_table
 from tests.data.tiny_training import CITY
 
 OPTIONS = TrainOptions()

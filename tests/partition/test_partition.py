@@ -19,8 +19,8 @@ from clsplat.partition import (
     make_partition,
 )
 from clsplat.partition.frame import up_axis
+from clsplat.partition.region import Region, Space
 from clsplat.partition.site import Site
-from clsplat.region import Region, Space
 from tests.data.fields import cut, field, moved, shuffled, world
 from tests.data.tiny_training import CITY
 

@@ -7,9 +7,9 @@ import pytest
 
 from clsplat.gaussians import Gaussians
 from clsplat.partition.grid import best_cut, choose_grid
+from clsplat.partition.region import Region, Space
 from clsplat.partition.site import Site
 from clsplat.partition.vastgs import _box, _meet, _rays
-from clsplat.region import Region, Space
 from tests.data.fields import SIDES, cut, field, moved, world
 
 

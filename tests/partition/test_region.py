@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clsplat.region import Region, Space
+from clsplat.partition.region import Region, Space
 
 RNG = np.random.default_rng(7)
 UTM = np.array([5.4e6, 4.2e5, 300.0])

@@ -18,7 +18,7 @@ from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.loss.exposure import Exposures
 from clsplat.options import resolve
 from clsplat.partition.blocks import cut, largest_sizes, seen_pixels, trainable
-from clsplat.region import Region, Space
+from clsplat.partition.region import Region, Space
 from clsplat.scene import Scene, View
 from clsplat.schedule.constant import Constant
 from clsplat.training import step

@@ -14,7 +14,7 @@ from clsplat.io.images import read_image, read_photo, write_image
 from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.partition.blocks import find_windows, seen_pixels
-from clsplat.region import Region, Space
+from clsplat.partition.region import Region, Space
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
 from tests import cases
