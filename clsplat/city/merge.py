@@ -17,7 +17,7 @@ from clsplat.io.reason import reason
 from clsplat.io.run import MODEL
 from clsplat.io.scenes import fingerprint
 from clsplat.partition import Partition
-from clsplat.partition.site import world_of
+from clsplat.partition.input import world_of
 from clsplat.report.page import Table
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well

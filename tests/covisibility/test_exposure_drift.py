@@ -83,7 +83,7 @@ def test_hidden_points_do_not_count(monkeypatch):
     aside = replace(aside, camera=replace(aside.camera, translation=np.array([0, 0, 0.5 - DEPTH])))
     views, photos = [a_view(), aside] * 4, [photo, brightened(photo, 0) + np.uint8(20)] * 4
     assert exposure_drift(views, photos, both, of_both) == 0
-    monkeypatch.setattr(drift, "DEEPER", np.inf)
+    monkeypatch.setattr(drift, "OCCLUSION_DEPTH", np.inf)
     assert exposure_drift(views, photos, both, of_both) > DRIFTS
 
 
