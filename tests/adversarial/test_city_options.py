@@ -126,7 +126,7 @@ def test_a_city_of_the_root_must_be_told_where_to_go():
 @pytest.mark.parametrize("changes", [{"limit": 100, "expected": 10**9},
                                      {"least_blocks": 10**6}])
 def test_a_chosen_grid_has_an_end(changes):
-    with pytest.raises(InputError, match="blocks, of at most 10,000; allow more gaussians a block"):
+    with pytest.raises(InputError, match="blocks, more than 10,000; allow more gaussians in a"):
         PartitionOptions(**changes)
 
 
