@@ -1,4 +1,4 @@
-"""Partitions: what every method must keep, and what a file or a user may say."""
+"""Partitions: what holds for every method, and records and options that are not valid."""
 
 import json
 from dataclasses import replace
@@ -56,7 +56,7 @@ def test_points_that_are_not_finite_have_no_owner():
 
 @EACH_METHOD
 @pytest.mark.parametrize("tracks", [True, False])
-def test_the_same_wherever_the_scene_lies(method, tracks):
+def test_a_moved_scene_is_cut_the_same(method, tracks):
     for seed in range(3):
         scene = field(seed, points=1500, cameras=40, tracks=tracks)
         turn = Rotation.random(random_state=seed).as_matrix()
@@ -68,7 +68,7 @@ def test_the_same_wherever_the_scene_lies(method, tracks):
 
 @EACH_METHOD
 @pytest.mark.parametrize("tracks", [True, False])
-def test_the_order_of_points_says_nothing(method, tracks):
+def test_the_order_of_points_does_not_matter(method, tracks):
     scene = field(points=1500, cameras=40, tracks=tracks)
     order = np.random.default_rng(1).permutation(len(scene.points))
     other = shuffled(scene, order)
@@ -137,7 +137,7 @@ def test_a_starved_block_is_refused_or_joined(method):
     assert len(partition.notes) - len(stay) == cells - len(partition.regions)
 
 
-def test_a_chosen_grid_joins_what_it_starves():
+def test_a_chosen_grid_joins_starved_blocks():
     scene = field(cameras=24)
     partition = cut(scene, "vastgs", None, limit=100, expected=2000, least_views=6)
     assert 1 < len(partition.regions) < 20 and partition.notes
