@@ -13,7 +13,7 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.lock import holder, is_held
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
-from clsplat.partition.site import world_of
+from clsplat.partition.input import world_of
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well
 WHOLE = ("merged", "coarse")  # states of a block whose cell is filled

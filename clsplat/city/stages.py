@@ -18,8 +18,8 @@ from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import checked, resolve
 from clsplat.partition import geojson, make_partition
-from clsplat.partition.blocks import cut, find_windows
-from clsplat.partition.site import world_of
+from clsplat.partition.blocks import block_start, find_windows
+from clsplat.partition.input import world_of
 from clsplat.report.map import write_map
 from clsplat.training.block import (
     block_options,
@@ -145,7 +145,7 @@ def cut_into_blocks(city, scene, options, wanted, device):
                                     observations=None)
         windows = find_windows(gaussians, scene, region, shown.views)
         shown = shown.cropped(windows).reduced(options.downscale, options.max_resolution)
-        part = cut(gaussians, scene, region, shown.views)
+        part = block_start(gaussians, scene, region, shown.views)
         city.write_block(
             number, scene, chosen, region, windows, part.gaussians, exposures,
             options_of_blocks(given, decided),

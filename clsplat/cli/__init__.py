@@ -1,5 +1,5 @@
-"""The command line: one file a command, which parses, calls and prints.
+"""The command line: each command has a file, which parses, calls and prints.
 
-The only package that imports click. Commands import what they run inside their function, because
-`clsplat --help` must not wait for numpy, pycolmap or an OpenCL driver.
+This is the only package that imports click. Commands import what they run inside their function, so
+that `clsplat --help` does not wait for numpy, pycolmap or an OpenCL driver.
 """

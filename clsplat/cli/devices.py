@@ -1,54 +1,61 @@
-"""`clsplat devices`: what OpenCL offers on this machine, what works, and the cure for the rest."""
+"""`clsplat devices`: the OpenCL devices of this machine, and what to do for those that fail."""
+
+from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 
-NONE = ("no OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
+if TYPE_CHECKING:
+    from clsplat.device.find import Found
+
+NO_DEVICE = ("no OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
         "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
 
 
 @click.command()
-@click.option("--check", is_flag=True, help="Run the correctness self-test on each that works.")
-def devices(check):
-    """List every OpenCL device with a verdict; exit 2 where none works or a check fails."""
+@click.option("--check", is_flag=True, help="Run the correctness self-test on each working device.")
+def devices(check: bool) -> None:
+    """List all OpenCL devices and whether they work; exit code 2 if none works or a check fails."""
     from clsplat.device import list_devices
-    found = list_devices()
-    click.echo(table(found) if found else NONE)
-    working = [entry for entry in found if entry.works]
-    good = [_passes(entry) for entry in working] if check else []
-    sys.exit(0 if working and all(good) else 2)
+    listed = list_devices()
+    click.echo(table(listed) if listed else NO_DEVICE)
+    working = [entry for entry in listed if entry.works]
+    passed = [_passes(entry) for entry in working] if check else []
+    sys.exit(0 if working and all(passed) else 2)
 
 
-def table(found):
-    """One aligned row a device, and under it what it can do, or why it does not work."""
+def table(listed: Sequence[Found]) -> str:
+    """An aligned row for each device, with its capabilities or why it does not work below."""
     rows = [("", "#", "type", "device", "platform", "verdict")]
     rows += [("*" if entry.chosen else "", str(entry.index), entry.type, entry.name,
-              entry.platform, "works" if entry.works else "does not work") for entry in found]
+              entry.platform, "works" if entry.works else "does not work") for entry in listed]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     aligned = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
                for row in rows]
     lines = aligned[:1]
-    for entry, line in zip(found, aligned[1:]):
+    for entry, line in zip(listed, aligned[1:]):
         lines += [line, *(f"      {note}" for note in _notes(entry))]
-    return "\n".join([*lines, "* is what --device auto takes"])
+    return "\n".join([*lines, "* is the device of --device auto"])
 
 
-def _notes(entry):
+def _notes(entry: Found) -> list[str]:
     if not entry.works:
         return [f"why:  {entry.reason}", f"cure: {entry.cure}"]
-    able = entry.capabilities
+    facts = entry.capabilities
     features = [name.removeprefix("HAVE_").lower().replace("_", " ")
-                for name, has in able.items() if name.startswith("HAVE_") and has]
+                for name, available in facts.items() if name.startswith("HAVE_") and available]
     return [", ".join([
-        f"{able['compute_units']} compute units",
-        f"{able['memory_bytes'] / 2**30:.1f} GiB memory",
-        f"largest buffer {able['largest_buffer_bytes'] / 2**30:.1f} GiB",
-        f"{able['local_bytes'] >> 10} KiB local", able["opencl_c"], *features])]
+        f"{facts['compute_units']} compute units",
+        f"{facts['memory_bytes'] / 2**30:.1f} GiB memory",
+        f"largest buffer {facts['largest_buffer_bytes'] / 2**30:.1f} GiB",
+        f"{facts['local_bytes'] >> 10} KiB local memory", facts["opencl_c"], *features])]
 
 
-def _passes(entry):
-    """Print the self-test of one device; whether all of it passed."""
+def _passes(entry: Found) -> bool:
+    """Run and print the self-test of one device; whether all its checks passed."""
     from clsplat.bench.selftest import check
     from clsplat.device import open_device
     click.echo(f"\nself-test of {entry.index}, {entry.name} ({entry.platform})")

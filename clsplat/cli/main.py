@@ -1,10 +1,14 @@
-"""The command `clsplat`: its commands, and how errors reach the user."""
+"""The command `clsplat`: its subcommands, and how errors are reported to the user."""
+
+from __future__ import annotations
 
 import signal
 import sys
 import traceback
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, NoReturn
 
 import click
 
@@ -33,37 +37,48 @@ CURE = "check that it exists, that it may be read or written, and that the disk 
 
 
 class Reporting(SectionedGroup):
-    """Turns every failure into an exit code, and the user's own into one line."""
+    """A group that turns every failure into an exit code, and errors of the user into one line."""
 
-    def main(self, args=None, prog_name=None, **extra):
-        """Run and exit: 0 done, 2 an error the user can cure, 1 a bug, 130 interrupted (143 by
-        SIGTERM), 141 where nobody reads what is printed any more."""
-        args = list(sys.argv[1:] if args is None else args)
-        extra["standalone_mode"] = False
-        sys.exit(self._run("--traceback" in args, args, prog_name, extra))
+    def main(self, args: Sequence[str] | None = None, prog_name: str | None = None,
+             complete_var: str | None = None, standalone_mode: bool = True, **extra: Any
+             ) -> NoReturn:
+        """Run a command and exit.
 
-    def _run(self, with_traceback, args, prog_name, extra):
+        The exit code is 0 if the command is done, 2 for an error that the user can cure, 1 for a
+        bug, 130 if it was interrupted (143 by SIGTERM), and 141 if the reader of a pipe has closed
+        it. The arguments are those of click; `standalone_mode` is ignored.
+        """
+        arguments = list(sys.argv[1:] if args is None else args)
+        sys.exit(self._run(arguments, prog_name, complete_var, extra))
+
+    def _run(self, arguments: list[str], prog_name: str | None, complete_var: str | None,
+             extra: dict[str, Any]) -> int | str | None:
+        """Run a command; the exit code."""
         with handled_interrupts() as interrupts:
             try:
-                code = super().main(args, prog_name, **extra)
+                code = super().main(arguments, prog_name, complete_var, standalone_mode=False,
+                                    **extra)
                 sys.stdout.flush()
                 return code if isinstance(code, int) else 0
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the outermost place)
                 message, code = verdict(error, interrupts.number)
-                if with_traceback or code == BUG:
+                if "--traceback" in arguments or code == BUG:
                     say("".join(traceback.format_exception(error)).rstrip())
                 if message:
                     say(message)
                 return code
-            except SystemExit as end:  # 1 is click's answer to a pipe that nobody reads
+            except SystemExit as end:  # click exits with 1 for a pipe that its reader closed
                 return 128 + SIGPIPE if end.code == 1 else end.code
 
 
-def verdict(error, signalled=0):
-    """(what to say, exit code) of an exception that ended a command.
+def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:
+    """The message and the exit code for an exception that ended a command.
 
-    signalled: number of the signal that was sent to end the command, or 0. Libraries may have
-    turned its KeyboardInterrupt into an exception of their own.
+    Parameters
+    ----------
+    error : the exception.
+    signalled : the number of the signal that was sent to end the command, or 0. A library may have
+        turned its KeyboardInterrupt into an exception of its own.
     """
     stopped = 128 + (signalled or signal.SIGINT)
     if isinstance(error, Interrupted):
@@ -83,13 +98,13 @@ def verdict(error, signalled=0):
         return f"error: {error.filename or 'the output'}: {error.strerror}; {CURE}", 2
     no_room = isinstance(error, ImportError) and "failed to map segment" in str(error)
     if no_room or isinstance(error, MemoryError):
-        return ("error: this machine has not enough memory left for this; close other programs, or "
+        return ("error: this machine does not have enough memory left; close other programs, or "
                 "use smaller images with --downscale or --max-resolution"), 2
     return "error: this is a bug in clsplat; please report it with the lines above", BUG
 
 
-def say(text):
-    """A line on standard error, if anybody can still read it."""
+def say(text: str) -> None:
+    """Print a line to standard error, if that is open."""
     with suppress(OSError, ValueError, AttributeError):
         click.echo(text, err=True)
 
@@ -98,7 +113,7 @@ def say(text):
              context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="clsplat", message="%(prog)s %(version)s")
 @click.pass_context
-def main(ctx):
+def main(ctx: click.Context) -> None:
     """Train Gaussian splats of real scenes on any OpenCL device.
 
     Start with `clsplat devices`, then `clsplat train SCENE -o RUN` on a COLMAP scene and
@@ -113,7 +128,7 @@ main.add_section("Large scenes", city, partition_command, block, merge)
 main.add_section("Data", synth, pack)
 main.add_section("Machine", devices, bench, completion)
 
-# `main` looks for the flag in the arguments; as an option it shows in help and may stand anywhere
+# `Reporting` finds the flag in the arguments; as an option it is in the help and allowed anywhere
 for _command in (main, *main.commands.values()):
     _command.params.append(click.Option(
         ["--traceback"], is_flag=True, expose_value=False,

@@ -1,49 +1,55 @@
-"""The progress line of a command: what it is doing, how far it is, how long it will take."""
+"""The progress line of a command: its current phase, its progress, and the time that is left."""
+
+from __future__ import annotations
 
 import os
 import sys
 import time
 from collections import deque
+from collections.abc import Sequence
+from typing import TextIO
 
-WIDTH = 80  # columns, where a terminal does not tell
-DRAW_SECONDS, LOG_SECONDS = 0.1, 10.0  # at least, between numbers on a terminal, and in a log
-MARKS = 8  # latest reports, over which speed is measured
+DEFAULT_COLUMNS = 80  # where a terminal does not tell its width
+DRAW_SECONDS, LOG_SECONDS = 0.1, 10.0  # least time between numbers on a terminal, and in a log
+SPEED_REPORTS = 8  # latest reports, over which speed is measured
 
 
 class Progress:
-    """One line that says what is being done, and of a training iteration, time left, speed, loss,
-    gaussians and memory; a context manager, which may be entered again.
+    """A line with the current phase, and in training with iteration, time left, speed and loss.
 
-    A terminal has one line, redrawn, of which as much is shown as fits. A log has a line a phase,
-    and one of numbers now and then. Where nothing can be written any more, the line goes quiet and
-    the command goes on.
+    It is a context manager, which may be entered again. A terminal gets one line, which is redrawn
+    and shortened to fit. A log gets a line for each phase, and a line of numbers from time to time.
+    If the stream cannot be written any more, the line ends and the command continues.
 
     Parameters
     ----------
     stop_at : the iteration at which this run stops before its end, or 0.
-    file : a text stream; None is standard error.
-    title : what the line begins with, such as "block 2 of 9".
+    file : a text stream. None: standard error.
+    title : the beginning of the line, such as "block 2 of 9".
     """
 
-    def __init__(self, stop_at: int = 0, file=None, title: str = "") -> None:
+    def __init__(self, stop_at: int = 0, file: TextIO | None = None, title: str = "") -> None:
         self._stop_at, self._title = stop_at, title
-        self._file = sys.stderr if file is None else file  # None where that is closed
+        self._file: TextIO | None = sys.stderr if file is None else file  # None if it is closed
         self._live = self._is_terminal()
-        self._drawn = 0  # columns of the line that stands on the terminal
-        self._logged, self._latest = set(), None
+        self._drawn = 0  # columns of the line that is on the terminal
+        self._logged: set[str] = set()  # phases
+        self._latest = ""  # numbers that the log does not have yet
         self._shown_at = -float("inf")
-        self._marks, self._rate = deque(maxlen=MARKS), None
-        self._what, self._numbers = "", []
+        self._marks: deque[tuple[float, int]] = deque(maxlen=SPEED_REPORTS)  # time and progress
+        self._rate = 0.0
+        self._phase = ""
+        self._numbers: list[tuple[int, str]] = []
 
-    def __enter__(self) -> "Progress":
+    def __enter__(self) -> Progress:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live:
             self._draw("")
         elif self._latest:
             self._log(self._latest)
-            self._latest = None
+            self._latest = ""
 
     def __call__(self, iteration: int, total: int, loss: float, gaussians: int, memory_bytes: int,
                  level: float) -> None:
@@ -54,16 +60,15 @@ class Progress:
             (6, f"{memory_bytes / 2**20:,.0f} MiB")])
 
     def count(self, what: str, done: int, total: int) -> None:
-        """Show that so many of `total` things are done: "photo", 3, 48."""
+        """Show how many of `total` things are done, such as "photo", 3, 48."""
         self._report(f"{what} {done} of {total}", done, total)
 
     def phase(self, text: str) -> None:
-        """Say what is being done now; speed is not measured over it. A phase that goes on may be
-        named again."""
-        if text == self._what:
+        """Show the current phase, which may be the same as before; speed is not measured in it."""
+        if text == self._phase:
             return
         self._marks.clear()
-        self._what = text
+        self._phase = text
         if self._live:
             self._draw_line()
         elif text not in self._logged:
@@ -77,66 +82,68 @@ class Progress:
         if self._live:
             self._draw_line()
 
-    def _report(self, what, done, total, reached="", unit="", more=()):
-        """Show numbers, at once where the phase is new and else where they are due."""
-        now, before = time.monotonic(), self._what
+    def _report(self, phase: str, done: int, total: int, reached: str = "", unit: str = "",
+                more: Sequence[tuple[int, str]] = ()) -> None:
+        """Show numbers, at once in a new phase and otherwise after DRAW_SECONDS or LOG_SECONDS."""
+        now, before = time.monotonic(), self._phase
         self._measure(now, done)
-        self._what = what
+        self._phase = phase
         self._numbers = [(1, reached)] if reached else []
         if self._rate:
             self._numbers.append((2, f"{clock((total - done) / self._rate)} left"))
             if unit:
                 self._numbers.append((3, f"{self._rate:.1f} {unit}"))
         self._numbers += more
-        self._latest = ", ".join([self._titled(what), *(text for _, text in self._numbers)])
-        if self._live and (before != what or now - self._shown_at >= DRAW_SECONDS):
+        self._latest = ", ".join([self._titled(phase), *(text for _, text in self._numbers)])
+        if self._live and (before != phase or now - self._shown_at >= DRAW_SECONDS):
             self._shown_at = now
             self._draw_line()
         elif not self._live and now - self._shown_at >= LOG_SECONDS:
             self._shown_at = now
             self._log(self._latest)
-            self._latest = None
+            self._latest = ""
 
-    def _measure(self, now, done):
+    def _measure(self, now: float, done: int) -> None:
         if self._marks and now > self._marks[0][0]:
             self._rate = max(0, done - self._marks[0][1]) / (now - self._marks[0][0])
         self._marks.append((now, done))
 
-    def _titled(self, what):
-        return f"{self._title}: {what}" if self._title else what
+    def _titled(self, phase: str) -> str:
+        return f"{self._title}: {phase}" if self._title else phase
 
-    def _draw_line(self):
-        self._draw(fitted([(0, self._titled(self._what)), *self._numbers], self._columns() - 1))
+    def _draw_line(self) -> None:
+        self._draw(fitted([(0, self._titled(self._phase)), *self._numbers], self._columns() - 1))
 
-    def _draw(self, line):
-        """Put `line` in the place of the one before, on a terminal."""
+    def _draw(self, line: str) -> None:
+        """Replace the line on a terminal."""
         if self._live and (line or self._drawn):
             self._write("\r" + line.ljust(self._drawn) + ("" if line else "\r"))
             self._drawn = len(line)
 
-    def _log(self, line):
+    def _log(self, line: str) -> None:
         self._write(line + "\n")
 
-    def _columns(self):
+    def _columns(self) -> int:
         try:
-            return os.get_terminal_size(self._file.fileno()).columns or WIDTH
+            descriptor = self._file.fileno() if self._file else -1
+            return os.get_terminal_size(descriptor).columns or DEFAULT_COLUMNS
         except (OSError, ValueError, AttributeError):
-            return WIDTH
+            return DEFAULT_COLUMNS
 
-    def _is_terminal(self):
+    def _is_terminal(self) -> bool:
         try:
-            return self._file.isatty()
+            return self._file is not None and self._file.isatty()
         except (OSError, ValueError, AttributeError):
             return False
 
-    def _write(self, text):
-        """To the stream, while that works: a reader that went away must not end a training."""
+    def _write(self, text: str) -> None:
+        """Write to the stream while that works: a closed pipe must not end a training."""
         if self._file is None:
             return
         try:
             try:
                 self._file.write(text)
-            except UnicodeEncodeError:  # a terminal with few letters
+            except UnicodeEncodeError:  # a terminal with a small character set
                 self._file.write(text.encode("ascii", "backslashreplace").decode())
             self._file.flush()
         except (OSError, ValueError):
@@ -144,8 +151,10 @@ class Progress:
 
 
 def fitted(fields: list[tuple[int, str]], width: int) -> str:
-    """The texts of fields [(priority, text), ...], with commas between them, in at most `width`
-    columns: the least important, those of the largest numbers, are left out until the rest fits."""
+    """The texts of fields (priority, text), separated by commas, in at most `width` columns.
+
+    The least important fields, which have the largest numbers, are left out until the rest fits.
+    """
     kept = list(fields)
     while len(kept) > 1 and len(", ".join(text for _, text in kept)) > width:
         kept.remove(max(kept))
@@ -153,9 +162,9 @@ def fitted(fields: list[tuple[int, str]], width: int) -> str:
 
 
 def clock(seconds: float) -> str:
-    """Such as 42s, 3:05 or 1:02:03."""
-    minutes, seconds = divmod(max(0, round(seconds)), 60)
+    """A duration as text, such as 42s, 3:05 or 1:02:03."""
+    minutes, rest = divmod(max(0, round(seconds)), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:
-        return f"{hours}:{minutes:02d}:{seconds:02d}"
-    return f"{minutes}:{seconds:02d}" if minutes else f"{seconds}s"
+        return f"{hours}:{minutes:02d}:{rest:02d}"
+    return f"{minutes}:{rest:02d}" if minutes else f"{rest}s"

@@ -1,26 +1,32 @@
-"""Help in sections, for groups of commands and for commands with many options."""
+"""Help texts in sections, for groups of commands and for commands with many options."""
+
+from __future__ import annotations
+
+from typing import Any
 
 import click
 
-ALL = "clsplat.help_all"  # in a context: whether its help lists every option
+SHOW_ALL = "clsplat.help_all"  # in a context's `meta` if its help lists every option
 
 
 class SectionedOption(click.Option):
-    """An option that the help lists under the heading `section`; unless it is `main`, only
-    --help-all does."""
+    """An option that the help lists under the heading `section`.
 
-    def __init__(self, *args, section, main=True, **kwargs):
+    Unless it is `main`, only --help-all lists it.
+    """
+
+    def __init__(self, *args: Any, section: str, main: bool = True, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.section, self.main = section, main
 
 
 class SectionedCommand(click.Command):
-    """A command whose help has one section for each heading among its options.
+    """A command whose help has a section for each heading of its options.
 
-    --help lists those that are `main`; where there are others, --help-all lists these too.
+    --help lists the `main` options. If there are others, --help-all lists all options.
     """
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.others = sum(not getattr(param, "main", True) for param in self.params)
         if self.others:
@@ -28,42 +34,43 @@ class SectionedCommand(click.Command):
                 ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_help_all,
                 help="Show all options and exit."))
 
-    def format_options(self, ctx, formatter):
-        sections = {}
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections."""
+        sections: dict[str, list[tuple[str, str]]] = {}
         for param in self.get_params(ctx):
-            shown = ALL in ctx.meta or getattr(param, "main", True)
-            if isinstance(param, click.Option) and shown:
-                heading = getattr(param, "section", "Other")
-                sections.setdefault(heading, []).append(param.get_help_record(ctx))
+            record = param.get_help_record(ctx)  # None for arguments
+            if record and (SHOW_ALL in ctx.meta or getattr(param, "main", True)):
+                sections.setdefault(getattr(param, "section", "Other"), []).append(record)
         other = sections.pop("Other")
         for heading, records in [*sections.items(), ("Other", other)]:
             with formatter.section(heading):
                 formatter.write_dl(records)
-        if self.others and ALL not in ctx.meta:
+        if self.others and SHOW_ALL not in ctx.meta:
             formatter.write(f"\n{self.others} more options: {ctx.command_path} --help-all\n")
 
 
-def _help_all(ctx, param, value):
+def _help_all(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     if value and not ctx.resilient_parsing:
-        ctx.meta[ALL] = True
+        ctx.meta[SHOW_ALL] = True
         click.echo(ctx.get_help())
         ctx.exit()
 
 
 class SectionedGroup(click.Group):
-    """A group whose help lists commands under the headings they were added with."""
+    """A group of commands whose help lists them under headings."""
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.sections = {}
+        self.sections: dict[str, list[str]] = {}
 
-    def add_section(self, heading, *commands):
-        """Add commands, listed in this order under `heading`."""
-        self.sections[heading] = [command.name for command in commands]
+    def add_section(self, heading: str, *commands: click.Command) -> None:
+        """Add commands, which the help lists in this order under `heading`."""
+        self.sections[heading] = [command.name or "" for command in commands]
         for command in commands:
             self.add_command(command)
 
-    def format_commands(self, ctx, formatter):
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections."""
         width = formatter.width - 6 - max(map(len, self.commands))
         for heading, names in self.sections.items():
             with formatter.section(heading):

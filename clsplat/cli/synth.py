@@ -1,5 +1,7 @@
 """`clsplat synth`: make a procedural city scene with known geometry."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import click
@@ -7,12 +9,12 @@ import click
 from clsplat.errors import InputError
 
 
-def _pair(context, option, text):
+def _pair(context: click.Context, option: click.Parameter, text: str) -> tuple[int, int]:
     """Two whole numbers from a text such as 320x240."""
     try:
         first, second = (int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise InputError(f"--{option.name} {text}: wants two whole numbers, such as "
+        raise InputError(f"--{option.name} {text}: expects two whole numbers, such as "
                          f"{option.default}") from None
     return first, second
 
@@ -22,18 +24,19 @@ def _pair(context, option, text):
               help="Folder of the new scene.")
 @click.option("--blocks", default="2x2", show_default=True, callback=_pair,
               help="City blocks along x and y.")
-@click.option("--views", default=32, show_default=True, help="Photos in all.")
+@click.option("--views", default=32, show_default=True, help="Number of photos.")
 @click.option("--size", default="320x240", show_default=True, callback=_pair,
               help="Width and height of a photo, pixels.")
-@click.option("--seed", default=0, show_default=True, help="Same seed, same bytes.")
+@click.option("--seed", default=0, show_default=True, help="The same seed gives the same bytes.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier synthetic scene.")
-def synth(output, blocks, views, size, seed, overwrite):
-    """Make a procedural city scene: photos, COLMAP model, and the true geometry."""
+def synth(output: Path, blocks: tuple[int, int], views: int, size: tuple[int, int], seed: int,
+          overwrite: bool) -> None:
+    """Make a procedural city scene: photos, a COLMAP model, and the true geometry."""
     from clsplat.cli.progress import Progress
     from clsplat.synth.write import synthesise
     with Progress() as progress:
         photos, points, observations = synthesise(
-            output, blocks, views, *size, seed=seed, overwrite=overwrite,
+            output, blocks, views, width=size[0], height=size[1], seed=seed, overwrite=overwrite,
             progress=lambda done, total: progress.count("photo", done, total))
     click.echo(f"{output}: {photos} views of {size[0]} x {size[1]}, {points:,} points, "
                f"{observations:,} observations")

@@ -1,1 +1,1 @@
-"""Which photos of a scene show the same, and how their brightness differs."""
+"""Covisibility: which photos of a scene show the same points, and how their brightness differs."""

@@ -1,37 +1,58 @@
-"""How much the brightness of a scene's photos drifts: whether learning exposures is worth it."""
+"""How much the exposure of a scene's photos drifts, to decide whether to learn exposures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-# From here on photos count as drifting. Measured at a half to an eighth of the size: the synthetic
-# city, which has no drift, 0.002 to 0.010, and 0.008 to 0.067 with a twentieth of its points; where
-# automatic exposure is plain to see, caliterra 0.069 to 0.084, lund 0.091 to 0.111, boruszyn 0.110
-# to 0.114 (along the tracks, of matched points only: city 0.003; 0.106, 0.099, 0.113).
+if TYPE_CHECKING:
+    from clsplat.camera import Camera
+    from clsplat.scene import View
+
+# Drift from which on exposures are learned. Measured at a half to an eighth of the photos' size:
+# 0.002 to 0.010 for the synthetic city, which has no drift, and 0.008 to 0.067 with a twentieth of
+# its points; where automatic exposure is clearly visible, caliterra 0.069 to 0.084, lund 0.091 to
+# 0.111, boruszyn 0.110 to 0.114 (with matched points only, along the tracks: city 0.003; 0.106,
+# 0.099, 0.113).
 DRIFTS = 0.045
 
-FEWEST = 20  # points that say something about a photo
+LEAST_POINTS = 20  # a photo that shows fewer does not count
 LUMA = np.array([0.299, 0.587, 0.114])  # Rec. 601
-FLOOR = 8 / 255  # what is darker is noise
-CELLS = 32  # across a photo, for finding what hides behind what
-DEEPER = 1.1  # than the nearest point of its cell: counts as hidden
+DARKEST_LUMA = 8 / 255  # darker pixels are noise
+OCCLUSION_CELLS = 32  # across a photo, for the occlusion test
+OCCLUSION_DEPTH = 1.1  # times the depth of the nearest point in its cell: farther points are hidden
 
 
-def exposure_drift(views, photos, points, colours):
-    """The standard deviation over photos of their log brightness against the sparse points'.
+def exposure_drift(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
+                   points: NDArray[np.floating], colours: NDArray[np.uint8]) -> float:
+    """The standard deviation, over photos, of their log brightness relative to the sparse points.
 
-    views: Views; photos: an iterable of uint8[3, h, w], one a view, of any size; points:
-    float[N, 3], world; colours: uint8[N, 3]. A photo's brightness is the median of log luma at the
-    points it shows, less the points' own, which are averages over photos. What the scatter of the
-    points adds by itself is taken off. Not a robust spread: a few photos that are far off are a
-    reason to learn exposures, and on caliterra all there is. Photos with less than FEWEST points do
-    not count; with less than two left, 0.
+    The brightness of a photo is the median, over the points that it shows, of log luma minus the
+    log luma of the point's own colour, which is an average over photos. The part of the deviation
+    that the scatter of the points explains is subtracted. The measure is not robust on purpose: a
+    few photos that differ much are a reason to learn exposures, and on caliterra the only one.
+
+    Parameters
+    ----------
+    views : the views to compare.
+    photos : for each view uint8[3, h, w], of any size.
+    points : [N, 3], in the views' frame.
+    colours : [N, 3], of the points.
+
+    Returns
+    -------
+    The drift; 0 if fewer than two photos show at least LEAST_POINTS points.
     """
     own = _log_luma(colours.T)
     medians, errors = [], []
     for view, photo in zip(views, photos):
-        shown, column, line = _shown(view.camera, photo, points)
-        if len(shown) < FEWEST:
+        shown, column, row = _shown(view.camera, photo, points)
+        if len(shown) < LEAST_POINTS:
             continue
-        brighter = _log_luma(photo[:, line, column]) - own[shown]
+        brighter = _log_luma(photo[:, row, column]) - own[shown]
         medians.append(np.median(brighter))
         scatter = 1.4826 * np.median(np.abs(brighter - medians[-1]))
         errors.append(1.2533 * scatter / np.sqrt(len(shown)))  # of the median of a normal sample
@@ -40,23 +61,24 @@ def exposure_drift(views, photos, points, colours):
     return float(np.sqrt(max(0, np.var(medians) - np.mean(np.square(errors)))))
 
 
-def _log_luma(pixels):
-    """float64[N] of uint8[3, N]."""
-    return np.log(np.maximum(LUMA @ pixels / 255, FLOOR))
+def _log_luma(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Log luma [N] of pixels [3, N]."""
+    return np.log(np.maximum(LUMA @ pixels / 255, DARKEST_LUMA))
 
 
-def _shown(camera, photo, points):
-    """(indices, columns, lines) of the points inside the photo that no nearer point seems to hide.
+def _shown(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating]
+           ) -> tuple[NDArray[np.integer], NDArray[np.integer], NDArray[np.integer]]:
+    """Index, pixel column and pixel row of the points in the photo that no nearer point hides.
 
-    Without this, walls seen through roofs move the median by more than exposure does.
+    Without the occlusion test, walls behind roofs change the median more than exposure does.
     """
     _, height, width = photo.shape
     pixel, depth = camera.resized(width, height).project(points)
     inside = np.flatnonzero((depth > 0) & (pixel >= 0).all(1) & (pixel < [width, height]).all(1))
-    column, line = pixel[inside].astype(int).T
-    size = -(-max(width, height) // CELLS)
-    cell = line // size * CELLS + column // size
-    nearest = np.full(CELLS * CELLS, np.inf)
+    column, row = pixel[inside].astype(int).T
+    size = -(-max(width, height) // OCCLUSION_CELLS)
+    cell = row // size * OCCLUSION_CELLS + column // size
+    nearest = np.full(OCCLUSION_CELLS**2, np.inf)
     np.minimum.at(nearest, cell, depth[inside])
-    front = depth[inside] <= DEEPER * nearest[cell]
-    return inside[front], column[front], line[front]
+    front = depth[inside] <= OCCLUSION_DEPTH * nearest[cell]
+    return inside[front], column[front], row[front]

@@ -1,11 +1,14 @@
 """The parent's side of a child process that works on a task."""
 
+from __future__ import annotations
+
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import clsplat
@@ -19,64 +22,79 @@ from clsplat.distribute.task import (
     REFUSED,
     TERMINATED,
     Result,
+    Task,
 )
 
-LOG = "log.txt"  # in the task's folder: what all tries said
-LOOK_SECONDS = 0.2
+LOG = "log.txt"  # in the task's folder: the output of all tries
+POLL_SECONDS = 0.2
 
 
-def in_child(task, program, device="", folder=None, stopping=lambda: False):
-    """The Result of one try of a task in a process of its own, without a worker's name.
+def in_child(task: Task, program: str, device: str = "", folder: str | None = None,
+             stopping: Callable[[], bool] = lambda: False) -> Result:
+    """Try a task in a child process; the Result does not name a worker.
 
-    program, device: as of `run`; folder: the child's working folder. stopping: asked several times
-    a second; once it is true, the child is told to save its state and end.
+    Parameters
+    ----------
+    task : its folder exists.
+    program : see `run`.
+    device : the child's CLSPLAT_DEVICE; "" for that of this process.
+    folder : the child's working folder; None for that of this process.
+    stopping : polled; once it returns true, the child is told to save its state and end.
     """
-    begin = time.monotonic()
+    began = time.monotonic()
     with open(task.folder / LOG, "ab") as log:
         log.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} on {socket.gethostname()}: {program} "
                   f"{' '.join(task.command)}\n".encode())
         log.flush()
-        start = log.tell()
-        # a session of its own (on Windows: a group): Ctrl-C in the terminal is for the parent, who
-        # passes it on once
+        log_start = log.tell()
+        # in a new session (on Windows: a new group), since Ctrl-C in the terminal is for the
+        # parent, which passes it on once
         child = subprocess.Popen(
             [sys.executable, "-m", "clsplat.distribute.guarded", str(task.done), program,
              *task.command], stdin=subprocess.PIPE, stdout=log, stderr=log, cwd=folder,
             env=environment(device), start_new_session=True,
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0))
     try:
-        code = _waited(child, stopping)
+        code = _exit_code(child, stopping)
     finally:
-        child.stdin.close()
-    return Result(*_verdict(task, code, start), time.monotonic() - begin)
+        _end_input(child)
+    ending, message = _ending(task, code, log_start)
+    return Result(ending, message, time.monotonic() - began)
 
 
-def environment(device=""):
-    """Of a child: it imports this very clsplat, and takes `device` if that is given."""
+def environment(device: str = "") -> dict[str, str]:
+    """The environment of a child: it imports the same clsplat, and uses `device` unless that is "".
+    """
     paths = [str(Path(clsplat.__file__).parents[1]), os.environ.get("PYTHONPATH")]
     chosen = {"CLSPLAT_DEVICE": device} if device else {}
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths)), **chosen}
 
 
-def device_fault():
-    """Why this machine has no device to work with, in one line, or ""."""
+def device_fault() -> str:
+    """Why no OpenCL device of this machine can be used, in one line, or ""."""
     done = subprocess.run([sys.executable, "-m", "clsplat.distribute.probe"], env=environment(),
                           stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     return done.stderr.strip().splitlines()[-1] if done.returncode else ""
 
 
-def _waited(child, stopping):
+def _exit_code(child: subprocess.Popen[bytes], stopping: Callable[[], bool]) -> int:
     while True:
         try:
-            return child.wait(LOOK_SECONDS)
+            return child.wait(POLL_SECONDS)
         except subprocess.TimeoutExpired:
             if stopping():
-                child.stdin.close()
+                _end_input(child)
                 return child.wait(GRACE_SECONDS + 10)  # it ends itself before
 
 
-def _verdict(task, code, start):
-    """(ending, message) of a child's exit code."""
+def _end_input(child: subprocess.Popen[bytes]) -> None:
+    """Tell a child to save its state and end, see guarded.py."""
+    assert child.stdin is not None  # a pipe
+    child.stdin.close()
+
+
+def _ending(task: Task, code: int, log_start: int) -> tuple[str, str]:
+    """How a try ended, and the message of its Result, by a child's exit code."""
     if code == 0 and task.done.exists():
         return DONE, ""
     if code in (INTERRUPTED, TERMINATED):
@@ -86,9 +104,9 @@ def _verdict(task, code, start):
         cause = f"it was ended by {signal.Signals(-code).name}"
     else:
         with open(log, "rb") as file:
-            file.seek(start)
+            file.seek(log_start)
             lines = file.read().decode(errors="replace").strip().splitlines()
         cause = lines[-1].removeprefix("error: ") if lines else f"it ended with code {code}"
     if code == 0:
-        cause = f"it ended well but did not write {task.done}"
+        cause = f"it ended without an error but did not write {task.done}"
     return REFUSED if code == INPUT else FAILED, f"{cause} (see {log})"

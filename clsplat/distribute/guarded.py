@@ -1,7 +1,11 @@
-"""The child's side: python -m clsplat.distribute.guarded DONE MODULE WORDS... runs the module's
-command line unless the file DONE exists, alone in that file's folder and with a kernel cache of its
-own, and is interrupted when its standard input ends: as when its parent dies, or closes it.
+"""The child process of a task: python -m clsplat.distribute.guarded DONE MODULE ARGUMENTS...
+
+It runs the command line of MODULE unless the file DONE exists. Meanwhile it locks the folder of
+DONE and has its own kernel cache. It is interrupted when its standard input ends, which happens
+when the parent closes it or dies.
 """
+
+from __future__ import annotations
 
 import _thread
 import os
@@ -16,39 +20,40 @@ from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
 
-from clsplat.distribute.task import GRACE_SECONDS, HELD, INPUT, INTERRUPTED
+from clsplat.distribute.task import GRACE_SECONDS, INPUT, INTERRUPTED, LOCKED
 from clsplat.errors import InputError
 from clsplat.io.lock import Held, exclusive
 
-PATIENCE_SECONDS = 300  # with another process in the folder, who may be in its grace
+LOCK_SECONDS = 300  # to wait for another process in the folder, which may be saving its state
 
 
-def main(done, module, *words):
-    """Ends by SystemExit where the module does."""
+def main(done_path: str, module: str, *arguments: str) -> None:
+    """Run the module; raises SystemExit where the module does, or with an exit code of task.py."""
     _follow_parent()
-    done = Path(done)
+    done = Path(done_path)
     try:
         with ExitStack() as stack:
-            stack.enter_context(exclusive(done.parent, PATIENCE_SECONDS))
-            if done.exists():  # whoever held the lock has finished
+            stack.enter_context(exclusive(done.parent, LOCK_SECONDS))
+            if done.exists():  # another process has finished the task
                 return
             os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache(stack))
-            sys.argv = [module, *words]
+            sys.argv = [module, *arguments]
             runpy.run_module(module, run_name="__main__", alter_sys=True)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
-        sys.exit(HELD if isinstance(error, Held) else INPUT)
+        sys.exit(LOCKED if isinstance(error, Held) else INPUT)
 
 
-def _follow_parent():
+def _follow_parent() -> None:
+    """Interrupt this process when its standard input ends, and end it after the grace period."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
     pipe = os.dup(0)
-    with open(os.devnull, "rb") as nothing:
-        os.dup2(nothing.fileno(), 0)  # what this process starts shall not hold the pipe
+    with open(os.devnull, "rb") as empty:
+        os.dup2(empty.fileno(), 0)  # so that child processes do not keep the pipe open
 
-    def watch():
+    def watch() -> None:
         while os.read(pipe, 1):
             pass
         _interrupt()
@@ -58,41 +63,44 @@ def _follow_parent():
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _interrupt():
-    """Raise Ctrl-C in the main thread, and end a system call of it where the platform can."""
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+def _interrupt() -> None:
+    """Raise KeyboardInterrupt in the main thread, and end its system call where that is possible.
+    """
+    main_thread = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main_thread is not None:
+        signal.pthread_kill(main_thread, signal.SIGINT)
     else:  # Windows
         _thread.interrupt_main()
 
 
-def _own_kernel_cache(stack):
-    """The first folder for compiled kernels that no other process of this machine holds: PoCL's is
-    not safe across processes. (pyopencl's is off, see clsplat/device/runtimes.py.) Where it cannot
-    be written, one in a temporary folder, which ends with the process."""
+def _own_kernel_cache(stack: ExitStack) -> Path:
+    """Lock a folder for compiled kernels that no other process of this machine uses.
+
+    PoCL's cache is not safe across processes. (pyopencl's is off, see clsplat/device/runtimes.py.)
+    Where no such folder can be written, it is a temporary one, which is removed with the process.
+    """
     base = _kernel_caches()
-    for number in count() if base else ():
-        folder = base / str(number)
+    for folder in (base / str(number) for number in count()) if base else ():
         try:
             folder.mkdir(exist_ok=True)
             stack.enter_context(exclusive(folder))
             return folder
         except Held:
             pass
-        except (OSError, InputError):  # another user's, or the disk is full
+        except (OSError, InputError):  # of another user, or the disk is full
             break
     return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="clsplat-kernels-")))
 
 
-def _kernel_caches():
-    """The folder of this machine's kernel caches, made; None where none can be."""
+def _kernel_caches() -> Path | None:
+    """Create the folder of this machine's kernel caches; None where that is not possible."""
     chosen = os.environ.get("POCL_CACHE_DIR")
     try:
         base = Path(chosen) if chosen else Path.home() / ".cache" / "clsplat" / "kernels"
         base = base / socket.gethostname()
         base.mkdir(parents=True, exist_ok=True)
         return base
-    except (OSError, RuntimeError):  # a home that may not be written, or that nobody knows
+    except (OSError, RuntimeError):  # the home folder is read-only or unknown
         return None
 
 

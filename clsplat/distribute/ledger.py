@@ -1,27 +1,37 @@
-"""Which tasks wait, how often each was tried, and what became of it."""
+"""Which tasks wait, how often each was tried, and how it ended."""
+
+from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from clsplat.distribute.task import DONE, FAILED, REFUSED, Outcome
+from clsplat.distribute.task import DONE, FAILED, REFUSED, Outcome, Result, Task
 from clsplat.errors import InputError
 
-LOSSES = 10  # workers that may go away under a task: it is rarely to blame, but it can be
+MOST_LOSSES = 10  # workers that may disappear while they run a task: it may be the cause
 
 
 class Ledger:
-    """tasks: of `run`, whose other arguments are the same. Those finished before have an Outcome of
-    no tries at once, and no progress; the folders of the others are made."""
+    """The state of all tasks of one `run`, which has the same arguments.
 
-    def __init__(self, tasks, retries, progress, begun=None):
+    Tasks that were finished before get an Outcome without tries, which is not reported as progress.
+    The folders of the other tasks are created.
+    """
+
+    def __init__(self, tasks: Iterable[Task], retries: int,
+                 progress: Callable[[Outcome], object] | None,
+                 began: Callable[[str], object] | None = None) -> None:
         self.tasks = [replace(task, done=Path(task.done).absolute()) for task in tasks]
         names = Counter(task.name for task in self.tasks)
         if len(names) < len(self.tasks):
             raise ValueError(f"two tasks are named {names.most_common(1)[0][0]}")
-        self.retries, self.progress, self.begun = retries, progress, begun
-        self.outcomes, self.waiting = {}, deque()
-        self.tries, self.failures, self.losses, self.seconds = (Counter() for _ in range(4))
+        self.retries, self._progress, self._began = retries, progress, began
+        self.outcomes: dict[str, Outcome] = {}
+        self.waiting: deque[Task] = deque()
+        self.tries, self.failures, self.losses = (Counter[str]() for _ in range(3))
+        self.seconds = {task.name: 0.0 for task in self.tasks}
         for task in self.tasks:
             if task.done.exists():
                 self.outcomes[task.name] = Outcome(task, True, 0.0, 0, "", "finished before")
@@ -33,28 +43,28 @@ class Ledger:
                 raise InputError(f"{task.folder}: cannot be made ({error.strerror}); check that "
                                  "the folder above may be written") from None
 
-    def began(self, name):
-        """Some worker began a try of the task."""
+    def began(self, name: str) -> None:
+        """Note that a worker began a try of the task."""
         self.tries[name] += 1
-        if self.begun:
-            self.begun(name)
+        if self._began:
+            self._began(name)
 
-    def settle(self, task, result):
-        """A try ended: the task is finished, has failed for good, or waits again."""
+    def settle(self, task: Task, result: Result) -> None:
+        """Note the end of a try: the task is finished, has finally failed, or waits again."""
         name = task.name
         self.seconds[name] += result.seconds
         self.failures[name] += result.ending == FAILED
         self.losses[name] += result.ending not in (DONE, FAILED, REFUSED)
         if result.ending not in (DONE, REFUSED) and (
-                self.failures[name] <= self.retries and self.losses[name] < LOSSES):
+                self.failures[name] <= self.retries and self.losses[name] < MOST_LOSSES):
             self.waiting.append(task)
             return
         outcome = Outcome(task, result.ending == DONE, self.seconds[name], self.tries[name],
                           result.worker, result.message)
         self.outcomes[name] = outcome
-        if self.progress:
-            self.progress(outcome)
+        if self._progress:
+            self._progress(outcome)
 
-    def in_order(self):
-        """The outcomes, in the order of the tasks."""
+    def in_order(self) -> list[Outcome]:
+        """The outcomes in the order of the tasks."""
         return [self.outcomes[task.name] for task in self.tasks]

@@ -1,18 +1,17 @@
-"""Tasks on this machine: in this process, or in children, so many at a time.
+"""Pools on this machine: one task at a time in this process, or several in child processes."""
 
-A pool has slots(), how many tasks may run; submit(task), which returns a future; finished(futures),
-which waits and yields (future, Result); and close(), which stops what is under way.
-"""
+from __future__ import annotations
 
 import logging
 import threading
 import time
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from queue import SimpleQueue
 
 from clsplat.distribute.child import in_child
-from clsplat.distribute.task import DONE, FAILED, REFUSED, Result
+from clsplat.distribute.task import DONE, FAILED, REFUSED, Result, Task
 from clsplat.errors import ClsplatError, Interrupted
 from clsplat.io.lock import exclusive
 from clsplat.training.interrupt import was_interrupted
@@ -21,23 +20,26 @@ HERE = "this machine"
 
 
 class InProcess:
-    """One task after the other in the main thread, which alone hears Ctrl-C."""
+    """A Pool that calls a function for one task at a time, in the thread that receives Ctrl-C."""
 
-    def __init__(self, began, call):
+    def __init__(self, began: Callable[[str], object], call: Callable[[Task], object]) -> None:
         self._began, self._call = began, call
 
-    def slots(self):
+    def slots(self) -> int:
+        """One."""
         return 1
 
-    def submit(self, task):
+    def submit(self, task: Task) -> Future[Result]:
+        """Run the task to its end."""
         self._began(task.name)
-        begin = time.monotonic()
+        start = time.monotonic()
         ending, message = self._ending(task)
-        future = Future()
-        future.set_result(Result(ending, message, time.monotonic() - begin, HERE))
+        future: Future[Result] = Future()
+        future.set_result(Result(ending, message, time.monotonic() - start, HERE))
         return future
 
-    def _ending(self, task):
+    def _ending(self, task: Task) -> tuple[str, str]:
+        """Run the task; how it ended, and the message of its Result."""
         try:
             with exclusive(task.folder):
                 if not task.done.exists():
@@ -46,40 +48,44 @@ class InProcess:
             raise
         except ClsplatError as error:
             return REFUSED, str(error)
-        except Exception as error:  # noqa: BLE001  (the other tasks shall have their turn)
+        except Exception as error:  # noqa: BLE001  (the other tasks are still run)
             if was_interrupted(error):
                 raise KeyboardInterrupt from None
             logging.getLogger(__name__).exception("%s failed", task.name)
             return FAILED, f"{type(error).__name__}: {error}"
         if not task.done.exists():
-            return FAILED, f"it ended well but did not write {task.done}"
+            return FAILED, f"it ended without an error but did not write {task.done}"
         return DONE, ""
 
-    def finished(self, futures):
+    def finished(self, futures: Collection[Future[Result]]) -> list[tuple[Future[Result], Result]]:
+        """All of them."""
         return [(future, future.result()) for future in futures]
 
-    def close(self):
-        pass
+    def close(self) -> None:
+        """Nothing is running."""
 
 
 class Processes:
-    """`workers` children at a time, the devices dealt out to them in turn."""
+    """A Pool of child processes on this machine, which use the devices in turn."""
 
-    def __init__(self, began, workers, devices, program):
+    def __init__(self, began: Callable[[str], object], workers: int, devices: Sequence[str],
+                 program: str) -> None:
         self._began, self._workers, self._program = began, workers, program
         self._threads = ThreadPoolExecutor(workers)
         self._stopping = threading.Event()
-        self._free = SimpleQueue()
+        self._free: SimpleQueue[str] = SimpleQueue()
         for number in range(workers):
             self._free.put(devices[number % len(devices)] if devices else "")
 
-    def slots(self):
+    def slots(self) -> int:
+        """The number of children."""
         return self._workers
 
-    def submit(self, task):
+    def submit(self, task: Task) -> Future[Result]:
+        """Run the task in a child as soon as a device is free."""
         return self._threads.submit(self._work, task)
 
-    def _work(self, task):
+    def _work(self, task: Task) -> Result:
         self._began(task.name)
         device = self._free.get()
         try:
@@ -88,10 +94,12 @@ class Processes:
         finally:
             self._free.put(device)
 
-    def finished(self, futures):
+    def finished(self, futures: Collection[Future[Result]]) -> list[tuple[Future[Result], Result]]:
+        """Wait for the first of the futures, and return those that ended."""
         done, _ = wait(futures, return_when=FIRST_COMPLETED)
         return [(future, future.result()) for future in done]
 
-    def close(self):
+    def close(self) -> None:
+        """Tell the children to save their state, and wait until they ended."""
         self._stopping.set()
         self._threads.shutdown(cancel_futures=True)

@@ -1,4 +1,7 @@
-"""python -m clsplat.distribute.probe: exit code 2, and one line that says why, without a device."""
+"""python -m clsplat.distribute.probe: check that this machine has a working OpenCL device.
+
+Without one it prints the reason in one line, and its exit code is 2.
+"""
 
 import os
 import sys

@@ -1,38 +1,56 @@
-"""What travels to workers, and what comes back."""
+"""What is sent to workers, what they return, and what a pool of workers does."""
 
+from __future__ import annotations
+
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 # how a try of a task may end
 DONE = "done"
-FAILED = "failed"  # worth another try
-REFUSED = "refused"  # its input is bad, and will be
-UNFIT = "unfit"  # the worker is at fault: another will do
-LOST = "lost"  # the worker is gone, or was stopped
+FAILED = "failed"  # it is tried again
+REFUSED = "refused"  # its input is invalid, so that it is not tried again
+UNFIT = "unfit"  # the worker cannot run it, another worker may
+LOST = "lost"  # the worker has disappeared, or was stopped
 
 # exit codes of children
-INPUT, HELD, INTERRUPTED, TERMINATED = 2, 75, 130, 143
-GRACE_SECONDS = 120  # that an interrupted child has for saving its state
+INPUT, LOCKED, INTERRUPTED, TERMINATED = 2, 75, 130, 143
+GRACE_SECONDS = 120  # for an interrupted child to save its state
 
 
 @dataclass(frozen=True)
 class Task:
-    """name: unique; command: what follows `clsplat`; done: path that exists once it is finished, in
-    a folder in which nothing else is."""
+    """A command of clsplat.
+
+    Attributes
+    ----------
+    name : differs from those of the other tasks.
+    command : the arguments of `clsplat`.
+    done : a file that exists once the task is finished, in a folder of its own.
+    """
 
     name: str
     command: tuple[str, ...]
     done: Path
 
     @property
-    def folder(self):
-        """Where its lock and its log are."""
+    def folder(self) -> Path:
+        """The folder of the task's lock and log."""
         return Path(self.done).parent
 
 
 @dataclass(frozen=True)
 class Result:
-    """One try. ending: one of the above; seconds: it took; worker: who tried."""
+    """The result of one try of a task.
+
+    Attributes
+    ----------
+    ending : DONE, FAILED, REFUSED, UNFIT or LOST.
+    message : one line with the cause, "" if the task is done.
+    seconds : the duration of the try.
+    worker : the worker that tried.
+    """
 
     ending: str
     message: str = ""
@@ -42,8 +60,17 @@ class Result:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task. seconds: of its tries that came to an end; tries: begun, by this
-    `run`; worker: the last; message: one line, why it failed."""
+    """The final result of a task.
+
+    Attributes
+    ----------
+    task : the task.
+    ok : whether it is finished.
+    seconds : the duration of all its tries that ended.
+    tries : how many tries this `run` started.
+    worker : the last worker.
+    message : one line with the cause of a failure.
+    """
 
     task: Task
     ok: bool
@@ -51,3 +78,19 @@ class Outcome:
     tries: int
     worker: str
     message: str
+
+
+class Pool(Protocol):
+    """Workers that run tasks."""
+
+    def slots(self) -> int:
+        """How many tasks may run at the same time."""
+
+    def submit(self, task: Task) -> Any:
+        """Start a task, and return its future."""
+
+    def finished(self, futures: Collection[Any]) -> list[tuple[Any, Result]]:
+        """Wait for some of the futures, and return those that ended with their results."""
+
+    def close(self) -> None:
+        """Stop the running tasks, and release the workers."""

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
-from clsplat.synth.geometry import BLOCK, distance, load
+from clsplat.synth.geometry import BLOCK_WIDTH, distance, load
 from clsplat.synth.write import GEOMETRY
 
 PIXELS = (1, 3, 10)  # footprints within which a gaussian counts as on the surface
@@ -55,7 +55,7 @@ def floater_share(city, gaussians, cameras, offset):
 
 def _neighbours_together(points):
     """An order int[N] of points float64[N, 3]: by octave of height, then by city block."""
-    x, y = np.floor(points[:, :2] / BLOCK).T
+    x, y = np.floor(points[:, :2] / BLOCK_WIDTH).T
     return np.lexsort((y, x, np.ceil(np.log2(points[:, 2].clip(1)))))
 
 

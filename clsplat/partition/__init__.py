@@ -1,6 +1,6 @@
-"""A scene cut into blocks that are trained alone: where the cuts are, and who is given which view.
+"""A scene cut into blocks that are trained independently: their cells, and the views of each block.
 
-`make_partition` is the way in; its methods share one signature.
+`make_partition` is the entry point; its methods share one signature.
 """
 
 from clsplat.partition.make import METHODS, PartitionOptions, make_partition

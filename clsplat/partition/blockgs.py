@@ -1,29 +1,44 @@
 """Recursive bisection into blocks of equal content (Wu et al. 2025, BlockGaussian)."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.partition.grid import best_cut
 from clsplat.partition.region import Region
 from clsplat.partition.tracks import seen_by_tracks
 
+if TYPE_CHECKING:
+    from clsplat.partition.input import PartitionInput
+    from clsplat.partition.make import DropTest, PartitionOptions
 
-def blockgs(site, grid, options, drop=None):
-    """(regions, sees bool[B, V]): N * M cells, each cut from a larger one across its longer side.
 
-    A cell for k blocks is cut so that its halves hold content for k // 2 and the rest, by weight,
-    within the site's area of interest (the released code cuts at the middle). A view is given to
-    the cells, grown by the margin, that its tracks say it sees (`seen_by_tracks`).
+def blockgs(data: PartitionInput, grid: tuple[int, int], options: PartitionOptions,
+            drop: DropTest | None = None) -> tuple[list[Region], NDArray[np.bool_]]:
+    """Cut the scene into N * M cells, each cut from a larger one across its longer side.
+
+    A cell for k blocks is cut so that its parts contain content in the ratio of k // 2 to
+    k - k // 2, by weight, within the area of interest (the released code cuts at the middle). A
+    view is assigned to the cells, enlarged by the margin, that its tracks see (`seen_by_tracks`).
+
+    Returns
+    -------
+    The regions, and bool[B, V]: which views are assigned to each.
     """
-    space = site.space()
-    inside = site.inside()
-    coordinates, weights = space.to(site.content[inside]), site.weights[inside]
+    space = data.space()
+    inside = data.inside()
+    coordinates, weights = space.to(data.content[inside]), data.weights[inside]
     regions = _bisected(Region(space, margin=options.margin), coordinates, weights,
                         grid[0] * grid[1])
-    return regions, seen_by_tracks(site, [region.grown(region.margin) for region in regions])
+    return regions, seen_by_tracks(data, [region.grown(region.margin) for region in regions])
 
 
-def _bisected(region, coordinates, weights, count):
-    """The Regions that a region is cut into; coordinates: of the content in it."""
+def _bisected(region: Region, coordinates: NDArray[np.float64], weights: NDArray[np.float64],
+              count: int) -> list[Region]:
+    """Cut a region with the content `coordinates` [K, 3] into `count` Regions."""
     if count == 1:
         return [region]
     sides = (region.side * region.space.half)[:2]

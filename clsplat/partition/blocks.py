@@ -1,33 +1,51 @@
-"""What a block of a larger scene trains on: its share of the pixels, and the gaussians it is given.
+"""What a block of a larger scene starts from: gaussians of the coarse run, windows of its photos.
 
-A block trains the gaussians its region reaches: those it owns, and a margin, which gives its edge
-the neighbours that it has in the whole. Behind them its photos show the rest of the scene. These
-surroundings stay as the coarse run left them. Trained, they would come to make up for the block's
-own gaussians in ways that no other block knows of: merged, caliterra then lost 4 dB (docs/city.md).
-So does a gaussian that the block owns but that covers more than its reach, such as a haze: all the
-others are trained under it as it is. Merging drops margin and surroundings. Of its photos a block
-reads the windows that show what it reaches.
+A block trains the gaussians that its region reaches: those it owns, and those in a margin, which
+are the neighbours that its outer gaussians have in the whole scene. Behind them its photos show the
+rest of the scene. These surroundings are frozen as the coarse run left them. If they were trained,
+they would compensate for errors of the block's own gaussians, in a different way in every block:
+after merging, caliterra then lost 4 dB (docs/city.md). A gaussian that the block owns but that
+extends beyond its reach, such as haze, is frozen for the same reason: every block trains its other
+gaussians with the same haze. Merging drops margin and surroundings. A block reads only the windows
+of its photos that show what it reaches.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.gaussians import Gaussians
 
-WINDOW = (0.005, 0.995)  # quantiles of what a view shows of a block, along both axes
-ROOM = 0.05  # of the window's sides, on every side
-ALIGN = 16  # pixels: windows begin and end at whole pixels of smaller photos too
-LEAST_SIDE = 64  # pixels of a window
-REACH = 3.0  # standard deviations of a gaussian beyond which it is not seen
-BODY = 2.0  # deviations within which a gaussian lies in a block's reach that the block may change
+if TYPE_CHECKING:
+    from clsplat.partition.region import Region
+    from clsplat.scene import Scene, View
+
+WINDOW_QUANTILES = (0.005, 0.995)  # along both axes, of the gaussians of a block that a view shows
+WINDOW_MARGIN = 0.05  # share of the window's sides that is added on every side
+WINDOW_ALIGNMENT = 16  # pixels: windows begin and end at whole pixels of smaller photos too
+LEAST_WINDOW = 64  # pixels along each side
+VISIBLE_DEVIATIONS = 3.0  # standard deviations from its centre within which a gaussian is visible
+TRAINED_DEVIATIONS = 2.0  # that must lie within a block's reach for the block to train a gaussian
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
-    """The Gaussians a block starts with, and how many of the whole are of each kind: `own` and
-    `margin`, which the region reaches, `surroundings`, and those left out, `unseen` by the block's
-    views or `thinned`."""
+class BlockStart:
+    """The gaussians that a block starts from, and how many gaussians of the whole are of each kind.
+
+    Attributes
+    ----------
+    gaussians : the model.
+    own : in the block's cell.
+    margin : in the margin around the cell.
+    surroundings : farther away; they are kept, but frozen.
+    unseen : left out because no view of the block shows them.
+    thinned : left out because they are smaller than a pixel, and others were enlarged instead.
+    """
 
     gaussians: Gaussians
     own: int
@@ -37,15 +55,23 @@ class Cut:
     thinned: int
 
 
-def cut(gaussians, scene, region, views):
-    """The Cut of `gaussians`, in the local frame of `scene`, for the block that owns `region`.
+def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
+                ) -> BlockStart:
+    """Choose the gaussians that the block of a region starts from.
 
-    views: the block's, with cameras as large as they are trained on (`Scene.reduced`). Of the
-    surroundings that no view shows larger than a pixel, two standard deviations being s pixels, a
-    share of s^2 is kept and made 1 / s as large: together they cover what all did (Cook et al.
-    2007, Stochastic simplification of aggregate detail). So a far part of the scene costs a block
-    what its pixels can show. Leaving the small ones out would leave holes: on the sample city,
-    where they are 1 in 14 of a model, the views kept 26 dB of the whole's image, thinned 35.
+    Surroundings that are smaller than a pixel in every view are thinned: where two standard
+    deviations are s < 1 pixels, a share of s^2 of them is kept and enlarged by 1 / s, so that
+    together they cover the same area (Cook et al. 2007, Stochastic simplification of aggregate
+    detail). A distant part of the scene thus costs a block no more than its pixels can show.
+    Leaving out all small ones would leave holes: on the sample city, where they are 1 in 14 of a
+    model, the views then had a PSNR of 26 dB against the whole model, and 35 dB with thinning.
+
+    Parameters
+    ----------
+    gaussians : the coarse model, in the local frame of `scene`.
+    scene : the whole scene.
+    region : the block's cell and margin.
+    views : of the block, with cameras of the size they are trained at (`Scene.reduced`).
     """
     scene = replace(scene, region=region)
     positions = gaussians.positions.astype(np.float64)
@@ -59,20 +85,29 @@ def cut(gaussians, scene, region, views):
     rows = {name: values[keeps] for name, values in gaussians.rows.items()}
     rows["log_scales"] = (rows["log_scales"] - np.log(size[keeps])[:, None]).astype(np.float32)
     unseen = int((size == 0).sum())
-    return Cut(Gaussians(rows, gaussians.sh_degree), int(own.sum()), int((reached & ~own).sum()),
-               int((keeps & rest).sum()), unseen, int((~keeps).sum()) - unseen)
+    return BlockStart(
+        Gaussians(rows, gaussians.sh_degree), int(own.sum()), int((reached & ~own).sum()),
+        int((keeps & rest).sum()), unseen, int((~keeps).sum()) - unseen)
 
 
-def find_windows(gaussians, scene, region, views):
-    """{name of a view: (left, top, right, bottom), pixels}: the part of each photo that shows what
-    `region` reaches of the `gaussians`, for those views of which that is a part only.
+def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
+                 ) -> dict[str, tuple[int, int, int, int]]:
+    """The window (left, top, right, bottom), pixels, of each view that shows what `region` reaches.
 
-    views: of full size. Beyond its window a photo teaches a block nothing: what it shows there is
-    held. A view that shows none of them, for it was given for where it stands, stays whole.
+    Outside its window a photo shows frozen gaussians only, so the block does not read that part.
+    Views without an entry are read whole: those whose window is the whole photo, and those that
+    show none of these gaussians, which were assigned because their camera stands in the cell.
+
+    Parameters
+    ----------
+    gaussians : the coarse model, in the local frame of `scene`.
+    scene : the whole scene.
+    region : the block's cell and margin.
+    views : of the block, of full size.
     """
     positions = gaussians.positions.astype(np.float64)
     positions = positions[replace(scene, region=region).reached(positions)]
-    windows = {}
+    windows: dict[str, tuple[int, int, int, int]] = {}
     for view in views:
         camera = view.camera
         size = np.array([camera.width, camera.height])
@@ -80,45 +115,63 @@ def find_windows(gaussians, scene, region, views):
         shown = (depths > scene.near_plane) & (pixels > 0).all(axis=1) & (pixels < size).all(axis=1)
         if not shown.any():
             continue
-        low, high = np.quantile(pixels[shown], WINDOW, axis=0)
-        room = np.maximum(ROOM * (high - low), (LEAST_SIDE - (high - low)) / 2)
-        low = np.maximum(np.floor((low - room) / ALIGN).astype(int) * ALIGN, 0)
-        high = np.minimum(np.ceil((high + room) / ALIGN).astype(int) * ALIGN, size)
+        low, high = np.quantile(pixels[shown], WINDOW_QUANTILES, axis=0)
+        margin = np.maximum(WINDOW_MARGIN * (high - low), (LEAST_WINDOW - (high - low)) / 2)
+        step = WINDOW_ALIGNMENT
+        low = np.maximum(np.floor((low - margin) / step).astype(int) * step, 0)
+        high = np.minimum(np.ceil((high + margin) / step).astype(int) * step, size)
         if (low > 0).any() or (high < size).any():
             windows[view.name] = (*low.tolist(), *high.tolist())
     return windows
 
 
-def largest_sizes(positions, deviations, views, near):
-    """float64[N], pixels: two standard deviations of each gaussian in the view that shows it
-    largest, 0 where none shows it.
+def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating],
+                  views: Sequence[View], near: float) -> NDArray[np.float64]:
+    """Two standard deviations of each gaussian in the view that shows it largest, in pixels.
 
-    positions float64[N, 3] and deviations float[N], the largest of the three, in the views' frame.
-    A view shows what is farther than `near` and within REACH deviations of its image.
+    A gaussian that no view shows has size 0. A view shows a gaussian that is farther away than
+    `near` and lies within VISIBLE_DEVIATIONS standard deviations of the image.
+
+    Parameters
+    ----------
+    positions : [N, 3], in the views' frame.
+    deviations : [N], in the same unit; the largest of a gaussian's three standard deviations.
+    views : with cameras of the size that counts.
+    near : depth of the near plane.
     """
     largest = np.zeros(len(positions))
     for view in views:
         camera = view.camera
         pixels, depths = camera.project(positions)
         deviation = deviations * max(camera.focal) / np.maximum(depths, near)
-        reach = REACH * deviation[:, None]
+        reach = VISIBLE_DEVIATIONS * deviation[:, None]
         shown = (depths > near) & (pixels > -reach).all(axis=1) & (
             pixels < (camera.width, camera.height) + reach).all(axis=1)
         largest[shown] = np.maximum(largest[shown], 2 * deviation[shown])
     return largest
 
 
-def trainable(scene, positions, log_scales):
-    """bool[N]: which gaussians, positions [N, 3] and log_scales [N, 3] in the frame of a block's
-    scene, the block may change: those that lie within its reach with BODY deviations."""
-    return scene.reached(positions, BODY * np.exp(log_scales.max(axis=1).astype(np.float64)))
+def trainable(scene: Scene, positions: NDArray[np.floating], log_scales: NDArray[np.floating]
+              ) -> NDArray[np.bool_]:
+    """Which gaussians a block trains, as bool[N]; the others are frozen.
+
+    These are the gaussians that its region reaches with TRAINED_DEVIATIONS standard deviations.
+
+    Parameters
+    ----------
+    scene : the block's scene.
+    positions : [N, 3], in the local frame of the scene.
+    log_scales : [N, 3], as in a model.
+    """
+    deviations = np.exp(log_scales.max(axis=1).astype(np.float64))
+    return scene.reached(positions, TRAINED_DEVIATIONS * deviations)
 
 
-def seen_pixels(scene, views):
-    """About how many pixels of the `views` show what a block's region reaches; all, where the
-    scene is no block.
+def seen_pixels(scene: Scene, views: Sequence[View]) -> int:
+    """Estimate how many pixels of `views` show what a block's region reaches.
 
-    By the sparse points: a view shows the region in the share of its points that lie there.
+    The share of a view's pixels is the share of its sparse points that the region reaches. Where
+    the scene is not a block, all pixels count.
     """
     pixels = np.array([view.camera.width * view.camera.height for view in views])
     if scene.region is None:

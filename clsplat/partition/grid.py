@@ -1,29 +1,35 @@
 """How many cells, and where to cut."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 
-def choose_grid(needed, aspect):
-    """(N, M): as few cells along u and v as make `needed`, near squares.
+def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
+    """The smallest grid along u and v with at least `needed` cells that are nearly square.
 
-    aspect: side along u / side along v.
+    `aspect` is the side along u divided by the side along v.
     """
     shapes = [(n, math.ceil(needed / n)) for n in range(1, needed + 1)]
 
-    def cost(shape):  # cells beyond those needed, and cells that are long
+    def cost(shape: tuple[int, int]) -> float:  # of additional cells, and of elongated ones
         n, m = shape
         return math.log(n * m / needed) + abs(math.log(aspect * m / n))
     return min(shapes, key=cost)
 
 
-def best_cut(values, weights, share):
-    """The number below which `share` of the weight lies, as nearly as distinct values float64[N]
-    allow: halfway between two of them. None where there are no two."""
+def best_cut(values: NDArray[np.floating], weights: NDArray[np.floating], share: float
+             ) -> float | None:
+    """The number below which about `share` of the weight of `values` [N] lies.
+
+    It is halfway between two neighbouring values. None if all values are equal.
+    """
     distinct, inverse = np.unique(values, return_inverse=True)
     if len(distinct) < 2:
         return None
     below = np.cumsum(np.bincount(inverse.reshape(-1), weights))
     place = int(np.argmin(np.abs(below[:-1] - share * below[-1])))
-    return (distinct[place] + distinct[place + 1]) / 2
+    return float(distinct[place] + distinct[place + 1]) / 2

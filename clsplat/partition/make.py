@@ -1,34 +1,62 @@
-"""The way from a scene to its Partition, the same for every method."""
+"""From a scene to its Partition, in the same steps for every method."""
+
+from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
 from clsplat.partition.blockgs import blockgs
 from clsplat.partition.citygs import citygs
 from clsplat.partition.grid import choose_grid
+from clsplat.partition.input import PartitionInput, check_bounds, check_up
 from clsplat.partition.partition import Cells, Partition
-from clsplat.partition.site import Site, check_bounds, check_up
 from clsplat.partition.starved import join_starved, refuse_starved
 from clsplat.partition.vastgs import vastgs
+
+if TYPE_CHECKING:
+    from clsplat.gaussians import Gaussians
+    from clsplat.partition.region import Region
+    from clsplat.scene import Scene
 
 METHODS = {"citygs": citygs, "blockgs": blockgs, "vastgs": vastgs}
 MOST_BLOCKS = 10_000
 MOST_MARGIN = 10.0  # a block then trains 21 times the cell's width; 0.05 to 0.3 are published
 STARVED = ("refuse", "join")
 
+# 1 - SSIM between the render of all gaussians and that of those where the mask bool[M] is true, in
+# the view with this index in scene.views
+DropTest = Callable[[int, NDArray[np.bool_]], float]
+
 
 @dataclass(frozen=True)
 class PartitionOptions:
-    """method: a key of METHODS; grid: (N, M) cells along u and v, or None to choose it; limit:
-    gaussians that a block may hold with its margin (0: any number), expected: those of the whole
-    scene at the end of training, and least_blocks, which choose it; up, bounds: see `Site.of`;
-    margin: share of a cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; docs/city.md);
-    threshold: of citygs, 1 - SSIM; least_views, least_gaussians: a block with fewer is starved;
-    starved: "refuse" a grid that starves a block, or "join" it to a neighbour, as is done with a
-    chosen grid always. Raises InputError for what no scene can be cut with.
+    """The options of a partition.
+
+    Attributes
+    ----------
+    method : a key of METHODS.
+    grid : cells along u and v. None: it is chosen from the next three.
+    limit : the most gaussians that a block may train, with its margin; 0 for any number.
+    expected : gaussians of the whole scene at the end of training.
+    least_blocks : the least number of blocks of a chosen grid.
+    up : see `PartitionInput.of`.
+    bounds : see `PartitionInput.of`.
+    margin : share of a cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; docs/city.md).
+    threshold : 1 - SSIM above which citygs assigns a view to a cell.
+    least_views : a block with fewer views is starved.
+    least_gaussians : a block with fewer gaussians is starved.
+    starved : "refuse" a grid with a starved block, or "join" that block to a neighbour; blocks of a
+        chosen grid are always joined.
+
+    Raises
+    ------
+    InputError : no scene can be partitioned with these options.
     """
 
     method: str = "citygs"
@@ -44,88 +72,101 @@ class PartitionOptions:
     least_gaussians: int = 100
     starved: str = "refuse"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, least, most in (("margin", 0, MOST_MARGIN), ("threshold", 0, 2),
                                   ("least_views", 0, math.inf), ("limit", 0, math.inf)):
             value = getattr(self, name)
             if not least <= value <= most:
-                asked = "block-gaussians" if name == "limit" else name.replace("_", "-")
-                wish = f"at least {least}" if most == math.inf else f"{least} to {most:g}"
-                raise InputError(f"--{asked} {value}: wants {wish}")
+                option = "block-gaussians" if name == "limit" else name.replace("_", "-")
+                valid = f"at least {least}" if most == math.inf else f"{least} to {most:g}"
+                raise InputError(f"--{option} {value}: expects {valid}")
         for name, values in (("method", METHODS), ("starved", STARVED)):
             if getattr(self, name) not in values:
-                raise InputError(f"--{name} {getattr(self, name)}: wants one of "
+                raise InputError(f"--{name} {getattr(self, name)}: expects one of "
                                  f"{', '.join(values)}")
-        check_up(self.up)
-        check_bounds(self.bounds)
+        if self.up is not None:
+            check_up(self.up)
+        if self.bounds is not None:
+            check_bounds(self.bounds)
         self._check_count()
 
-    def _check_count(self):
-        """InputError for a grid of more blocks than there is to share out among them."""
+    def _check_count(self) -> None:
+        """Raise InputError for more blocks than the scene will have gaussians for."""
         most = (max(1, self.expected // max(1, self.least_gaussians)) if self.expected
                 else MOST_BLOCKS)
         if self.grid is None:
             if self.needed > MOST_BLOCKS:
                 raise InputError(f"--block-gaussians {self.limit}: makes {self.needed:,} blocks, "
-                                 f"of at most {MOST_BLOCKS:,}; allow more gaussians a block")
+                                 f"more than {MOST_BLOCKS:,}; allow more gaussians in a block")
             return
         count, name = math.prod(self.grid), f"--grid {self.grid[0]}x{self.grid[1]}"
         if min(self.grid) < 1:
-            raise InputError(f"{name}: wants 1 or more each way")
+            raise InputError(f"{name}: expects at least 1 block along each side")
         if count > MOST_BLOCKS:
-            raise InputError(f"{name}: makes {count:,} blocks, of at most {MOST_BLOCKS:,}; use a "
+            raise InputError(f"{name}: makes {count:,} blocks, more than {MOST_BLOCKS:,}; use a "
                              "smaller --grid")
         if count > most:
             raise InputError(
                 f"{name}: makes {count:,} blocks, but the scene will have about "
-                f"{self.expected:,} gaussians, for {most:,} blocks of {self.least_gaussians} at "
-                "most; use a smaller --grid")
+                f"{self.expected:,} gaussians, enough for {most:,} blocks of at least "
+                f"{self.least_gaussians}; use a smaller --grid")
 
     @property
-    def needed(self):
-        """How many blocks a chosen grid has at least."""
-        shared = (1 + 2 * self.margin) ** 2  # of gaussians: margins hold twice
+    def needed(self) -> int:
+        """The least number of blocks of a chosen grid."""
+        shared = (1 + 2 * self.margin) ** 2  # gaussians in margins belong to several blocks
         full = math.ceil(self.expected * shared / self.limit) if self.limit else 1
         return max(full, self.least_blocks)
 
 
-def make_partition(scene, options, gaussians=None, views=None, drop=None):
-    """The Partition of a Scene.
+def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians | None = None,
+                   views: ArrayLike | None = None, drop: DropTest | None = None) -> Partition:
+    """Cut a scene into blocks, and assign views to them.
 
-    gaussians: of a coarse run, in the scene's local frame, or None for the sparse points; views:
-    indices into scene.views of those that train, None: all; drop: see `citygs`. Raises InputError
-    for a grid that starves a block, and for bounds that hold no points.
+    Parameters
+    ----------
+    scene : the whole scene.
+    options : the method and its numbers.
+    gaussians : a coarse model in the scene's local frame. None: the sparse points are used.
+    views : indices into scene.views of the training views. None: all.
+    drop : see `citygs`.
+
+    Raises
+    ------
+    InputError : the grid has a starved block, or the bounds contain no points.
     """
-    site = Site.of(scene, gaussians, views, options.up, options.bounds)
-    grid = options.grid or _chosen_grid(site, options)
-    regions, sees = METHODS[options.method](site, grid, options, drop)
+    data = PartitionInput.of(scene, gaussians, views, options.up, options.bounds)
+    grid = options.grid or _chosen_grid(data, options)
+    regions, assigned = METHODS[options.method](data, grid, options, drop)
     notes = []
     if len(regions) < grid[0] * grid[1]:
-        notes.append(f"{grid[0] * grid[1]} blocks were asked for, there is enough to cut for "
-                     f"{len(regions)}")
+        notes.append(f"{grid[0] * grid[1]} blocks were requested, but the scene can only be cut "
+                     f"into {len(regions)}")
     if options.grid is not None and options.starved == "refuse" and len(regions) > 1:
-        refuse_starved(site, options, grid, regions, sees)
+        refuse_starved(data, options, grid, regions, assigned)
     else:
-        regions, sees, joined = join_starved(site, options, regions, sees)
+        regions, assigned, joined = join_starved(data, options, regions, assigned)
         notes += joined
     return Partition(options.method, tuple(regions),
-                     tuple(site.views[np.flatnonzero(row)] for row in sees),
-                     _dropped(site, regions, sees), tuple(notes))
+                     tuple(data.views[np.flatnonzero(row)] for row in assigned),
+                     _dropped(data, regions, assigned), tuple(notes))
 
 
-def _chosen_grid(site, options):
-    low, high = site.bulk()
+def _chosen_grid(data: PartitionInput, options: PartitionOptions) -> tuple[int, int]:
+    low, high = data.content_box()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
     return choose_grid(options.needed, side[0] / side[1])
 
 
-def _dropped(site, regions, sees):
-    """{index of a view that no block takes: why}."""
-    owner = Cells(regions).at(regions[0].space.to(site.points))
+def _dropped(data: PartitionInput, regions: list[Region], assigned: NDArray[np.bool_]
+             ) -> dict[int, str]:
+    """For each view that is assigned to no block, by its index, the reason."""
+    owner = Cells(regions).at(regions[0].space.to(data.points))
     reasons = {}
-    for view in np.flatnonzero(~sees.any(axis=0)):
-        points = np.bincount(owner[site.point[site.view == view]], minlength=len(regions))
-        reasons[int(site.views[view])] = (
+    for view in np.flatnonzero(~assigned.any(axis=0)):
+        seen = data.observed_points[data.observed_views == view]
+        points = np.bincount(owner[seen], minlength=len(regions))
+        reasons[int(data.views[view])] = (
             f"its {points.sum():,} points lie in {(points > 0).sum()} blocks, at most "
             f"{points.max():,} in one" if points.any() else "it sees no point of the sparse model")
     return reasons

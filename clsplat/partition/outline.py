@@ -1,33 +1,49 @@
 """The outlines of blocks on a map, as polygons and as GeoJSON."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.typing import NDArray
 
-from clsplat.partition.site import world_of
+from clsplat.partition.input import CONTENT_QUANTILES, world_of
 
-STEPS = 48  # along each side of a cell: contracted space bends them
-FAR = 1e-3  # how near to the end of contracted space an endless cell is drawn, before it is clipped
-ROOM = 0.05  # of the extent, around everything, to which endless cells are drawn
-BULK = (0.01, 0.99)  # quantiles of the sparse points that are on the map
+if TYPE_CHECKING:
+    from clsplat.partition.partition import Partition
+    from clsplat.partition.region import Region
+    from clsplat.scene import Scene
+
+SIDE_POINTS = 48  # on each side of a cell in contracted space, where straight sides are curves
+END_DISTANCE = 1e-3  # from the ends of contracted space, where unbounded cells end before clipping
+MARGIN = 0.05  # share of the extent around everything, to which unbounded cells are drawn
 
 
-def extent(partition, scene):
-    """(low float64[2], high float64[2]) along u and v in world units, from the space's origin: what
-    holds the cameras and the sparse points but for outliers."""
+def extent(partition: Partition, scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The low [2] and high [2] end of the map along u and v, world units from the space's origin.
+
+    The map contains all cameras, and the sparse points without outliers.
+    """
     axes, origin = partition.space.rotation[:2], partition.space.origin
     points = (world_of(scene, scene.points) - origin) @ axes.T
     cameras = (world_of(scene, [v.camera.position for v in scene.views]) - origin) @ axes.T
-    ends = np.concatenate([np.quantile(points, BULK, axis=0), cameras])
+    ends = np.concatenate([np.quantile(points, CONTENT_QUANTILES, axis=0), cameras])
     low, high = ends.min(axis=0), ends.max(axis=0)
-    room = ROOM * max((high - low).max(), np.finfo(float).tiny)
-    return low - room, high + room
+    margin = MARGIN * max((high - low).max(), np.finfo(float).tiny)
+    return low - margin, high + margin
 
 
-def outline(region, low, high):
-    """float64[K, 2]: the corners on the map of a Region's outline at the height of its space's
-    origin, clipped to low and high along u and v; K is 0 where nothing is left."""
+def outline(region: Region, low: NDArray[np.float64], high: NDArray[np.float64]
+            ) -> NDArray[np.float64]:
+    """The corners [K, 2] on the map of a Region's outline at the height of its space's origin.
+
+    It is clipped to `low` [2] and `high` [2] along u and v; K is 0 where nothing is left.
+    """
     space = region.space
     if space.contracted:
-        first, last = np.maximum(region.low, FAR)[:2], np.minimum(region.high, 1 - FAR)[:2]
+        first, last = (np.maximum(region.low, END_DISTANCE)[:2],
+                       np.minimum(region.high, 1 - END_DISTANCE)[:2])
         middle = 0.5
     else:
         first = np.maximum(region.low[:2], low / space.half[:2])
@@ -35,7 +51,7 @@ def outline(region, low, high):
         middle = 0.0
     if not (first < last).all():
         return np.zeros((0, 2))
-    step = np.linspace(0, 1, STEPS + 1 if space.contracted else 2)[:-1, None]
+    step = np.linspace(0, 1, SIDE_POINTS + 1 if space.contracted else 2)[:-1, None]
     corners = np.array([first, (last[0], first[1]), last, (first[0], last[1])])
     ring = np.concatenate([a + step * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0))])
     world = space.world(np.column_stack([ring, np.full(len(ring), middle)]))
@@ -43,16 +59,18 @@ def outline(region, low, high):
     return space.map(space.origin + along @ space.rotation[:2])
 
 
-def centroid(ring):
-    """float64[2], the centre of area of a polygon float64[K, 2]."""
-    a = ring - ring[0]  # far from the origin, products of coordinates would lose their digits
+def centroid(ring: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The centroid [2] of a polygon [K, 2]."""
+    a = ring - ring[0]  # far from the origin, products of coordinates would lose digits
     b = np.roll(a, -1, 0)
     cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return ring[0] + cross @ (a + b) / (3 * cross.sum())
+    centre: NDArray[np.float64] = ring[0] + cross @ (a + b) / (3 * cross.sum())
+    return centre
 
 
-def _clipped(polygon, low, high):
-    """The part of a polygon float64[K, 2] inside a rectangle (Sutherland and Hodgman 1974)."""
+def _clipped(polygon: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+             ) -> NDArray[np.float64]:
+    """The part of a polygon [K, 2] inside a rectangle (Sutherland and Hodgman 1974)."""
     for axis in (0, 1):
         for sign, end in ((1, low[axis]), (-1, high[axis])):
             beyond = sign * (polygon[:, axis] - end)  # negative: outside
@@ -66,12 +84,18 @@ def _clipped(polygon, low, high):
     return polygon
 
 
-def geojson(partition, scene, facts=()):
-    """A dict, GeoJSON's FeatureCollection: a polygon a block and a point a camera, on the map.
+def geojson(partition: Partition, scene: Scene, facts: Sequence[dict[str, Any]] = ()
+            ) -> dict[str, Any]:
+    """A GeoJSON FeatureCollection with a polygon for each block and a point for each camera.
 
-    Coordinates are those of `Space.map`, world units, no geographic ones. facts: of each block a
-    dict of more properties, such as its number of gaussians. Endless cells end a little beyond
-    everything else.
+    Coordinates are those of `Space.map`, in world units, not geographic ones. Unbounded cells end
+    a little beyond everything else.
+
+    Parameters
+    ----------
+    partition : the blocks.
+    scene : the whole scene.
+    facts : for each block more properties of its polygon, such as its number of gaussians.
     """
     low, high = extent(partition, scene)
     features = []
@@ -91,6 +115,6 @@ def geojson(partition, scene, facts=()):
     return {"type": "FeatureCollection", "features": features}
 
 
-def _feature(kind, coordinates, properties):
+def _feature(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
     return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates},
             "properties": properties}

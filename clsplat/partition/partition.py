@@ -1,21 +1,35 @@
-"""The result: which block owns which part of the world, and which views each block is given."""
+"""The result: which block owns which part of the world, and which views each block trains on."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.partition.region import Region
 
+if TYPE_CHECKING:
+    from clsplat.partition.region import Space
+
 
 class Cells:
-    """Which of many Regions of one space holds a place. Raises ValueError where two overlap.
+    """A table that tells which of many Regions of one space contains a point.
 
-    edges: the ends of the cells along each axis, ascending; table: int[., ., .], the cell between
-    any two of them, -1 for none.
+    Attributes
+    ----------
+    edges : along each axis the ends of the cells, ascending.
+    table : [edges + 1 along each axis]; the index of the cell between two edges, -1 for none.
+
+    Raises
+    ------
+    ValueError : two regions overlap.
     """
 
-    def __init__(self, regions):
+    def __init__(self, regions: Sequence[Region]) -> None:
         low, high = (np.array([getattr(region, name) for region in regions])
                      for name in ("low", "high"))
         self.edges = [np.unique(ends[np.isfinite(ends)])
@@ -29,8 +43,8 @@ class Cells:
                 raise ValueError(f"blocks {part.max()} and {cell} overlap")
             part[...] = cell
 
-    def at(self, coordinates):
-        """int[N]: the cell of each place [N, 3] of the space; -1 for one that is not finite."""
+    def at(self, coordinates: NDArray[np.float64]) -> NDArray[np.integer]:
+        """The cell [N] at coordinates [N, 3] of the space; -1 where they are not finite."""
         place = tuple(np.searchsorted(e, column, side="right")
                       for e, column in zip(self.edges, coordinates.T))
         return np.where(np.isfinite(coordinates).all(axis=1), self.table[place], -1)
@@ -38,20 +52,28 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """Blocks of one scene. Their cells share a space and fill it, each place once.
+    """The blocks of one scene; their cells fill one space without gaps or overlap.
 
-    method: its name; regions: a Region a block; views: int[K] a block, ascending, indices into
-    scene.views; dropped: {index of a view: why no block takes it}; notes: what else a reader must
-    know, a line each. Raises ValueError where the cells overlap or leave gaps.
+    Attributes
+    ----------
+    method : the name of the method that made it, a key of METHODS.
+    regions : the cell of each block.
+    views : [K] for each block; indices into scene.views, ascending.
+    dropped : for each view that no block is assigned, by its index, the reason.
+    notes : other remarks for the user, one line each.
+
+    Raises
+    ------
+    ValueError : the cells overlap, leave gaps, or belong to different spaces.
     """
 
     method: str
     regions: tuple[Region, ...]
-    views: tuple[np.ndarray, ...]
+    views: tuple[NDArray[np.integer], ...]
     dropped: dict[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not self.regions or len(self.regions) != len(self.views):
             raise ValueError(f"{len(self.regions)} regions and {len(self.views)} lists of views")
         spaces = {id(region.space): region.space.record() for region in self.regions}
@@ -60,26 +82,28 @@ class Partition:
         if (self.cells.table < 0).any():
             raise ValueError("the blocks leave a gap")
 
-    def check_views(self, count):
-        """ValueError where a view is none of `count`."""
+    def check_views(self, count: int) -> None:
+        """Raise ValueError for an index of a view that is not below `count`."""
         for index in (*self.dropped, *(int(i) for views in self.views for i in views)):
             if not 0 <= index < count:
                 raise ValueError(f"view {index} of {count}")
 
     @property
-    def space(self):
+    def space(self) -> Space:
+        """The space of all cells."""
         return self.regions[0].space
 
     @cached_property
-    def cells(self):
+    def cells(self) -> Cells:
+        """The table of the blocks' cells."""
         return Cells(self.regions)
 
-    def owner(self, points):
-        """int[N]: the block of each world point [N, 3]; -1 for one that is not finite."""
+    def owner(self, points: ArrayLike) -> NDArray[np.integer]:
+        """The block [N] that owns each world point [N, 3]; -1 for points that are not finite."""
         return self.cells.at(self.space.to(points))
 
-    def record(self):
-        """A dict for JSON."""
+    def record(self) -> dict[str, Any]:
+        """The partition as a dict for JSON."""
         return {"method": self.method, "space": self.space.record(),
                 "regions": [{key: value for key, value in region.record().items()
                              if key != "space"} for region in self.regions],
@@ -88,8 +112,8 @@ class Partition:
                 "notes": list(self.notes)}
 
     @classmethod
-    def from_record(cls, record):
-        """The Partition of a `record`; ValueError for anything else."""
+    def from_record(cls, record: Any) -> Partition:
+        """The Partition that `record` described; ValueError for anything else."""
         try:
             regions = tuple(Region.from_record({**region, "space": record["space"]})
                             for region in record["regions"])
@@ -99,4 +123,4 @@ class Partition:
                 {int(view): str(why) for view, why in record["dropped"].items()},
                 tuple(str(note) for note in record["notes"]))
         except (KeyError, TypeError, AttributeError, OverflowError) as error:
-            raise ValueError(f"no record of a partition ({error})") from None
+            raise ValueError(f"not a record of a partition ({error})") from None

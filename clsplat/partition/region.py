@@ -1,56 +1,67 @@
 """The part of a scene that a block owns: a cell of a box-like space, and a margin around it."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-ORTHONORMAL = 1e-6  # how far a rotation read from a file may be from one
+ROTATION_TOLERANCE = 1e-6  # largest element of R R^T - I in a rotation that is read from a file
 Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Coordinates in which cells are boxes.
+    """Coordinates in which cells are boxes; the area of interest has coordinates from -1 to 1.
 
-    rotation: float64[3, 3], rows are the axes u, v (along the ground) and up, world frame; origin:
-    float64[3] and half: float64[3], centre and half sides of the area of interest, world units:
-    it has coordinates from -1 to 1. contracted: all of the world is put into [0, 1]^3 instead, the
-    area into [1/4, 3/4]^3, by the inf-norm contraction (Liu et al. 2024, CityGaussian, eq. 2).
-    Raises ValueError for what is no such space.
+    Attributes
+    ----------
+    rotation : [3, 3], world frame; its rows are the axes u, v (along the ground) and up.
+    origin : [3], world units; the centre of the area of interest.
+    half : [3], world units; half the sides of the area of interest.
+    contracted : the whole world lies in [0, 1]^3 instead, and the area of interest in
+        [1/4, 3/4]^3, by the inf-norm contraction (Liu et al. 2024, CityGaussian, eq. 2).
+
+    Raises
+    ------
+    ValueError : the numbers do not describe such a space.
     """
 
-    rotation: np.ndarray
-    origin: np.ndarray
-    half: np.ndarray
+    rotation: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    half: NDArray[np.float64]
     contracted: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, shape in (("rotation", (3, 3)), ("origin", (3,)), ("half", (3,))):
             values = np.array(getattr(self, name), np.float64)
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} is not {'x'.join(map(str, shape))} finite numbers")
             object.__setattr__(self, name, values)
-        if (np.abs(self.rotation @ self.rotation.T - np.eye(3)) > ORTHONORMAL).any():
+        if (np.abs(self.rotation @ self.rotation.T - np.eye(3)) > ROTATION_TOLERANCE).any():
             raise ValueError("rotation is not an orthonormal 3 x 3 matrix")
         if not (self.half > 0).all():
-            raise ValueError("half has a side of no length")
+            raise ValueError("half has a side that is not positive")
 
     @property
-    def bounds(self):
-        """(low, high): the coordinates between which every cell has a finite side."""
+    def bounds(self) -> tuple[float, float]:
+        """The lowest and highest coordinate at which an unbounded cell is cut to get its side."""
         return (0.0, 1.0) if self.contracted else (-1.0, 1.0)
 
-    def to(self, points):
-        """Coordinates float64[N, 3] of world points [N, 3]; nan where a point is not finite."""
+    def to(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Coordinates [N, 3] of world points [N, 3]; nan where a point is not finite."""
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             u = (np.asarray(points, np.float64) - self.origin) @ self.rotation.T / self.half
             if not self.contracted:
                 return np.where(np.isfinite(u), u, np.nan)
             largest = np.maximum(np.abs(u).max(axis=1, keepdims=True), 1)
-            return (2 - 1 / largest) * (u / largest) / 4 + 0.5
+            contracted: NDArray[np.float64] = (2 - 1 / largest) * (u / largest) / 4 + 0.5
+            return contracted
 
-    def world(self, coordinates):
-        """World points float64[N, 3] of coordinates [N, 3]; contracted ones lie within (0, 1)."""
+    def world(self, coordinates: ArrayLike) -> NDArray[np.float64]:
+        """World points [N, 3] of coordinates [N, 3]; contracted ones lie within (0, 1)."""
         u = np.asarray(coordinates, np.float64)
         if self.contracted:
             u = 4 * u - 2
@@ -58,80 +69,102 @@ class Space:
             u = u / largest / (2 - largest)
         return self.origin + u * self.half @ self.rotation
 
-    def map(self, points):
-        """float64[N, 2]: where world points [N, 3] lie on a map. It has the world's x and y where z
-        is up, else those of the world turned by the least angle that makes it so."""
+    def map(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Map coordinates [N, 2], world units, of world points [N, 3].
+
+        Where z is up, these are the world's x and y. Otherwise the world is first rotated by the
+        smallest angle that turns `up` to z.
+        """
         return np.asarray(points, np.float64) @ map_axes(self.rotation[2]).T
 
-    def record(self):
-        """A dict for JSON."""
+    def record(self) -> dict[str, Any]:
+        """The space as a dict for JSON."""
         return {"rotation": self.rotation.tolist(), "origin": self.origin.tolist(),
                 "half": self.half.tolist(), "contracted": self.contracted}
 
     @classmethod
-    def from_record(cls, record):
-        """The Space of a `record`; ValueError for anything else."""
+    def from_record(cls, record: Any) -> Space:
+        """The Space that `record` described; ValueError for anything else."""
         try:
             return cls(**{key: record[key] for key in ("rotation", "origin", "half")},
                        contracted=bool(record["contracted"]))
         except (KeyError, TypeError, OverflowError) as error:
-            raise ValueError(f"no record of a space ({error})") from None
+            raise ValueError(f"not a record of a space ({error})") from None
 
 
-def map_axes(up):
-    """float64[2, 3]: the map's x and y in the world, where `up` (a unit float64[3]) is up."""
+def map_axes(up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The map's x and y axes [2, 3] in the world frame, for a unit vector `up` [3]."""
     halfway = up + Z
     square = halfway @ halfway
-    if square < 1e-24:  # the world stands on its head: turn it about x
+    if square < 1e-24:  # up is -z: rotate half a turn about x
         return np.array([[1.0, 0, 0], [0, -1, 0]])
-    # the least turn of up to z, as two mirrorings
-    return (np.eye(3) - 2 / square * np.outer(halfway, halfway) + 2 * np.outer(Z, up))[:2]
+    # the smallest rotation of up to z, as two reflections
+    rotation: NDArray[np.float64] = (
+        np.eye(3) - 2 / square * np.outer(halfway, halfway) + 2 * np.outer(Z, up))
+    return rotation[:2]
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A cell [low, high) of a Space, float64[3] each, ends may be -inf and inf; margin: by how much
-    of its sides a block trains beyond them. Raises ValueError for what is no cell."""
+    """A cell of a Space, which one block owns.
+
+    Attributes
+    ----------
+    space : the coordinates that `low` and `high` are in.
+    low : [3]; the cell contains these coordinates. -inf where the cell is unbounded.
+    high : [3]; the cell ends below these coordinates. inf where the cell is unbounded.
+    margin : share of each side by which a block trains beyond its cell.
+
+    Raises
+    ------
+    ValueError : the numbers do not describe a cell.
+    """
 
     space: Space
-    low: np.ndarray = field(default_factory=lambda: np.full(3, -np.inf))
-    high: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
+    low: NDArray[np.float64] = field(default_factory=lambda: np.full(3, -np.inf))
+    high: NDArray[np.float64] = field(default_factory=lambda: np.full(3, np.inf))
     margin: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("low", "high"):
             object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
         if not (self.low.shape == self.high.shape == (3,) and (self.low < self.high).all()):
-            raise ValueError("a cell's low is not below its high, three numbers each")
+            raise ValueError("a cell needs three numbers low below three numbers high")
         if not 0 <= self.margin < np.inf:
-            raise ValueError(f"a margin of {self.margin}")
+            raise ValueError(f"a margin of {self.margin} must be finite and at least 0")
 
     @property
-    def side(self):
-        """float64[3]: sides of the cell in its space; endless ones are cut at the space's bounds.
-        """
+    def side(self) -> NDArray[np.float64]:
+        """Sides [3] of the cell in its space; unbounded ones are cut at the space's bounds."""
         low, high = self.space.bounds
-        return np.maximum(np.where(np.isinf(self.high), high, self.high)
-                          - np.where(np.isinf(self.low), low, self.low), 0)
+        side: NDArray[np.float64] = np.maximum(np.where(np.isinf(self.high), high, self.high)
+                                               - np.where(np.isinf(self.low), low, self.low), 0)
+        return side
 
-    def grown(self, margin):
-        """The Region `margin` of its sides larger in every direction, without a margin itself."""
+    def grown(self, margin: float) -> Region:
+        """The Region enlarged by this share of its sides in every direction, without a margin."""
         return Region(self.space, self.low - margin * self.side, self.high + margin * self.side)
 
-    def cut(self, axis, at):
-        """(lower, upper): the two Regions on either side of coordinate `at` along an axis."""
+    def cut(self, axis: int, at: float) -> tuple[Region, Region]:
+        """The two Regions below and above the coordinate `at` along an axis."""
         low, high = self.low.copy(), self.high.copy()
         low[axis] = high[axis] = at
         return (Region(self.space, self.low, high, self.margin),
                 Region(self.space, low, self.high, self.margin))
 
-    def owns(self, points):
-        """bool[N]: which world points [N, 3] the cell holds. None that is not finite."""
+    def owns(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Which world points [N, 3] lie in the cell, as bool[N]; False for those not finite."""
         return self.holds(self.space.to(points))
 
-    def reaches(self, points, spread=0.0):
-        """bool[N]: which world points [N, 3] the cell holds when grown by its margin, and with them
-        what lies `spread` float[N] world units from them along u and v."""
+    def reaches(self, points: ArrayLike, spread: ArrayLike = 0.0) -> NDArray[np.bool_]:
+        """Which points lie in the cell enlarged by its margin, as bool[N].
+
+        Parameters
+        ----------
+        points : [N, 3], world.
+        spread : [N] or one number, world units; points at this distance along u and v must lie in
+            the enlarged cell too.
+        """
         grown, points = self.grown(self.margin), np.asarray(points, np.float64)
         reached = grown.owns(points)
         spread = np.broadcast_to(spread, len(points))
@@ -140,22 +173,24 @@ class Region:
             reached[wide] = grown.owns(points[wide] + spread[wide, None] * step)
         return reached
 
-    def holds(self, coordinates):
-        """bool[N]: as `owns`, of coordinates in the space."""
-        return ((coordinates >= self.low) & (coordinates < self.high)).all(axis=1)
+    def holds(self, coordinates: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which coordinates [N, 3] of the space lie in the cell, as bool[N]."""
+        inside: NDArray[np.bool_] = np.all(
+            (coordinates >= self.low) & (coordinates < self.high), axis=1)
+        return inside
 
-    def record(self):
-        """A dict for JSON; null stands for an end that is not there."""
+    def record(self) -> dict[str, Any]:
+        """The region as a dict for JSON; null stands for an unbounded end."""
         low, high = ([x if np.isfinite(x) else None for x in ends.tolist()]
                      for ends in (self.low, self.high))
         return {"space": self.space.record(), "low": low, "high": high, "margin": self.margin}
 
     @classmethod
-    def from_record(cls, record):
-        """The Region of a `record`; ValueError for anything else."""
+    def from_record(cls, record: Any) -> Region:
+        """The Region that `record` described; ValueError for anything else."""
         try:
             low, high = (np.array([end if x is None else float(x) for x in record[key]])
                          for key, end in (("low", -np.inf), ("high", np.inf)))
             return cls(Space.from_record(record["space"]), low, high, float(record["margin"]))
         except (KeyError, TypeError, OverflowError) as error:
-            raise ValueError(f"no record of a region ({error})") from None
+            raise ValueError(f"not a record of a region ({error})") from None

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
+from clsplat.partition.input import world_of
 from clsplat.partition.outline import centroid, extent, outline
-from clsplat.partition.site import world_of
 from clsplat.report.drawing import clean_look
 from clsplat.report.figures import COLOURS
 

@@ -1,7 +1,7 @@
 """A procedural city photographed by a drone: a scene whose true surfaces are known.
 
-`layout` places blocks, `geometry` holds the solids, `texture` paints them as functions of the
-surface point, `raycast` renders them, `cameras` flies the survey, `tracks` is the ideal
-structure-from-motion, and `write` puts the scene folder together. Everything is Lambertian and
-made from one seed.
+`layout` places the buildings, `geometry` has the solids, `texture` gives their colours as functions
+of the surface point, `raycast` renders them, `cameras` plans the flight, `tracks` stands for an
+ideal structure-from-motion, and `write` writes the scene folder. All surfaces are Lambertian, and
+everything follows from one seed.
 """

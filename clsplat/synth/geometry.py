@@ -1,77 +1,93 @@
 """The solids of a city: a ground plane, boxes that stand on it, and spheres.
 
-World frame: x and y horizontal, z up, ground at z = 0, origin under the middle of the city. One
-unit is about four metres; a block with its street is BLOCK units wide.
+In the world frame x and y are horizontal, z is up, the ground is at z = 0, and the origin is in the
+middle of the city. One unit is about four metres.
 """
+
+from __future__ import annotations
 
 import json
 import operator
 from dataclasses import dataclass
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
 
-BLOCK = 20.0  # distance between the centre lines of neighbouring streets
-STREET = 2.5  # half the width of the carriageway
-PAVEMENT = 0.9  # its width on each side
-LARGEST = 1e15  # world units: squares stay finite
-KINDS = ("building", "plant", "car", "cabin", "trunk")  # what a box is: decides its texture
+BLOCK_WIDTH = 20.0  # distance between the centre lines of neighbouring streets
+STREET = 2.5  # half the width of the road
+PAVEMENT = 0.9  # width of the pavement on each side
+LARGEST_COORDINATE = 1e15  # world units: squares stay finite
+KINDS = ("building", "plant", "car", "cabin", "trunk")  # of boxes, by texture
 
 
 @dataclass(frozen=True, eq=False)
 class City:
-    """Solids in world units.
+    """The solids of a city, in world units.
 
-    blocks: how many along x and y. parks: bool[blocks], blocks without buildings. boxes:
-    float64[B, 2, 3], low and high corners; every box stands on the ground, also those that end on
-    a roof. kinds: int[B], index into KINDS. spheres: float64[S, 4], centre and radius.
+    Attributes
+    ----------
+    seed : the seed it was made from.
+    blocks : the number of blocks along x and y.
+    parks : [blocks along x, along y]; the blocks without buildings.
+    boxes : [B, 2, 3]; low and high corners. Every box stands on the ground, even one on a roof.
+    kinds : [B]; indices into KINDS.
+    spheres : [S, 4]; centre and radius.
     """
 
     seed: int
     blocks: tuple[int, int]
-    parks: np.ndarray
-    boxes: np.ndarray
-    kinds: np.ndarray
-    spheres: np.ndarray
+    parks: NDArray[np.bool_]
+    boxes: NDArray[np.float64]
+    kinds: NDArray[np.integer]
+    spheres: NDArray[np.float64]
 
     @property
-    def extent(self):
-        """float64[2]: the built area reaches from -extent to extent along x and y."""
-        return np.array(self.blocks) * BLOCK / 2 + STREET + PAVEMENT
+    def extent(self) -> NDArray[np.float64]:
+        """Half the size [2] of the built area, which reaches from -extent to extent."""
+        return np.array(self.blocks) * BLOCK_WIDTH / 2 + STREET + PAVEMENT
 
     @property
-    def bounds(self):
-        """float64[B + S, 2, 3]: low and high corners around each box, then each sphere."""
+    def bounds(self) -> NDArray[np.float64]:
+        """Low and high corners [B + S, 2, 3] around each box, then around each sphere."""
         centre, radius = self.spheres[:, :3], self.spheres[:, 3:]
         return np.concatenate([self.boxes, np.stack([centre - radius, centre + radius], axis=1)])
 
 
-def distance(city, points):
-    """Unsigned distance float64[N] of points [N, 3] to the nearest true surface, world units.
+def distance(city: City, points: ArrayLike) -> NDArray[np.float64]:
+    """The unsigned distance [N] of world points [N, 3] to the nearest true surface, world units.
 
-    The city is one solid: ground below z = 0, united with the boxes and spheres. Exact outside it;
-    inside it a lower bound, exact except where solids overlap.
+    The city is one solid, the union of the ground below z = 0, the boxes and the spheres. The
+    distance is exact outside it. Inside, it is a lower bound, exact except where solids overlap.
     """
-    points = np.asarray(points, np.float64)
-    signed = points[:, 2].copy()
+    places = np.asarray(points, np.float64)
+    signed = places[:, 2].copy()
     for low, high in city.boxes:
-        gap = np.maximum(low - points, points - high)
-        gap[:, 2] = points[:, 2] - high[2]  # the underside of a box is no surface
+        gap = np.maximum(low - places, places - high)
+        gap[:, 2] = places[:, 2] - high[2]  # the underside of a box is not a surface
         outside = np.linalg.norm(np.maximum(gap, 0), axis=1)
         np.minimum(signed, outside + np.minimum(gap.max(axis=1), 0), out=signed)
     for x, y, z, radius in city.spheres:
-        np.minimum(signed, np.linalg.norm(points - (x, y, z), axis=1) - radius, out=signed)
+        np.minimum(signed, np.linalg.norm(places - (x, y, z), axis=1) - radius, out=signed)
     return np.abs(signed)
 
 
-def sample(city, count, margin, rng):
-    """`count` points float64[count, 3] drawn from all surfaces in proportion to their area.
+def sample(city: City, count: int, margin: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Points [count, 3] that are sampled uniformly from the area of all surfaces.
 
-    The ground counts up to `margin` units beyond the built area. Parts that overlap inside another
-    solid are included: whether a point is seen is for the ray caster to say.
+    Parts of surfaces inside another solid are included, since the ray caster tells what is visible.
+
+    Parameters
+    ----------
+    city : the solids.
+    count : the number of points.
+    margin : how far the ground reaches beyond the built area, world units.
+    rng : the source of randomness.
     """
     size = city.boxes[:, 1] - city.boxes[:, 0]
     ground = city.extent + margin
@@ -99,8 +115,8 @@ def sample(city, count, margin, rng):
     return points
 
 
-def save(city, path):
-    """Write `geometry.json`, the ground truth of a scene folder."""
+def save(city: City, path: str | PathLike[str]) -> None:
+    """Write a city to `geometry.json`, the ground truth of a scene folder."""
     table = {
         "about": "ground truth: ground plane z = 0, boxes standing on it, spheres; z is up",
         "unit_metres": 4.0,
@@ -117,8 +133,8 @@ def save(city, path):
         file.write((rows + "\n").encode())
 
 
-def load(path):
-    """The City that `save` wrote; InputError where the file is missing or damaged."""
+def load(path: str | PathLike[str]) -> City:
+    """The City that `save` wrote; InputError if the file is missing or damaged."""
     try:
         with open(path, encoding="utf-8") as file:
             table = json.load(file)
@@ -137,9 +153,9 @@ def load(path):
                          "make the scene again") from None
 
 
-def _numbers(table, shape):
-    """`table`, nested lists, as float64 of a shape; ValueError for what is no number of a city."""
+def _numbers(table: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Nested lists as an array of a shape; ValueError if they are not coordinates of a city."""
     numbers = np.array(table, np.float64).reshape(shape)
-    if not (np.abs(numbers) <= LARGEST).all():
-        raise ValueError(f"numbers beyond {LARGEST:g}")
+    if not (np.abs(numbers) <= LARGEST_COORDINATE).all():
+        raise ValueError(f"numbers beyond {LARGEST_COORDINATE:g}")
     return numbers

@@ -1,46 +1,53 @@
 """Where the buildings, trees and cars of a city stand."""
 
+from __future__ import annotations
+
 import numpy as np
+from numpy.typing import NDArray
 
-from clsplat.synth.geometry import BLOCK, KINDS, PAVEMENT, STREET, City
+from clsplat.synth.geometry import BLOCK_WIDTH, KINDS, PAVEMENT, STREET, City
 
-TALLEST = 12.0  # no building is higher, world units
-INNER = BLOCK / 2 - STREET - PAVEMENT  # half the width of the land inside a block's pavement
+TALLEST_BUILDING = 12.0  # world units
+INNER = BLOCK_WIDTH / 2 - STREET - PAVEMENT  # half the width of a block inside its pavement
 
 
-def city(blocks=(2, 2), seed=0):
-    """A City of `blocks` (along x, along y) blocks; the same seed gives the same city."""
+def city(blocks: tuple[int, int] = (2, 2), seed: int = 0) -> City:
+    """A City with this number of blocks along x and y; the same seed gives the same city."""
     builder = _Builder(np.random.default_rng([seed, 1]))
     parks = np.zeros(blocks, bool)
     if parks.size > 1:
         parks.flat[builder.rng.permutation(parks.size)[:max(1, parks.size // 6)]] = True
     for place in np.ndindex(*blocks):
-        centre = (np.array(place) - (np.array(blocks) - 1) / 2) * BLOCK
+        centre = (np.array(place) - (np.array(blocks) - 1) / 2) * BLOCK_WIDTH
         (builder.park if parks[place] else builder.houses)(centre)
         builder.pavement_trees(centre)
     builder.outskirts(blocks)
     for axis in (0, 1):
         for line in range(blocks[axis] + 1):
-            builder.cars(axis, (line - blocks[axis] / 2) * BLOCK, blocks[1 - axis] * BLOCK / 2)
-    # rounded, so that geometry.json holds the very numbers that were rendered
-    return City(seed, tuple(blocks), parks, np.round(np.array(builder.boxes), 3),
+            builder.cars(axis, (line - blocks[axis] / 2) * BLOCK_WIDTH,
+                         blocks[1 - axis] * BLOCK_WIDTH / 2)
+    # rounded, so that geometry.json has exactly the numbers that were rendered
+    return City(seed, blocks, parks, np.round(np.array(builder.boxes), 3),
                 np.array([KINDS.index(kind) for kind in builder.kinds]),
                 np.round(np.array(builder.spheres).reshape(-1, 4), 3))
 
 
 class _Builder:
-    """Collects solids; every method draws from the one generator in a fixed order."""
+    """Collects solids; every method uses the one random generator in a fixed order."""
 
-    def __init__(self, rng):
+    def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
-        self.boxes, self.kinds, self.spheres = [], [], []
+        self.boxes: list[list[list[float]]] = []
+        self.kinds: list[str] = []
+        self.spheres: list[list[float]] = []
 
-    def box(self, kind, centre, half, top):
+    def box(self, kind: str, centre: NDArray[np.float64], half: NDArray[np.float64], top: float
+            ) -> None:
         self.kinds.append(kind)
         self.boxes.append([[*(centre - half), 0.0], [*(centre + half), top]])
 
-    def houses(self, centre):
-        """A block of lots, each with a building or, now and then, a small garden."""
+    def houses(self, centre: NDArray[np.float64]) -> None:
+        """A block of four lots, each with a building or sometimes a small garden."""
         cut = self.rng.uniform(-0.25, 0.25, 3) * INNER
         first = self.rng.integers(0, 2)  # the axis of the cut that crosses the whole block
         gardens = self.rng.permutation(4)[:self.rng.integers(0, 2)]
@@ -57,28 +64,28 @@ class _Builder:
             else:
                 self.building(middle, half * self.rng.uniform(0.8, 1.0, 2))
 
-    def building(self, centre, half):
-        top = self.rng.uniform(3.0, 0.75 * TALLEST)
+    def building(self, centre: NDArray[np.float64], half: NDArray[np.float64]) -> None:
+        top = self.rng.uniform(3.0, 0.75 * TALLEST_BUILDING)
         self.box("building", centre, half, top)
         if top > 5 and self.rng.random() < 0.5:  # a narrower upper part
             half = half * self.rng.uniform(0.5, 0.75, 2)
-            top += self.rng.uniform(1.5, 0.25 * TALLEST)
+            top += self.rng.uniform(1.5, 0.25 * TALLEST_BUILDING)
             self.box("building", centre, half, top)
         for _ in range(self.rng.integers(1, 4)):
             size = np.minimum(self.rng.uniform(0.35, 0.8, 2), half / 3)
             place = centre + self.rng.uniform(-1, 1, 2) * (half - size - 0.5)
             self.box("plant", place, size, top + self.rng.uniform(0.4, 0.9))
 
-    def park(self, centre):
-        placed = []
+    def park(self, centre: NDArray[np.float64]) -> None:
+        placed: list[NDArray[np.float64]] = []
         while len(placed) < 16:
             place = self.rng.uniform(-INNER + 0.8, INNER - 0.8, 2)
-            ring = abs(np.linalg.norm(place) - 0.55 * INNER)  # keep off the path
+            ring = abs(np.linalg.norm(place) - 0.55 * INNER)  # no trees on the path
             if ring > 1.1 and all(np.linalg.norm(place - other) > 1.5 for other in placed):
                 placed.append(place)
                 self.tree(centre + place)
 
-    def pavement_trees(self, centre):
+    def pavement_trees(self, centre: NDArray[np.float64]) -> None:
         for turn in range(4):
             along = np.array([np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2)])
             across = np.array([-along[1], along[0]])
@@ -87,9 +94,9 @@ class _Builder:
                     place = along * step * INNER + across * (INNER + 0.7 * PAVEMENT)
                     self.tree(centre + place, size=0.7)
 
-    def outskirts(self, blocks):
+    def outskirts(self, blocks: tuple[int, int]) -> None:
         """Scattered trees in the fields around, two for each block along the border."""
-        reach = np.array(blocks) * BLOCK / 2
+        reach = np.array(blocks) * BLOCK_WIDTH / 2
         for axis in (0, 1):
             for side in (-1, 1):
                 for _ in range(2 * blocks[1 - axis]):
@@ -97,7 +104,7 @@ class _Builder:
                     place[axis] = side * (reach[axis] + self.rng.uniform(5.5, 14.0))
                     self.tree(place, size=1.2)
 
-    def tree(self, place, size=1.0):
+    def tree(self, place: NDArray[np.float64], size: float = 1.0) -> None:
         """A trunk and a crown of a few overlapping spheres."""
         radius = size * self.rng.uniform(0.75, 1.25)
         height = radius * self.rng.uniform(1.6, 2.1)
@@ -110,12 +117,12 @@ class _Builder:
             self.spheres.append([*(place + offset), height + self.rng.uniform(-0.2, 0.2) * radius,
                                  radius * self.rng.uniform(0.5, 0.65)])
 
-    def cars(self, axis, line, reach):
+    def cars(self, axis: int, line: float, reach: float) -> None:
         """Parked cars on both sides of the street along the other axis at coordinate `line`."""
         for side in (-1, 1):
             for place in np.arange(-reach + 6.5, reach - 5.0, 2.6):
-                if abs((place + reach + BLOCK / 2) % BLOCK - BLOCK / 2) < 5.5:
-                    continue  # keep the crossings free
+                if abs((place + reach + BLOCK_WIDTH / 2) % BLOCK_WIDTH - BLOCK_WIDTH / 2) < 5.5:
+                    continue  # no cars on the crossings
                 if self.rng.random() < 0.35:
                     centre, half = np.empty(2), np.empty(2)
                     centre[axis], centre[1 - axis] = line + side * (STREET - 0.6), place

@@ -1,15 +1,23 @@
 """Colours of the city's surfaces as functions of the surface point: the same from every view.
 
-Edges are ramps of SOFT units and noise has no octave finer than 0.4 units, so that nothing is
+Edges are ramps of EDGE_WIDTH and the finest noise has cells of 0.4 units, so that no detail is
 smaller than a pixel of the default survey (about 0.13 units).
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from clsplat.synth.geometry import BLOCK, KINDS, PAVEMENT, STREET
+from clsplat.synth.geometry import BLOCK_WIDTH, KINDS, PAVEMENT, STREET
 
-SOFT = 0.12
-LATTICE = 32  # noise repeats after this many cells
+if TYPE_CHECKING:
+    from clsplat.synth.geometry import City
+
+EDGE_WIDTH = 0.12  # world units
+LATTICE = 32  # cells after which the noise repeats
 FACADES = np.array([[0.80, 0.68, 0.50], [0.68, 0.36, 0.27], [0.82, 0.79, 0.73], [0.58, 0.54, 0.50],
                     [0.88, 0.72, 0.42], [0.48, 0.58, 0.66], [0.80, 0.56, 0.45], [0.56, 0.65, 0.50]])
 ROOFS = np.array([[0.58, 0.57, 0.55], [0.62, 0.36, 0.27], [0.46, 0.47, 0.50], [0.70, 0.67, 0.60],
@@ -18,46 +26,49 @@ CARS = np.array([[0.80, 0.80, 0.80], [0.20, 0.22, 0.25], [0.70, 0.15, 0.13], [0.
                  [0.55, 0.56, 0.58], [0.85, 0.70, 0.20]])
 
 
-def _below(value, edge):
-    """1 where value < edge, 0 where it is larger, with a ramp SOFT wide between."""
-    return np.clip((edge - value) / SOFT + 0.5, 0, 1)
+def _below(value: NDArray[np.float64], edge: float | NDArray[np.float64]
+           ) -> NDArray[np.float64]:
+    """1 where value < edge and 0 where it is larger, with a ramp of EDGE_WIDTH."""
+    return np.clip((edge - value) / EDGE_WIDTH + 0.5, 0, 1)
 
 
-def _mix(first, second, weight):
+def _mix(first: NDArray[np.float64], second: ArrayLike, weight: NDArray[np.float64]
+         ) -> NDArray[np.float64]:
+    """Linear interpolation from `first` to `second`."""
     return first + (np.asarray(second) - first) * weight[:, None]
 
 
-def _stripes(value, period, share):
+def _stripes(value: NDArray[np.float64], period: float, share: float) -> NDArray[np.float64]:
     """1 on stripes that fill `share` of each `period`, with soft edges."""
     off_centre = np.abs((value / period) % 1 - 0.5) * period
     return _below(off_centre, share * period / 2)
 
 
-def _to_street(coordinate, count):
+def _to_street(coordinate: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Signed distance to the nearest of the count + 1 street centre lines."""
-    line = np.clip(np.round(coordinate / BLOCK + count / 2), 0, count)
-    return coordinate - (line - count / 2) * BLOCK
+    line = np.clip(np.round(coordinate / BLOCK_WIDTH + count / 2), 0, count)
+    return coordinate - (line - count / 2) * BLOCK_WIDTH
 
 
 class Texture:
-    """The paint of one city; `albedo` is a pure function of the surface point."""
+    """The colours of one city; `albedo` is a pure function of the surface point."""
 
-    def __init__(self, city):
+    def __init__(self, city: City) -> None:
         rng = np.random.default_rng([city.seed, 2])
         count = len(city.boxes)
         self.city = city
         self.lattice = rng.random((LATTICE,) * 3)
-        # by turns, so that neighbours differ
+        # in turn, so that neighbouring buildings differ
         turn = np.cumsum(city.kinds == KINDS.index("building")) + rng.integers(0, 40)
         self.facades = FACADES[3 * turn % len(FACADES)] * rng.uniform(0.85, 1.1, (count, 1))
         self.roofs = ROOFS[2 * turn % len(ROOFS)] * rng.uniform(0.85, 1.1, (count, 1))
         self.cars = CARS[rng.integers(0, len(CARS), count)]
-        self.bays = rng.uniform(1.0, 1.6, count)  # wished distance between windows
+        self.bays = rng.uniform(1.0, 1.6, count)  # approximate distance between windows
         self.storeys = rng.uniform(1.0, 1.4, count)
         self.window_share = rng.uniform(0.45, 0.65, (count, 2))
 
-    def noise(self, points, scale):
-        """Value noise float64[N] in 0..1 with cells of `scale` units (Perlin's cubic fade)."""
+    def noise(self, points: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+        """Value noise [N], 0 to 1, with cells of `scale` world units (Perlin's cubic fade)."""
         cell = points / scale
         low = np.floor(cell)
         fade = cell - low
@@ -65,18 +76,22 @@ class Texture:
         low = low.astype(np.int64) % LATTICE
         high = (low + 1) % LATTICE
         x, y, z = fade.T
-        value = 0
+        value = np.zeros(len(points))
         for ix, wx in ((low[:, 0], 1 - x), (high[:, 0], x)):
             for iy, wy in ((low[:, 1], 1 - y), (high[:, 1], y)):
                 for iz, wz in ((low[:, 2], 1 - z), (high[:, 2], z)):
                     value = value + wx * wy * wz * self.lattice[ix, iy, iz]
         return value
 
-    def albedo(self, primitive, points, normals):
-        """Colours float64[N, 3], 0..1, of surface points.
+    def albedo(self, primitive: NDArray[np.integer], points: NDArray[np.float64],
+               normals: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Colours [N, 3], 0 to 1, of surface points.
 
-        primitive: int[N], 0 for the ground, then boxes, then spheres; points, normals:
-        float64[N, 3], world.
+        Parameters
+        ----------
+        primitive : [N]; 0 for the ground, then boxes, then spheres.
+        points : [N, 3], world.
+        normals : [N, 3], world.
         """
         colour = np.empty_like(points)
         boxes = len(self.city.boxes)
@@ -94,9 +109,9 @@ class Texture:
                 colour[on] = paint(primitive[on] - 1, points[on], normals[on])
         return np.clip(colour, 0, 1)
 
-    def _ground(self, points):
+    def _ground(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         city = self.city
-        reach = np.array(city.blocks) * BLOCK / 2
+        reach = np.array(city.blocks) * BLOCK_WIDTH / 2
         coarse, middle, fine = (self.noise(points, scale) for scale in (7.0, 1.7, 0.5))
         x, y = points[:, 0], points[:, 1]
         u, v = _to_street(x, city.blocks[0]), _to_street(y, city.blocks[1])
@@ -107,10 +122,10 @@ class Texture:
         yard = np.array([0.60, 0.57, 0.52]) * (0.82 + 0.18 * middle + 0.12 * fine)[:, None]
         joints = np.maximum(_stripes(x, 1.5, 0.1), _stripes(y, 1.5, 0.1))
         yard = yard * (1 - 0.15 * joints)[:, None]
-        place = np.stack([x, y]) / BLOCK + np.array(city.blocks)[:, None] / 2
+        place = np.stack([x, y]) / BLOCK_WIDTH + np.array(city.blocks)[:, None] / 2
         block = np.clip(np.floor(place).astype(int), 0, np.array(city.blocks)[:, None] - 1)
-        path = np.hypot(*((place - block - 0.5) * BLOCK))
-        path = _below(np.abs(path - 0.55 * (BLOCK / 2 - STREET - PAVEMENT)), 0.6)
+        path = np.hypot(*((place - block - 0.5) * BLOCK_WIDTH))
+        path = _below(np.abs(path - 0.55 * (BLOCK_WIDTH / 2 - STREET - PAVEMENT)), 0.6)
         park = _mix(lawn, [0.72, 0.65, 0.50], path)
         inside = np.where(city.parks[tuple(block)][:, None], park, yard)
         colour = _mix(lawn, inside, _below(built, 0))
@@ -130,7 +145,8 @@ class Texture:
             colour = _mix(colour, [0.85, 0.84, 0.80], np.maximum(dashes, zebra) * road * 0.9)
         return colour
 
-    def _building(self, box, points, normals):
+    def _building(self, box: NDArray[np.integer], points: NDArray[np.float64],
+                  normals: NDArray[np.float64]) -> NDArray[np.float64]:
         low, high = self.city.boxes[box, 0], self.city.boxes[box, 1]
         stain = self.noise(points, 2.3)
         grain = self.noise(points, 0.45)
@@ -141,7 +157,7 @@ class Texture:
         roof = self.roofs[box] * (0.72 + 0.35 * stain + 0.15 * grain)[:, None]
         roof = _mix(roof, np.array([0.80, 0.79, 0.76]), _below(edge, 0.3))
 
-        # facade: whole numbers of bays and storeys, so that no window is cut
+        # facade: a whole number of bays and storeys, so that no window is cut off
         along = np.where(np.abs(normals[:, 0]) > 0.5, 1, 0)
         width = (high - low)[rows, along]
         bay = width / np.maximum(np.round(width / self.bays[box]), 1)
@@ -161,24 +177,28 @@ class Texture:
         wall = wall * (1 - pane[:, None]) + glass * pane[:, None]
         return np.where(normals[:, 2:] > 0.5, roof, wall)
 
-    def _plant(self, box, points, normals):
+    def _plant(self, box: NDArray[np.integer], points: NDArray[np.float64],
+               normals: NDArray[np.float64]) -> NDArray[np.float64]:
         grey = np.array([0.72, 0.73, 0.74]) * (0.8 + 0.25 * self.noise(points, 0.6))[:, None]
         return _mix(grey, [0.35, 0.36, 0.38], 0.7 * _stripes(points[:, 2], 0.5, 0.4)
                     * (normals[:, 2] < 0.5))
 
-    def _car(self, box, points, normals):
+    def _car(self, box: NDArray[np.integer], points: NDArray[np.float64],
+             normals: NDArray[np.float64]) -> NDArray[np.float64]:
         wheels = _below(points[:, 2], 0.14)
         return _mix(self.cars[box], [0.10, 0.10, 0.11], wheels)
 
-    def _cabin(self, box, points, normals):
-        # a cabin follows its car in the list: a painted top over dark glass
+    def _cabin(self, box: NDArray[np.integer], points: NDArray[np.float64],
+               normals: NDArray[np.float64]) -> NDArray[np.float64]:
+        # a cabin follows its car in the list; its top has the car's colour, its sides are glass
         glass = np.array([0.16, 0.19, 0.23])
         return np.where(normals[:, 2:] > 0.5, self.cars[box - 1] * 0.95, glass)
 
-    def _trunk(self, box, points, normals):
+    def _trunk(self, box: NDArray[np.integer], points: NDArray[np.float64],
+               normals: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.array([0.36, 0.27, 0.20]) * (0.8 + 0.4 * self.noise(points, 0.4))[:, None]
 
-    def _leaves(self, points):
+    def _leaves(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         tone = self.noise(points, 5.0)
         clump = self.noise(points, 0.9)
         leaf = self.noise(points, 0.4)

@@ -1,12 +1,17 @@
 """The scene folder of a synthetic city: images, COLMAP model and ground truth."""
 
+from __future__ import annotations
+
 import os
 import re
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.colmap_write import Tracks, write_colmap
@@ -15,38 +20,56 @@ from clsplat.io.images import write_image
 from clsplat.scene import View
 from clsplat.synth import geometry
 from clsplat.synth.cameras import survey
+from clsplat.synth.geometry import City
 from clsplat.synth.layout import city as lay_out
 from clsplat.synth.raycast import render
 from clsplat.synth.texture import Texture
 from clsplat.synth.tracks import observe
 
 GEOMETRY = "geometry.json"
-# what a call writes, and what it leaves where it is killed
+# what a call writes, and what remains when it is killed
 WRITTEN = re.compile(r"(geometry\.json|images/\d+\.jpg|sparse/0/(cameras|images|points3D)\.bin)"
                      r"(\.part)?")
 
 
-def synthesise(folder, blocks=(2, 2), views=32, width=320, height=240, seed=0, progress=None,
-               overwrite=False):
-    """Make a city, photograph it, and write the scene; the same arguments give the same bytes.
+def synthesise(folder: str | os.PathLike[str], blocks: tuple[int, int] = (2, 2), views: int = 32,
+               width: int = 320, height: int = 240, seed: int = 0,
+               progress: Callable[[int, int], object] | None = None, overwrite: bool = False
+               ) -> tuple[int, int, int]:
+    """Make a city, render its photos, and write the scene; the same arguments give the same bytes.
 
-    folder gets images/NNN.jpg, sparse/0 (COLMAP, binary) and geometry.json; it appears whole, when
-    all is written. blocks: along x and y;
-    views: photos in all; width, height: pixels; progress: called as progress(done, views) after
-    each photo. Returns (views, points, observations) written. Raises InputError for numbers out of
-    range and for a folder that holds something else, or an older scene without `overwrite`.
+    Parameters
+    ----------
+    folder : gets images/NNN.jpg, sparse/0 (COLMAP, binary) and geometry.json; it is created as a
+        whole when everything is written.
+    blocks : along x and y.
+    views : the number of photos.
+    width : of a photo, pixels.
+    height : of a photo, pixels.
+    seed : of everything random.
+    progress : called with the numbers of finished photos and of all photos after each photo.
+    overwrite : replace an earlier synthetic scene.
+
+    Returns
+    -------
+    The numbers of views, points and observations.
+
+    Raises
+    ------
+    InputError : a number is out of range, or the folder has other contents or, without `overwrite`,
+        an earlier scene.
     """
     _check(blocks, views, width, height, seed)
     folder = Path(folder)
-    _check_room(folder, overwrite)
+    _check_folder(folder, overwrite)
     city = lay_out(blocks, seed)
     cameras = survey(city, views, width, height, seed)
     points, point, view, pixels = observe(city, cameras, seed)
     if not len(points):
-        raise InputError(f"{folder}: no point is seen in two of {views} views; ask for more views")
+        raise InputError(f"{folder}: no two of {views} views see the same point; use more views")
 
     partial = folder.with_name(folder.name + PARTIAL)
-    _remove(partial)  # what a killed call left
+    _remove(partial)  # the rest of a call that was killed
     try:
         _write(partial, city, cameras, points, Tracks(point, view, pixels), progress)
     except BaseException:
@@ -56,12 +79,13 @@ def synthesise(folder, blocks=(2, 2), views=32, width=320, height=240, seed=0, p
     try:
         os.rename(partial, folder)
     except OSError as error:
-        raise InputError(f"{folder}: cannot take the place of the earlier scene ({error.strerror});"
-                         f" the new one is {partial}") from None
+        raise InputError(f"{folder}: cannot replace the earlier scene ({error.strerror}); the new "
+                         f"one is {partial}, rename it") from None
     return views, len(points), len(point)
 
 
-def _write(folder, city, cameras, points, tracks, progress):
+def _write(folder: Path, city: City, cameras: Sequence[Camera], points: NDArray[np.float64],
+           tracks: Tracks, progress: Callable[[int, int], object] | None) -> None:
     """Write all files of a scene."""
     make_folder(folder / "images")
     geometry.save(city, folder / GEOMETRY)
@@ -72,8 +96,9 @@ def _write(folder, city, cameras, points, tracks, progress):
     for number, camera in enumerate(cameras):
         image = render(texture, camera)
         name = f"{number:0{digits}d}.jpg"
-        photos.append(View(name, camera, folder / "images" / name))
-        write_image(photos[-1].source, image)
+        path = folder / "images" / name
+        photos.append(View(name, camera, path))
+        write_image(path, image)
         rows = tracks.views == number
         column, row = tracks.pixels[rows].astype(int).T
         colours[tracks.points[rows]] += image[row, column]
@@ -84,7 +109,7 @@ def _write(folder, city, cameras, points, tracks, progress):
                  tracks)
 
 
-def _check(blocks, views, width, height, seed):
+def _check(blocks: tuple[int, int], views: int, width: int, height: int, seed: int) -> None:
     limits = (("blocks along x", blocks[0], 1, 64), ("blocks along y", blocks[1], 1, 64),
               ("views", views, 3, 100_000), ("width", width, 16, 16384),
               ("height", height, 16, 16384), ("seed", seed, 0, 2**32 - 1))
@@ -93,17 +118,17 @@ def _check(blocks, views, width, height, seed):
             raise InputError(f"synthetic city: {name} must be from {low} to {high}, got {value}")
 
 
-def _check_room(folder, overwrite):
-    """InputError where a scene cannot be written to `folder`."""
+def _check_folder(folder: Path, overwrite: bool) -> None:
+    """Raise InputError if a scene cannot be written to `folder`."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder for the scene")
     if folder.is_dir() and any(folder.iterdir()):
         if not overwrite:
-            raise InputError(f"{folder}: the folder is not empty; name another, or overwrite it")
+            raise InputError(f"{folder}: the folder is not empty; name another, or use --overwrite")
         if not (folder / GEOMETRY).is_file():
-            raise InputError(f"{folder}: holds no synthetic scene, so it is not overwritten; "
-                             "name another folder")
-        try:  # rather than after all photos are made
+            raise InputError(f"{folder}: does not contain a synthetic scene, so it is not "
+                             "overwritten; name another folder")
+        try:  # now, rather than after all photos are rendered
             probe = folder / (GEOMETRY + PARTIAL)
             probe.touch()
             probe.unlink()
@@ -112,24 +137,24 @@ def _check_room(folder, overwrite):
                              ) from None
         others = sorted(set(_files(folder)) - set(_written(folder)))
         if others:
-            raise InputError(f"{others[0]}: is not of the synthetic scene, so nothing is "
+            raise InputError(f"{others[0]}: is not part of the synthetic scene, so nothing is "
                              "overwritten; move it, or name another folder")
 
 
-def _files(folder):
+def _files(folder: Path) -> list[Path]:
     return [Path(path, name) for path, folders, names in os.walk(folder)
             for name in (*names, *folders) if not os.path.isdir(os.path.join(path, name))
             or os.path.islink(os.path.join(path, name))]
 
 
-def _written(folder):
-    """The files below `folder` that this module wrote: no links, which may lead anywhere."""
+def _written(folder: Path) -> list[Path]:
+    """The files in `folder` that this module wrote, except links, which may lead anywhere."""
     return [path for path in _files(folder) if not path.is_symlink()
             and WRITTEN.fullmatch(path.relative_to(folder).as_posix())]
 
 
-def _remove(folder):
-    """Remove an earlier scene, and the folder if nothing else is in it."""
+def _remove(folder: Path) -> None:
+    """Remove an earlier scene, and the folder if it is empty then."""
     if folder.is_dir():
         remove_files(_written(folder), folder)
         for path in ("images", "sparse/0", "sparse", "."):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
-from clsplat.covisibility.neighbours import adjacent_views, view_spread
+from clsplat.covisibility.source_views import choose_source_views, view_spread
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
 from clsplat.options import AUTO
@@ -154,7 +154,7 @@ def _neighbours(scene, views, options):
     """(indices of adjacent views by view or None, Part)."""
     if options.reproject == "off" or not options.reproject_weight:
         return None, Part("off", "off: not asked for")
-    found = adjacent_views(scene, views)
+    found = choose_source_views(scene, views)
     paired = sum(len(adjacent) > 0 for adjacent in found)
     if paired:
         return found, Part("on", f"on: {paired} of {len(views)} photos have an adjacent one",

@@ -34,7 +34,7 @@ def python(*arguments):
 
 
 def module(monkeypatch, name, **contents):
-    """Put a made-up module in the place of a real one."""
+    """Replace a module by a stub."""
     made = types.ModuleType(name)
     made.__dict__.update(contents)
     monkeypatch.setitem(sys.modules, name, made)
@@ -46,7 +46,7 @@ def module(monkeypatch, name, **contents):
 
 @pytest.fixture
 def calls(monkeypatch):
-    """The modules behind `train`, replaced by ones that note what was asked of them."""
+    """The modules behind `train`, replaced by ones that record how they were called."""
     noted = []
 
     class FakeRun:
@@ -178,7 +178,7 @@ def test_quiet_prints_nothing(calls):
     assert calls[-1][-1] is None
 
 
-def test_resume_takes_the_stored_options(calls):
+def test_resume_uses_the_stored_options(calls):
     result = clsplat_("train", "city", "-o", "run", "--resume", "--checkpoint-every", 10)
     assert result.exit_code == 0, result.output
     assert [call[0] for call in calls] == ["open", "resume"]
@@ -199,7 +199,7 @@ def test_resume_needs_no_scene(calls):
 @pytest.mark.parametrize("choice", [{"schedule": "dash"}, {"preset": "paper", "levels": (2, 1)},
                                     {"time_budget": "10m", "schedule": "constant"}], ids=str)
 def test_a_record_resolves_to_itself(choice):
-    """Whatever a choice set when the run began holds when it goes on."""
+    """What a choice set when the run began stays when it is resumed."""
     options = resolve({}, choice)
     record = json.loads(json.dumps({"scene": "city", **dataclasses.asdict(options)}))
     assert resumed_options(record, {}) == options
@@ -280,7 +280,7 @@ def entry(index, works, **more):
         capabilities=able if works else {}, chosen=works, **more)
 
 
-def test_device_table_explains_what_is_skipped():
+def test_the_device_table_explains_devices_that_do_not_work():
     lines = table([entry(0, False), entry(1, True)]).splitlines()
     assert "does not work" in lines[1] and lines[2].strip() == "why:  does not build"
     assert lines[3].strip() == "cure: reinstall it"
@@ -323,7 +323,7 @@ TOLD = {"loss": 0.25, "gaussians": 12345, "memory_bytes": 3 << 20, "level": 2.5}
 
 
 def logged(tmp_path, iterations, totals, stop_at=0):
-    """The lines of a log that was told of these iterations."""
+    """The lines of a log of these iterations."""
     with open(tmp_path / "log", "w") as log, Progress(stop_at, log) as progress:
         for iteration, total in zip(iterations, totals):
             progress(iteration=iteration, total=total, **TOLD)

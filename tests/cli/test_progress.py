@@ -17,7 +17,7 @@ TOLD = {"loss": 0.1542, "gaussians": 1_229_336, "memory_bytes": 9 << 30, "level"
 
 
 class Clock:
-    """Seconds, as `time.monotonic` tells them."""
+    """Replaces `time.monotonic`."""
 
     def __init__(self, monkeypatch):
         self.now = 0.0
@@ -25,7 +25,7 @@ class Clock:
 
 
 def drawn(columns, report, monkeypatch):
-    """What a terminal of so many columns was sent, split at carriage returns."""
+    """What is sent to a terminal of this width, split at carriage returns."""
     fcntl, pty, termios = (pytest.importorskip(name) for name in ("fcntl", "pty", "termios"))
     try:
         reader, terminal = pty.openpty()
@@ -107,7 +107,7 @@ def test_things_are_counted(monkeypatch):
 
 
 class Failing(io.StringIO):
-    """A stream whose reader has gone away."""
+    """A stream that cannot be written."""
 
     def __init__(self, error):
         super().__init__()
@@ -119,20 +119,20 @@ class Failing(io.StringIO):
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError(), OSError(28, "full"), ValueError("closed")])
-def test_what_cannot_be_written_goes_quiet(error, monkeypatch):
+def test_a_stream_that_cannot_be_written_is_tried_once(error, monkeypatch):
     file = Failing(error)
     with Progress(file=file) as progress:
         steps(progress, Clock(monkeypatch))
     assert file.tried == 1
 
 
-def test_without_standard_error_nothing_is_said(monkeypatch):
+def test_without_standard_error_nothing_is_written(monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
     with Progress() as progress:
         steps(progress, Clock(monkeypatch))
 
 
-def test_letters_that_a_terminal_lacks(monkeypatch):
+def test_characters_that_a_terminal_lacks(monkeypatch):
     raw = io.BytesIO()
     with Progress(file=io.TextIOWrapper(raw, "ascii", write_through=True)) as progress:
         progress.message("Zürich \udcff")

@@ -1,4 +1,4 @@
-"""Drift of brightness: gains of photos are found, what else differs between them is not."""
+"""Exposure drift: gains of photos are measured, other differences between them are not."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,7 @@ def at_pixels(column, line, depth):
 
 
 def a_wall(count, seed=0):
-    """(points, colours, photo) of a wall that shows each point in a pixel of its own."""
+    """Points, colours and photo of a wall, with one pixel for each point."""
     rng = np.random.default_rng(seed)
     line, column = np.divmod(rng.permutation(WIDTH * HEIGHT)[:count], WIDTH)
     colours = rng.integers(40, 160, (count, 3)).astype(np.uint8)
@@ -51,17 +51,17 @@ def measured(gains, points, colours, photo):
                           colours)
 
 
-def test_gains_are_found():
+def test_gains_are_measured():
     gains = some_gains()
     assert measured(gains, *a_wall(500)) == pytest.approx(np.log(gains).std(), rel=0.03)
 
 
 @pytest.mark.parametrize("gain", [0.6, 1.0, 1.3])
-def test_a_gain_common_to_all_photos_is_no_drift(gain):
+def test_a_gain_of_all_photos_is_not_drift(gain):
     assert measured([gain] * 5, *a_wall(500)) == 0
 
 
-def test_the_size_of_the_photo_counts_not_that_of_the_camera():
+def test_photos_may_differ_in_size_from_their_cameras():
     points, colours, photo = a_wall(500)
     gains = some_gains()
     assert measured(gains, points, colours, photo.repeat(2, 1).repeat(3, 2)) \
@@ -83,11 +83,11 @@ def test_hidden_points_do_not_count(monkeypatch):
     aside = replace(aside, camera=replace(aside.camera, translation=np.array([0, 0, 0.5 - DEPTH])))
     views, photos = [a_view(), aside] * 4, [photo, brightened(photo, 0) + np.uint8(20)] * 4
     assert exposure_drift(views, photos, both, of_both) == 0
-    monkeypatch.setattr(drift, "DEEPER", np.inf)
+    monkeypatch.setattr(drift, "OCCLUSION_DEPTH", np.inf)
     assert exposure_drift(views, photos, both, of_both) > DRIFTS
 
 
-def test_points_outside_behind_or_nowhere_do_not_count():
+def test_points_outside_behind_or_not_finite_do_not_count():
     points, colours, photo = a_wall(500)
     strange = np.concatenate([
         points * [-1, -1, -1], np.full((500, 3), np.nan), points * [1, 1, 0],
@@ -111,14 +111,14 @@ def test_a_black_and_a_white_photo_give_a_number():
     assert np.isfinite(drifts) and drifts > DRIFTS
 
 
-def test_the_scatter_of_few_points_is_no_drift():
+def test_the_scatter_of_few_points_is_not_drift():
     """A median of 30 points that scatter by 0.3 is uncertain by 0.07."""
     rng, (points, colours, photo) = np.random.default_rng(3), a_wall(30)
     photos = [brightened(photo, np.exp(rng.normal(0, 0.3, photo.shape[1:]))) for _ in range(300)]
     assert exposure_drift([a_view()] * 300, photos, points, colours) < DRIFTS
 
 
-def test_the_sample_city_has_none_until_its_photos_are_changed():
+def test_the_sample_city_has_no_drift_until_its_photos_are_changed():
     scene = read_scene(CITY)
     views = [replace(view, camera=view.camera.reduced(4)) for view in scene.views]
     photos = list(decoded(views))

@@ -1,4 +1,4 @@
-"""A made-up survey: points strewn over a rectangle, cameras above it, and the same scene moved."""
+"""A made-up survey: points sampled over a rectangle, cameras above it, and the same scene moved."""
 
 from dataclasses import replace
 

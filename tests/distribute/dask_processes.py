@@ -1,4 +1,4 @@
-"""A Dask scheduler and workers as people start them: processes, here on one machine."""
+"""A Dask scheduler and workers as users start them: processes, here on one machine."""
 
 import os
 import signal
@@ -13,7 +13,7 @@ ENDED_SECONDS = 20
 
 
 class DaskProcesses:
-    """Context manager; `address` is the scheduler's, `workers` the processes of workers."""
+    """A context manager; `address` is the scheduler's, `workers` are the workers' processes."""
 
     def __init__(self):
         with socket.socket() as free:
@@ -37,7 +37,7 @@ class DaskProcesses:
                                     "--no-dashboard")
 
     def start_worker(self, *words, device="", resources="device=1"):
-        """One without a nanny, or with what `words` say; device: its CLSPLAT_DEVICE."""
+        """Start a worker, without a nanny unless `words` are given; device: its CLSPLAT_DEVICE."""
         self.workers.append(self._dask(
             "worker", self.address, "--nthreads", "1", "--no-dashboard", "--memory-limit", "0",
             "--local-directory", self._scratch.name, *(words or ["--no-nanny"]),
@@ -46,7 +46,7 @@ class DaskProcesses:
 
     @staticmethod
     def kill(process):
-        """As `kill -9` does; unlike a machine that goes away, it leaves no nanny behind."""
+        """End it as `kill -9` does; unlike a machine that is lost, it leaves no nanny behind."""
         if process.poll() is None:
             process.send_signal(signal.SIGKILL)
         process.wait(ENDED_SECONDS)

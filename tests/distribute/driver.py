@@ -14,7 +14,7 @@ PROGRAM = "tests.distribute.stub_command"
 
 
 def stub_tasks(folder, count, *words):
-    """Tasks of the stub, a folder each."""
+    """Tasks of the stub, each with its folder."""
     return [Task(f"{number:03d}", (str(folder / f"{number:03d}"), *map(str, words)),
                  folder / f"{number:03d}" / stub_command.DONE) for number in range(count)]
 

@@ -1,5 +1,5 @@
-"""In place of `clsplat` in tests of the engine: a "training" of some steps that can be interrupted,
-goes on where it was, and writes down what it lives through.
+"""Stands for `clsplat` in tests of the engine: a "training" of some steps that can be interrupted,
+continues where it stopped, and records its starts and ends.
 
     python -m tests.distribute.stub_command FOLDER [--steps N] [--fail N] [--code N] [--forget]
 
@@ -24,28 +24,28 @@ def main():
     parser.add_argument("--steps", type=int, default=1)
     parser.add_argument("--fail", type=int, default=0)
     parser.add_argument("--code", type=int, default=1)
-    parser.add_argument("--forget", action="store_true", help="to write what says it is done")
-    given = parser.parse_args()
-    folder, state = given.folder, given.folder / STATE
+    parser.add_argument("--forget", action="store_true", help="do not write DONE")
+    options = parser.parse_args()
+    folder, state = options.folder, options.folder / STATE
     seen = [os.environ.get(name, "-") for name in ("CLSPLAT_DEVICE", "POCL_CACHE_DIR")]
     note(folder / STARTS, os.getppid(), *seen)
     if NO_DEVICE in seen:
         sys.exit(2)
-    if len((folder / STARTS).read_text().splitlines()) <= given.fail:
-        print("error: as asked for", file=sys.stderr, flush=True)
-        if given.code < 0:
-            os.kill(os.getpid(), -given.code)
-        sys.exit(given.code)
+    if len((folder / STARTS).read_text().splitlines()) <= options.fail:
+        print("error: as requested", file=sys.stderr, flush=True)
+        if options.code < 0:
+            os.kill(os.getpid(), -options.code)
+        sys.exit(options.code)
     step = int(state.read_text()) if state.exists() else 0
     try:
-        while step < given.steps:
+        while step < options.steps:
             time.sleep(STEP_SECONDS)
             step += 1
-    finally:  # as a training saves its state when it is interrupted; twice, and it does not
+    finally:  # as a training that is interrupted once saves its state
         time.sleep(SAVE_SECONDS)
         state.write_text(str(step))
     note(folder / ENDS)
-    if not given.forget:
+    if not options.forget:
         (folder / DONE).touch()
 
 

@@ -26,19 +26,19 @@ def dask():
 
 
 def at_work(tasks):
-    """Those begun and not ended."""
+    """The tasks that have begun and not ended."""
     return [task for task in tasks if starts(task) and not lines(task, ENDS)]
 
 
 def workers_at_work(dask, tasks):
-    """Processes of the cluster that wait for a child; its parent stands in the last start."""
+    """The workers that wait for a child, which noted its parent at its last start."""
     parents = {int(lines(task, STARTS)[-1].split()[1]) for task in at_work(tasks)}
     return [worker for worker in dask.workers if worker.poll() is None and worker.pid in parents]
 
 
-def tries_told(said):
-    """In all the outcomes that the driver printed."""
-    return sum(map(int, re.findall(r"tries=(\d+)", said)))
+def reported_tries(output):
+    """The sum of tries in the outcomes that the driver printed."""
+    return sum(map(int, re.findall(r"tries=(\d+)", output)))
 
 
 def finished_once(tasks):
@@ -56,11 +56,11 @@ def test_tasks_are_spread_over_workers_and_failures_tried_again(dask, tmp_path):
     assert len({outcome.worker for outcome in outcomes}) == 2  # not the one without a device
     [refused] = run(stub_tasks(tmp_path / "bad", 1, "--fail", 9, "--code", 2),
                     scheduler=dask.address, program=PROGRAM)
-    assert not refused.ok and refused.tries == 1 and "as asked for" in refused.message
+    assert not refused.ok and refused.tries == 1 and "as requested" in refused.message
 
 
 def test_five_workers_are_killed_and_every_task_is_done_once(dask, tmp_path):
-    """Each while it works; a new one comes for it. What was saved is gone on with."""
+    """Each is killed while it works, and replaced; the saved states are continued."""
     tasks = stub_tasks(tmp_path, 5, "--steps", 80)
     for _ in range(2):
         dask.start_worker()
@@ -69,16 +69,16 @@ def test_five_workers_are_killed_and_every_task_is_done_once(dask, tmp_path):
         assert eventually(lambda: workers_at_work(dask, tasks), 60)
         dask.kill(workers_at_work(dask, tasks)[0])
         dask.start_worker()
-    said, errors = parent.communicate(timeout=120)
+    output, errors = parent.communicate(timeout=120)
     assert parent.returncode == 0, errors
     assert finished_once(tasks)
     assert sum(map(starts, tasks)) == len(tasks) + 5
-    assert tries_told(said) == len(tasks) + 5
+    assert reported_tries(output) == len(tasks) + 5
     assert all((task.folder / STATE).read_text() == "80" for task in tasks)
 
 
 def test_a_scheduler_that_is_restarted(dask, tmp_path):
-    """Its workers end with it, as Dask's do, and are started again."""
+    """Its workers end with it, as those of Dask do, and are started again."""
     tasks = stub_tasks(tmp_path, 4, "--steps", 80)
     dask.start_worker()
     parent = driver(tmp_path, 4, 80, 1, dask.address)
@@ -88,10 +88,10 @@ def test_a_scheduler_that_is_restarted(dask, tmp_path):
     assert eventually(lambda: (interrupted.folder / STATE).exists(), 40)  # told to save
     dask.start_scheduler()
     dask.start_worker()
-    said, errors = parent.communicate(timeout=120)
+    output, errors = parent.communicate(timeout=120)
     assert parent.returncode == 0, errors
     assert finished_once(tasks) and starts(interrupted) == 2
-    assert tries_told(said) == len(tasks) + 1  # the new scheduler, too, tells what began
+    assert reported_tries(output) == len(tasks) + 1  # the new scheduler reports what began, too
 
 
 def test_ctrl_c_stops_the_children_of_the_cluster(dask, tmp_path):
@@ -130,7 +130,7 @@ def test_workers_that_declare_no_device(dask, tmp_path):
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
-def test_a_scheduler_that_is_not_there(tmp_path, monkeypatch, address):
+def test_a_scheduler_that_does_not_answer(tmp_path, monkeypatch, address):
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
     with pytest.raises(InputError, match="dask scheduler") as error:
         run(stub_tasks(tmp_path, 1), scheduler=address)
@@ -138,7 +138,7 @@ def test_a_scheduler_that_is_not_there(tmp_path, monkeypatch, address):
 
 
 def test_a_cluster_that_stays_empty(dask, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "PATIENCE_SECONDS", 1)
+    monkeypatch.setattr(cluster, "WAIT_SECONDS", 1)
     with pytest.raises(InputError, match="no worker with a device for 1 s"):
         run(stub_tasks(tmp_path, 1), scheduler=dask.address, program=PROGRAM)
 
@@ -146,7 +146,7 @@ def test_a_cluster_that_stays_empty(dask, tmp_path, monkeypatch):
 def test_a_worker_that_does_not_see_the_folder(dask, tmp_path, caplog, monkeypatch):
     dask.start_worker()
     hidden = stub_tasks(tmp_path, 1)
-    monkeypatch.setattr(cluster, "PATIENCE_SECONDS", 3)
+    monkeypatch.setattr(cluster, "WAIT_SECONDS", 3)
     monkeypatch.setattr(cluster.os, "getcwd", lambda: str(tmp_path / "elsewhere"))
     with pytest.raises(InputError, match="no worker with a device"):
         run(hidden, scheduler=dask.address, program=PROGRAM)

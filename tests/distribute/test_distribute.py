@@ -12,8 +12,8 @@ import pytest
 import clsplat
 from clsplat.distribute import Task, cluster, guarded, run
 from clsplat.distribute.child import LOG
-from clsplat.distribute.ledger import LOSSES, Ledger
-from clsplat.distribute.task import HELD, INTERRUPTED, LOST, Result
+from clsplat.distribute.ledger import MOST_LOSSES, Ledger
+from clsplat.distribute.task import INTERRUPTED, LOCKED, LOST, Result
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.lock import exclusive
 from tests.data.tiny_training import CITY, flags
@@ -39,7 +39,7 @@ def starts(task):
 
 
 def eventually(condition, seconds=20.0):
-    """Wait for it; whether it came."""
+    """Wait until the condition holds; whether it did."""
     deadline = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > deadline:
@@ -71,7 +71,7 @@ def test_in_process_the_tasks_run_in_order_and_once(tmp_path):
     (InputError("no photos: add some"), 1, "no photos: add some"),
     (ValueError("a bug"), 3, "ValueError: a bug"),
     (None, 3, "did not write")])
-def test_in_process_failures_are_told_and_the_others_go_on(tmp_path, error, tries, message):
+def test_in_process_failures_are_reported_and_the_other_tasks_run(tmp_path, error, tries, message):
     def call(task):
         if task.name == "001":
             task.done.touch()
@@ -96,14 +96,14 @@ def test_two_tasks_of_one_name_are_refused(tmp_path):
         run(stub_tasks(tmp_path, 1) * 2)
 
 
-def test_no_workers_are_refused(tmp_path):
-    with pytest.raises(InputError, match="wants 1 to 1024"):
+def test_a_number_of_workers_below_one_is_refused(tmp_path):
+    with pytest.raises(InputError, match="expects 1 to 1024"):
         run(stub_tasks(tmp_path, 1), workers=0)
 
 
-def test_a_worker_that_goes_away_is_no_failure_but_not_for_ever(tmp_path):
+def test_a_task_that_loses_its_worker_is_tried_again_until_the_limit(tmp_path):
     ledger = Ledger(stub_tasks(tmp_path, 1), 0, None)
-    for _ in range(LOSSES):
+    for _ in range(MOST_LOSSES):
         assert not ledger.outcomes
         ledger.settle(ledger.waiting.popleft(), Result(LOST, "it died"))
     assert ledger.in_order()[0].message == "it died" and not ledger.waiting
@@ -112,7 +112,7 @@ def test_a_worker_that_goes_away_is_no_failure_but_not_for_ever(tmp_path):
 # --- in children
 
 
-def test_children_so_many_at_a_time_each_with_its_device_and_cache(tmp_path):
+def test_as_many_children_as_workers_each_with_its_device_and_cache(tmp_path):
     tasks = stub_tasks(tmp_path, 4, "--steps", 8)
     outcomes = run(tasks, workers=2, devices=("0", "gpu"), program=PROGRAM)
     assert all(outcome.ok and outcome.tries == 1 for outcome in outcomes)
@@ -132,7 +132,7 @@ def test_a_child_that_fails_is_tried_again(tmp_path):
 
 
 @pytest.mark.parametrize("code, tries, message", [
-    (1, 2, "as asked for"), (2, 1, "as asked for"), (-signal.SIGSEGV, 2, "SIGSEGV")])
+    (1, 2, "as requested"), (2, 1, "as requested"), (-signal.SIGSEGV, 2, "SIGSEGV")])
 def test_a_child_that_fails_for_good_says_why(tmp_path, code, tries, message):
     words = "--fail", 9, "--code", code
     [outcome] = run(stub_tasks(tmp_path, 1, *words), retries=1, program=PROGRAM)
@@ -143,7 +143,7 @@ def test_a_child_that_fails_for_good_says_why(tmp_path, code, tries, message):
 
 @pytest.mark.parametrize("words, devices, message", [
     (("--forget",), (), "did not write"), ((), (NO_DEVICE,), "it ended with code 2")])
-def test_a_child_that_fails_without_a_word(tmp_path, words, devices, message):
+def test_a_child_that_fails_without_output(tmp_path, words, devices, message):
     [task] = stub_tasks(tmp_path, 1, *words)
     task.folder.mkdir()
     (task.folder / LOG).write_text("what an earlier try said\n")
@@ -152,7 +152,7 @@ def test_a_child_that_fails_without_a_word(tmp_path, words, devices, message):
 
 
 def guarded_child(task, program=PROGRAM):
-    """A child as the engine starts it, and no other knows of it."""
+    """A child as the engine starts it."""
     return subprocess.Popen(
         [sys.executable, "-m", "clsplat.distribute.guarded", str(task.done), program,
          *task.command], stdin=subprocess.PIPE, cwd=ROOT)
@@ -166,12 +166,12 @@ def test_two_children_on_one_task_work_once(tmp_path):
     assert starts(task) == 1 and task.done.exists()
 
 
-def test_a_folder_that_stays_locked_is_told(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(guarded, "PATIENCE_SECONDS", 0.3)
+def test_a_folder_that_stays_locked_is_reported(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(guarded, "LOCK_SECONDS", 0.3)
     monkeypatch.setattr(guarded, "_follow_parent", lambda: None)
     with held_elsewhere(tmp_path) as other, pytest.raises(SystemExit) as ended:
         guarded.main(str(tmp_path / "done"), PROGRAM, str(tmp_path))
-    assert ended.value.code == HELD
+    assert ended.value.code == LOCKED
     assert f"process {other} on" in capsys.readouterr().err
 
 
@@ -184,7 +184,7 @@ def test_a_worker_that_has_another_clsplat_or_not_the_files_is_unfit(tmp_path):
 
 
 def driver(*words, on_interrupt=signal.SIG_DFL):
-    """The engine in a process of its own; jobs of a shell's background ignore Ctrl-C."""
+    """The engine in a new process; background jobs of a shell ignore Ctrl-C."""
     return subprocess.Popen([sys.executable, "-m", "tests.distribute.driver", *map(str, words)],
                             cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                             start_new_session=True,
@@ -198,15 +198,15 @@ def test_children_save_and_end_with_their_parent(tmp_path, number, on_interrupt)
     parent = driver(tmp_path, 3, 9999, 2, on_interrupt=on_interrupt)
     assert eventually(lambda: all(starts(task) for task in tasks[:2]))
     time.sleep(0.3)
-    os.killpg(parent.pid, number)  # as a terminal does: everyone in its foreground
+    os.killpg(parent.pid, number)  # as a terminal does, to all its foreground processes
     said = parent.communicate(timeout=20)[1]
     assert parent.returncode == (2 if number == signal.SIGINT else -number)
     if number == signal.SIGINT:
         assert "Interrupted: stopped, 0 of 3 tasks finished" in said
-        assert "the same command goes on" in said
+        assert "the same command continues" in said
     assert eventually(lambda: all((task.folder / STATE).exists() for task in tasks[:2]))
     with exclusive(tasks[0].folder, 5), exclusive(tasks[1].folder, 5):
-        pass  # nobody is left
+        pass  # no process is left
     steps = int((tasks[0].folder / STATE).read_text())
     assert steps > 0 and starts(tasks[2]) == 0
     again = [Task(task.name, (*task.command[:-1], str(steps + 1)), task.done) for task in tasks[:1]]

@@ -1,4 +1,4 @@
-"""Partitions: what every method must keep, and what a file or a user may say."""
+"""Partitions: what holds for every method, and records and options that are not valid."""
 
 import json
 from dataclasses import replace
@@ -19,20 +19,20 @@ from clsplat.partition import (
     make_partition,
 )
 from clsplat.partition.frame import up_axis
+from clsplat.partition.input import PartitionInput
 from clsplat.partition.region import Region, Space
-from clsplat.partition.site import Site
 from tests.data.fields import cut, field, moved, shuffled, world
 from tests.data.tiny_training import CITY
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
-EVERY = pytest.mark.parametrize("method", METHODS)
+EACH_METHOD = pytest.mark.parametrize("method", METHODS)
 
 
 def same(a, b):
     return len(a.views) == len(b.views) and all(map(np.array_equal, a.views, b.views))
 
 
-@EVERY
+@EACH_METHOD
 @pytest.mark.parametrize("seed", range(4))
 def test_every_place_has_one_owner(method, seed):
     rng = np.random.default_rng(seed)
@@ -49,14 +49,14 @@ def test_every_place_has_one_owner(method, seed):
     assert np.array_equal(owns.argmax(axis=0), partition.owner(points))
 
 
-def test_nobody_owns_what_is_nowhere():
+def test_points_that_are_not_finite_have_no_owner():
     partition = cut(field(), "blockgs")
     assert partition.owner(np.array([[np.nan, 0, 0], [0, np.inf, 0]])).tolist() == [-1, -1]
 
 
-@EVERY
+@EACH_METHOD
 @pytest.mark.parametrize("tracks", [True, False])
-def test_the_same_wherever_the_scene_lies(method, tracks):
+def test_a_moved_scene_is_cut_the_same(method, tracks):
     for seed in range(3):
         scene = field(seed, points=1500, cameras=40, tracks=tracks)
         turn = Rotation.random(random_state=seed).as_matrix()
@@ -66,9 +66,9 @@ def test_the_same_wherever_the_scene_lies(method, tracks):
         assert np.array_equal(first.owner(world(scene)), second.owner(world(other)))
 
 
-@EVERY
+@EACH_METHOD
 @pytest.mark.parametrize("tracks", [True, False])
-def test_the_order_of_points_says_nothing(method, tracks):
+def test_the_order_of_points_does_not_matter(method, tracks):
     scene = field(points=1500, cameras=40, tracks=tracks)
     order = np.random.default_rng(1).permutation(len(scene.points))
     other = shuffled(scene, order)
@@ -77,8 +77,8 @@ def test_the_order_of_points_says_nothing(method, tracks):
     assert np.array_equal(first.owner(world(scene))[order], second.owner(world(other)))
 
 
-@EVERY
-def test_gaussians_that_are_nowhere_count_nowhere(method):
+@EACH_METHOD
+def test_gaussians_that_are_not_finite_do_not_count(method):
     scene = field()
     positions = scene.points.astype(np.float32)
     lost = np.where(np.arange(len(positions))[:, None] % 3 == 0, np.nan, positions)
@@ -87,7 +87,7 @@ def test_gaussians_that_are_nowhere_count_nowhere(method):
     assert same(gone, kept) and gone.record() == kept.record()
 
 
-@EVERY
+@EACH_METHOD
 def test_a_street_without_width_can_be_cut(method):
     scene = field(tracks=False)
     scene = replace(scene, points=scene.points * [1, 0, 0])
@@ -97,16 +97,16 @@ def test_a_street_without_width_can_be_cut(method):
     assert len(content) == 3 and (method == "vastgs" or content.min() > 0.7 * content.mean())
 
 
-def test_up_is_not_tipped_by_points_far_away():
+def test_up_does_not_depend_on_points_far_away():
     rng = np.random.default_rng(0)
-    rolled = Rotation.random(60, random_state=1).as_matrix()  # cameras that say nothing of it
-    rolled[:, 2] = [0, 0, -1] + 0.01 * rng.normal(size=(60, 3))  # but where they look
+    rolled = Rotation.random(60, random_state=1).as_matrix()  # cameras that do not show up
+    rolled[:, 2] = [0, 0, -1] + 0.01 * rng.normal(size=(60, 3))  # except by their viewing direction
     points = np.concatenate([field().points, [0, 300, 200] + rng.normal(0, 5, (100, 3))])
     assert up_axis(rolled, points)[2] > 0.999
 
 
-@EVERY
-def test_every_view_is_taken_or_named(method):
+@EACH_METHOD
+def test_every_view_is_assigned_or_listed_as_dropped(method):
     for seed in range(3):
         scene = field(seed, points=1500, cameras=50)
         training = np.flatnonzero(np.arange(50) % 8)
@@ -117,14 +117,14 @@ def test_every_view_is_taken_or_named(method):
         assert all(np.array_equal(v, np.unique(v)) for v in partition.views)
 
 
-@EVERY
+@EACH_METHOD
 def test_a_starved_block_is_refused_or_joined(method):
     scene = field(cameras=24)
-    wants = {"least_views": 6, "least_gaussians": 150}
+    needs = {"least_views": 6, "least_gaussians": 150}
     with pytest.raises(InputError, match=r"field: block \d+ .*of the 6x5 grid is starved: .* "
-                                         r"gaussians and \d+ views, wants 150 and 6; use a small"):
-        cut(scene, method, (6, 5), **wants)
-    partition = cut(scene, method, (6, 5), starved="join", **wants)
+                                         r"gaussians and \d+ views, it needs 150 and 6; use a sma"):
+        cut(scene, method, (6, 5), **needs)
+    partition = cut(scene, method, (6, 5), starved="join", **needs)
     content = np.bincount(partition.owner(world(scene)), minlength=len(partition.regions))
     stay = [note for note in partition.notes if "stays starved" in note]
     poor = [b for b, views in enumerate(partition.views) if len(views) < 6 or content[b] < 150]
@@ -132,25 +132,25 @@ def test_a_starved_block_is_refused_or_joined(method):
     cells = 30
     if method == "vastgs":  # 4 cameras a strip
         cells = 24
-        assert partition.notes[0].startswith("30 blocks were asked for, there is enough to cut for")
+        assert partition.notes[0].startswith("30 blocks were requested, but the scene can only")
         partition = replace(partition, notes=partition.notes[1:])
     assert len(partition.notes) - len(stay) == cells - len(partition.regions)
 
 
-def test_a_chosen_grid_joins_what_it_starves():
+def test_a_chosen_grid_joins_starved_blocks():
     scene = field(cameras=24)
     partition = cut(scene, "vastgs", None, limit=100, expected=2000, least_views=6)
     assert 1 < len(partition.regions) < 20 and partition.notes
 
 
 @pytest.mark.parametrize("changes, cause", [
-    ({"method": "quadtree"}, "--method quadtree: wants one of citygs"),
+    ({"method": "quadtree"}, "--method quadtree: expects one of citygs"),
     ({"grid": (0, 2)}, "--grid 0x2"),
     ({"up": (0, 0, 0)}, "--up"),
     ({"up": (0, 1)}, "--up"),
     ({"up": (0, np.nan, 1)}, "--up"),
-    ({"bounds": (1, 0, 1, 5)}, "--bounds: wants X0 Y0"),
-    ({"bounds": (0, 0, np.inf, 5)}, "--bounds: wants X0 Y0"),
+    ({"bounds": (1, 0, 1, 5)}, "--bounds: expects X0 Y0"),
+    ({"bounds": (0, 0, np.inf, 5)}, "--bounds: expects X0 Y0"),
     ({"bounds": (500, 500, 600, 600)}, r"field: no points within the bounds 500 500 600 600"),
 ])
 def test_bad_input_is_one_line(changes, cause):
@@ -161,18 +161,18 @@ def test_bad_input_is_one_line(changes, cause):
 
 def test_a_scene_in_which_nothing_is_seen_is_refused():
     scene = replace(field(), observations=np.zeros((0, 2), np.int32))
-    with pytest.raises(InputError, match="nothing to share out"):
+    with pytest.raises(InputError, match="nothing to divide among blocks"):
         make_partition(scene, PartitionOptions())
 
 
-@EVERY
+@EACH_METHOD
 def test_bounds_are_along_the_map(method):
     scene = field()
     partition = cut(scene, method, (2, 2), bounds=(-20, -10, 5, 10), up=(0, 0, 2))
     assert np.array_equal(partition.space.rotation, np.eye(3))
     assert partition.space.origin[:2].tolist() == [-7.5, 0]
     assert partition.space.half[:2].tolist() == [12.5, 10]
-    if method == "blockgs":  # what lies outside is owned, but does not count
+    if method == "blockgs":  # content outside has an owner, but does not count
         inside = (np.abs(scene.points[:, :2] - [-7.5, 0]) < [12.5, 10]).all(axis=1)
         seen = np.bincount(scene.observations[:, 0], minlength=len(scene.points)) * inside
         content = np.bincount(partition.owner(scene.points), seen)
@@ -186,12 +186,12 @@ def test_the_chosen_grid_counts_margins():
     assert sizes == [4, 8]
     assert len(cut(scene, "blockgs", None).regions) == 1
     needed = dict(limit=100, expected=400, margin=0.0)
-    for least, blocks in ((2, 4), (6, 6)):  # one a worker, or as many as are needed
+    for least, blocks in ((2, 4), (6, 6)):  # one for each worker, or as many as are needed
         assert len(cut(scene, "blockgs", None, least_blocks=least, **needed).regions) == blocks
         assert len(cut(scene, "blockgs", None, least_blocks=least).regions) == least
 
 
-@EVERY
+@EACH_METHOD
 def test_records_are_exact(method):
     partition = cut(field(), method, (3, 3))
     text = json.dumps(partition.record(), allow_nan=False)
@@ -212,10 +212,10 @@ def damaged(change):
     (lambda r: (r["regions"].pop(), r["views"].pop()), "gap"),
     (lambda r: r["regions"][1].update(low=r["regions"][0]["low"]), "blocks 0 and 1 overlap"),
     (lambda r: r["regions"].clear(), "0 regions"),
-    (lambda r: r.pop("space"), "no record of a partition"),
+    (lambda r: r.pop("space"), "not a record of a partition"),
     (lambda r: r.update(views=[["x"]] * 6), "invalid literal"),
-    (lambda r: r.update(dropped=[]), "no record of a partition"),
-    (lambda r: r["regions"][0].pop("low"), "no record of a region")])
+    (lambda r: r.update(dropped=[]), "not a record of a partition"),
+    (lambda r: r["regions"][0].pop("low"), "not a record of a region")])
 def test_a_damaged_record_is_refused(change, cause):
     with pytest.raises(ValueError, match=cause):
         Partition.from_record(damaged(change))
@@ -228,7 +228,7 @@ def test_blocks_of_different_spaces_are_refused():
         Partition("citygs", (left, right), (np.arange(2),) * 2)
 
 
-@EVERY
+@EACH_METHOD
 def test_geojson_tiles_the_map(method):
     scene = field(cameras=20)
     partition = cut(scene, method, (3, 3), views=np.arange(1, 20))
@@ -260,28 +260,28 @@ def photographed(request):
     return request.param, read_scene(folder)
 
 
-def test_real_scenes_are_framed_alone(photographed):
+def test_axes_and_extent_of_real_scenes(photographed):
     name, scene = photographed
-    site = Site.of(scene)
-    up = site.rotation[2]
+    data = PartitionInput.of(scene)
+    up = data.rotation[2]
     tops = -np.mean([v.camera.rotation[1] for v in scene.views], axis=0)
     away = -np.mean([v.camera.rotation[2] for v in scene.views], axis=0)
     expected, least = {"city": (np.array([0, 0, 1]), 0.9999), "caliterra": (away, 0.98),
                        "boruszyn": (away, 0.95), "lund": (tops, 0.99)}[name]
     assert up @ expected / np.linalg.norm(expected) > least
-    along = (site.points - np.median(site.points, axis=0)) @ site.rotation.T
+    along = (data.points - np.median(data.points, axis=0)) @ data.rotation.T
     low, high = np.percentile(along, (5, 95), axis=0)
     if name != "lund":  # a street has walls; the ground from above is flat
         assert (high - low)[2] < 0.25 * (high - low)[:2].min()
-    low, high = site.bulk()
-    cameras = site.cameras @ site.rotation.T
+    low, high = data.content_box()
+    cameras = data.cameras @ data.rotation.T
     assert (high - low)[0] >= (high - low)[1]
     assert ((cameras > low) & (cameras < high))[:, :2].all(axis=1).mean() > 0.6
     assert (high - low)[0] < 1.3 * np.ptp(np.percentile(along, (1, 99), axis=0)[:, 0])
 
 
-@EVERY
-def test_real_scenes_are_shared_out(photographed, method):
+@EACH_METHOD
+def test_real_scenes_are_divided_evenly(photographed, method):
     name, scene = photographed
     grid = (2, 1) if name == "lund" else (2, 2)
     partition = make_partition(scene, PartitionOptions(method=method, grid=grid, margin=0.05))
@@ -290,5 +290,5 @@ def test_real_scenes_are_shared_out(photographed, method):
     assert content.max() < {"citygs": 1.6, "blockgs": 1.5, "vastgs": 6}[method] * content.min()
     taken = [len(views) for views in partition.views]
     assert min(taken) >= 8
-    if name in ("city", "caliterra"):  # the others' views see all of it at a glance
+    if name in ("city", "caliterra"):  # in the others, every view sees all of the scene
         assert max(taken) < 0.9 * len(scene.views)

@@ -1,4 +1,4 @@
-"""What each method of partition is for: where it cuts, and to whom it gives which view."""
+"""Each partition method: where it cuts, and which views it assigns to which block."""
 
 from dataclasses import replace
 
@@ -7,8 +7,8 @@ import pytest
 
 from clsplat.gaussians import Gaussians
 from clsplat.partition.grid import best_cut, choose_grid
+from clsplat.partition.input import PartitionInput
 from clsplat.partition.region import Region, Space
-from clsplat.partition.site import Site
 from clsplat.partition.vastgs import _box, _meet, _rays
 from tests.data.fields import SIDES, cut, field, moved, world
 
@@ -36,7 +36,7 @@ def test_a_view_without_points_says_so():
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 8, 16])
-def test_blockgs_shares_content_evenly(count):
+def test_blockgs_divides_content_evenly(count):
     for seed in range(3):
         scene = field(seed)
         seen = np.bincount(scene.observations[:, 0], minlength=len(scene.points))
@@ -54,7 +54,7 @@ def test_blockgs_cuts_the_longer_side():
     assert abs(partition.space.rotation[0, 0]) > 0.9  # the rectangle lies along x
 
 
-def test_blockgs_gives_a_view_of_the_margin_to_both_sides():
+def test_blockgs_assigns_a_view_of_the_margin_to_both_sides():
     scene = field()
     lower = cut(scene, "blockgs", (2, 1), margin=0.1).regions[0]
     u = lower.space.to(scene.points)[:, 0] - lower.high[0]
@@ -62,13 +62,13 @@ def test_blockgs_gives_a_view_of_the_margin_to_both_sides():
     rows = scene.observations[scene.observations[:, 1] > 0]
     seen = np.column_stack([beyond, np.zeros(len(beyond), int)])
     scene = replace(scene, observations=np.concatenate([rows, seen]).astype(np.int32))
-    for margin, takers in ((0.1, [True, True]), (0.0, [False, True])):
+    for margin, expected in ((0.1, [True, True]), (0.0, [False, True])):
         partition = cut(scene, "blockgs", (2, 1), margin=margin)
-        assert [0 in views for views in partition.views] == takers
+        assert [0 in views for views in partition.views] == expected
 
 
 @pytest.mark.parametrize("grid", [(2, 2), (3, 2), (4, 3)])
-def test_vastgs_shares_cameras_evenly(grid):
+def test_vastgs_divides_cameras_evenly(grid):
     for seed in range(3):
         scene = field(seed)
         partition = cut(scene, "vastgs", grid)
@@ -76,7 +76,7 @@ def test_vastgs_shares_cameras_evenly(grid):
         assert len(cameras) == grid[0] * grid[1] and np.ptp(cameras) <= 2
 
 
-def test_citygs_shares_an_even_field_evenly():
+def test_citygs_divides_a_uniform_field_evenly():
     rng = np.random.default_rng(0)
     scene = field()
     points = np.column_stack([rng.uniform(-1, 1, (8000, 2)) * SIDES, rng.uniform(0, 1, 8000)])
@@ -91,7 +91,7 @@ def test_citygs_shares_an_even_field_evenly():
     assert content.max() < 1.6 * content.min()
 
 
-def test_citygs_gives_a_view_to_where_it_stands_and_to_what_it_misses():
+def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows():
     scene = field(tracks=False)
     gaussians = Gaussians({"positions": scene.points.astype(np.float32)}, 0)
     calls = []
@@ -103,22 +103,22 @@ def test_citygs_gives_a_view_to_where_it_stands_and_to_what_it_misses():
     training = np.arange(1, 60)
     partition = cut(scene, "citygs", gaussians=gaussians, drop=drop, views=training)
     home = partition.owner([v.camera.position for v in scene.views])
-    asked = {}
+    rendered = {}
     for view, keep in calls:
         assert 0 < (~keep).sum() < len(keep)
-        asked.setdefault(view, []).append(keep)
+        rendered.setdefault(view, []).append(keep)
     assert [view for view, _ in calls] == sorted(view for view, _ in calls)  # one full render each
-    assert set(asked) <= set(training.tolist())
+    assert set(rendered) <= set(training.tolist())
     own = partition.owner(scene.points)
     for view in training:
         blocks = {b for b, views in enumerate(partition.views) if view in views}
-        left_out = {int(np.bincount(own[~keep]).argmax()) for keep in asked.get(int(view), [])}
+        left_out = {int(np.bincount(own[~keep]).argmax()) for keep in rendered.get(int(view), [])}
         assert home[view] not in left_out
         assert blocks == {int(home[view])} | (left_out if view % 3 == 0 else set())
-    assert any(len(keeps) > 1 for keeps in asked.values())
+    assert any(len(keeps) > 1 for keeps in rendered.values())
 
 
-def test_citygs_grows_poor_cells_for_the_test_only():
+def test_citygs_enlarges_cells_with_little_content_for_the_test_only():
     points = np.random.default_rng(0).normal(0, 1, (4000, 3)) * [*SIDES / 2, 0.3]
     gaussians = Gaussians({"positions": points.astype(np.float32)}, 0)
     scene, smallest = replace(field(), points=points, observations=None), []
@@ -136,9 +136,9 @@ def test_citygs_does_not_render_what_is_out_of_sight():
     scene, calls = field(cameras=20), {}
     for where in (scene, moved(scene, np.eye(3), 0.1, np.array([70.0, 0, 0]))):
         gaussians = Gaussians({"positions": where.points.astype(np.float32)}, 0)
-        asked = calls[where.unit] = []
+        rendered = calls[where.unit] = []
         cut(where, "citygs", (5, 3), gaussians=gaussians,
-            drop=lambda view, keep, asked=asked: asked.append(view) or 0)
+            drop=lambda view, keep, rendered=rendered: rendered.append(view) or 0)
     assert 0 < len(calls[1.0]) < 0.6 * 20 * 14
     assert calls[1.0] == calls[2.5]
 
@@ -161,23 +161,23 @@ def looking_down(height):
     (((-9, -9, 3), (9, 9, 4)), 0),  # behind it
     (((5, -1, 0), (6, 1, 1)), 0)])
 def test_vastgs_measures_the_share_of_an_image(box, share):
-    site = Site.of(replace(field(), views=(looking_down(2.0), *field().views[1:])))
+    data = PartitionInput.of(replace(field(), views=(looking_down(2.0), *field().views[1:])))
     space = Space(np.eye(3), np.zeros(3), np.ones(3))
-    origin, rays = _rays(site, space, 0, site.scene.views[0].camera)
+    origin, rays = _rays(data, space, 0, data.scene.views[0].camera)
     assert _meet(origin, rays, np.array([box], float)).mean() == pytest.approx(share, abs=0.01)
 
 
-def test_vastgs_looks_for_a_cell_from_its_ground_to_its_highest_point():
+def test_vastgs_measures_a_cell_from_its_ground_to_its_highest_point():
     space = Space(np.eye(3), np.zeros(3), np.ones(3))
     lower, _ = Region(space).cut(0, 0.25)
     content = np.random.default_rng(0).uniform([-1, -1, 0.2], [0.25, 1, 0.6], (2000, 3))
-    content = np.concatenate([content, [[0, 0, 50]], [[0.5, 0, 0.9]] * 500])  # a bird; next door
+    content = np.concatenate([content, [[0, 0, 50]], [[0.5, 0, 0.9]] * 500])  # outlier; next cell
     low, high = _box(lower, content, np.ones(len(content)))
     assert low == pytest.approx([-1, -1, 0.2], abs=0.01)
     assert high == pytest.approx([0.25, 1, 0.6], abs=0.01)
 
 
-def test_vastgs_takes_views_by_what_they_show():
+def test_vastgs_assigns_views_by_what_they_show():
     scene = field(cameras=60)
     partition = cut(scene, "vastgs", (2, 1))
     border = partition.regions[0].high[0]

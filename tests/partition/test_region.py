@@ -1,4 +1,4 @@
-"""Spaces and regions: who owns a point, how far a margin goes, and what a file may say."""
+"""Spaces and regions: which cell owns a point, how far a margin reaches, and records in files."""
 
 import json
 
@@ -42,7 +42,7 @@ def test_contraction_by_hand(along, expected):
 
 
 @pytest.mark.parametrize("contracted", [False, True])
-def test_world_is_the_way_back(contracted):
+def test_world_is_the_inverse_of_to(contracted):
     where = space(contracted, origin=UTM)
     points = UTM + RNG.normal(0, 20, (500, 3))
     assert np.abs(where.world(where.to(points)) - points).max() < 1e-7
@@ -58,7 +58,7 @@ def test_a_border_belongs_to_the_upper_cell(contracted):
 
 
 @pytest.mark.parametrize("contracted", [False, True])
-def test_nobody_owns_what_is_nowhere(contracted):
+def test_points_that_are_not_finite_have_no_owner(contracted):
     points = np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0, -np.inf, np.inf], [-np.inf, 0, 0]])
     diagonal = np.linalg.qr([[1.0, 1, 0], [1, 0, 1], [1, 0, 0]])[0]  # x is along all three axes
     diagonal *= np.sign(diagonal[:, :1])
@@ -82,7 +82,7 @@ def test_a_margin_is_a_share_of_each_side():
     assert not cell.owns(np.array(inside)).all()
 
 
-def test_a_cell_reaches_all_that_is_near_it():
+def test_a_cell_reaches_all_points_within_its_margin():
     for seed in range(20):
         where = space(contracted=seed % 2 == 1, seed=seed)
         rng = np.random.default_rng(seed)
@@ -95,7 +95,7 @@ def test_a_cell_reaches_all_that_is_near_it():
         assert (cell.reaches(points) == (away < 0.3 * 0.2)).all()
 
 
-def test_a_cell_reaches_what_lies_in_it_with_all_that_is_beside_it():
+def test_a_cell_reaches_points_whose_spread_lies_in_it():
     turned = Rotation.from_euler("z", 90, degrees=True).as_matrix()  # u is the world's y, v its -x
     cell = Region(Space(turned, UTM, np.array([10.0, 10, 10])), (-0.5, -np.inf, -np.inf),
                   (0.5, np.inf, np.inf), 0.2)  # |u| < 0.7 with the margin; v has no end
@@ -149,6 +149,6 @@ def test_a_damaged_record_is_refused(change):
 @pytest.mark.parametrize("change", [
     {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}, {"rotation": [1, 0, 0]}, {"half": [1, 0, 1]},
     {"half": [1, -1, 1]}, {"origin": [0, 0]}, {"origin": [0, 0, float("inf")]}, {"half": "no"}])
-def test_a_space_that_is_none_is_refused(change):
+def test_a_record_that_is_not_a_space_is_refused(change):
     with pytest.raises(ValueError):
         Space.from_record({**space().record(), **change})

@@ -1,4 +1,4 @@
-"""The synthetic city: its truth is true, its model is one COLMAP reads, and it repeats."""
+"""The synthetic city: correct ground truth, a model that COLMAP reads, the same bytes again."""
 
 import numpy as np
 import pycolmap
@@ -12,7 +12,7 @@ from clsplat.synth import geometry, raycast
 from clsplat.synth.cameras import looking, survey
 from clsplat.synth.geometry import City, distance
 from clsplat.synth.layout import city as lay_out
-from clsplat.synth.tracks import MARGIN, observe
+from clsplat.synth.tracks import GROUND_MARGIN, observe
 from clsplat.synth.write import synthesise
 
 TINY = {"blocks": (1, 1), "views": 6, "width": 48, "height": 36, "seed": 3}
@@ -72,7 +72,7 @@ def test_samples_lie_on_surfaces_in_proportion_to_area(solids):
     ((3, -16, 21), (0.1, 0.7, -1)),  # from above
     ((2, -11, 2), (-1, -0.2, -0.1)),  # down a street: solids behind, beside and across its plane
     ((9.5, 2, 1.5), (0.1, 1, 0.1))])
-def test_culling_drops_no_hit(position, forward):
+def test_culling_does_not_lose_hits(position, forward):
     city = lay_out((2, 2), 1)
     camera = looking(np.array(position, float), np.array(forward, float), np.array([0, 0, 1.0]),
                      40, 30)
@@ -94,7 +94,7 @@ def test_culling_drops_no_hit(position, forward):
 
 def test_a_wall_that_passes_beside_the_camera_is_seen(solids):
     camera = looking(np.array([2, -1, 2.0]), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), 40, 30)
-    # all but the first project beyond every corner that lies before the camera
+    # all but the first project beyond every corner in front of the camera
     wall = np.array([[3.5, 0, 2], [2.8, 0, 4.8], [2.3, 0, 3]])
     met, primitive = raycast.cast(solids, camera, camera.project(wall)[0])
     assert primitive.tolist() == [1, 1, 1]
@@ -125,14 +125,14 @@ def test_tracks_reproject_within_noise_and_are_not_hidden(observed):
         projected, _ = camera.project(points[point[rows]])
         error = np.linalg.norm(projected - pixels[rows], axis=1)
         assert 0.2 < error.mean() < 0.8 and error.max() < 3.5
-        # what the camera meets there is the point, but for those that noise moves past an edge
+        # the camera sees the point there, except where noise moves it past an edge
         met, _ = raycast.cast(city, camera, projected)
         assert (np.linalg.norm(met - points[point[rows]], axis=1) < 1).mean() > 0.93
 
 
 def test_density_is_lower_at_the_border(observed):
     city, _, points, *_ = observed
-    reach = np.abs(points[:, :2] / (city.extent + MARGIN)).max(axis=1)
+    reach = np.abs(points[:, :2] / (city.extent + GROUND_MARGIN)).max(axis=1)
     on_ground = points[:, 2] < 0.2
     ring = (reach > 0.9) & on_ground
     density = ring.sum() / (1 - 0.81)
@@ -195,7 +195,7 @@ def test_the_same_seed_gives_the_same_bytes(scene, tmp_path):
                                                 if k.name != "cameras.bin")
 
 
-def test_geometry_survives_its_file(scene):
+def test_geometry_is_read_back_exactly(scene):
     stored, made = geometry.load(scene / "geometry.json"), lay_out((1, 1), 3)
     for name in ("parks", "boxes", "kinds", "spheres"):
         assert np.array_equal(getattr(stored, name), getattr(made, name))
@@ -219,7 +219,7 @@ def test_bad_numbers_are_refused_before_anything_is_written(tmp_path, change):
     assert not (tmp_path / "scene").exists()
 
 
-def test_folders_with_other_things_are_never_touched(tmp_path):
+def test_folders_with_other_files_are_not_changed(tmp_path):
     (tmp_path / "images").mkdir()
     photo = tmp_path / "images" / "mine.jpg"
     photo.write_bytes(b"mine")
@@ -229,7 +229,7 @@ def test_folders_with_other_things_are_never_touched(tmp_path):
     assert photo.read_bytes() == b"mine"
 
 
-def test_the_command_overwrites_only_when_told(tmp_path):
+def test_the_command_overwrites_only_with_the_flag(tmp_path):
     folder = tmp_path / "scene"
     arguments = ["-o", str(folder), "--blocks", "1x1", "--size", "16x16", "--views", "3"]
     first = CliRunner().invoke(synth, arguments)
@@ -242,7 +242,7 @@ def test_the_command_overwrites_only_when_told(tmp_path):
     assert isinstance(bad.exception, InputError)
 
 
-def test_a_scene_appears_whole_or_not_at_all(tmp_path, monkeypatch):
+def test_a_scene_is_written_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
     folder = tmp_path / "scene"
 
     def stop(done, total):
@@ -264,7 +264,7 @@ def test_a_scene_with_files_of_the_user_is_not_overwritten(tmp_path, mine):
     synthesise(folder, **TINY)
     (folder / mine).write_text("mine")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    with pytest.raises(InputError, match="not of the synthetic scene"):
+    with pytest.raises(InputError, match="not part of the synthetic scene"):
         synthesise(folder, **TINY, overwrite=True)
     assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
@@ -274,6 +274,6 @@ def test_photos_behind_a_link_are_not_removed(tmp_path):
     synthesise(folder, **TINY)
     (folder / "images").rename(tmp_path / "theirs")
     (folder / "images").symlink_to(tmp_path / "theirs")
-    with pytest.raises(InputError, match="not of the synthetic scene"):
+    with pytest.raises(InputError, match="not part of the synthetic scene"):
         synthesise(folder, **TINY, overwrite=True)
     assert len(list((tmp_path / "theirs").iterdir())) == TINY["views"]

@@ -17,7 +17,7 @@ from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.loss.exposure import Exposures
 from clsplat.options import resolve
-from clsplat.partition.blocks import cut, largest_sizes, seen_pixels, trainable
+from clsplat.partition.blocks import block_start, largest_sizes, seen_pixels, trainable
 from clsplat.partition.region import Region, Space
 from clsplat.scene import Scene, View
 from clsplat.schedule.constant import Constant
@@ -191,7 +191,7 @@ def test_cut(offset):
     """Small ones stay where the region reaches them; behind it, those that the view shows."""
     scene, region = looking(offset)
     given = gaussians_at(PLACES, DEVIATIONS)
-    result = cut(given, scene, region, scene.views)
+    result = block_start(given, scene, region, scene.views)
     kept = [OWN, EDGE, NEAR, REACHING, OTHER_SIDE]
     for name, values in result.gaussians.rows.items():
         assert np.array_equal(values, given.rows[name][kept]), name
@@ -220,14 +220,14 @@ def test_far_gaussians_are_thinned_to_the_same_area():
     rng = np.random.default_rng(0)
     places = np.column_stack([rng.uniform(-300, 300, (count, 2)), np.full(count, distance)])
     given = gaussians_at(places, np.full(count, 0.25 * distance / FOCAL))
-    result = cut(given, scene, region, scene.views)
+    result = block_start(given, scene, region, scene.views)
     assert result.surroundings == result.gaussians.count == count - result.thinned
     assert result.unseen == result.own == result.margin == 0
     assert abs(result.surroundings - count / 4) < 4 * np.sqrt(count * 3 / 16)
     larger = result.gaussians.log_scales - given.log_scales[:result.gaussians.count]
     assert np.allclose(larger, np.log(2), atol=1e-4)
     assert np.array_equal(result.gaussians.positions,
-                          cut(given, scene, region, scene.views).gaussians.positions)
+                          block_start(given, scene, region, scene.views).gaussians.positions)
 
 
 # --- exposures

@@ -21,7 +21,7 @@ from clsplat.training.needs import (
     needed_degree,
     smallest_size,
 )
-from tests.covisibility.test_neighbours import circle
+from tests.covisibility.test_source_views import circle
 from tests.data.tiny_training import CITY
 
 
@@ -108,7 +108,7 @@ def test_adjacent_photos_are_found(city, drift, asked):
     {}, {"reproject": "auto", "reproject_weight": 0.0}, {"schedule": "taming"}], ids=str)
 def test_adjacent_photos_are_not_looked_for(city, drift, monkeypatch, options):
     drift(0.0)
-    monkeypatch.delattr(needs, "adjacent_views")
+    monkeypatch.delattr(needs, "choose_source_views")
     result = found(city, **options)
     assert (result.options.reproject, result.neighbours) == ("off", None)
     assert result.reasons["reproject"] == "off: not asked for"

@@ -1,4 +1,4 @@
-"""Adjacent views: those that share points at a good angle, and no others."""
+"""Source views: those that share enough points with the reference view at a good angle."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.covisibility.neighbours import adjacent_views
+from clsplat.covisibility.source_views import choose_source_views
 from clsplat.io.scenes import read_scene
 from clsplat.scene import Scene, View
 from tests.data.tiny_training import CITY
@@ -29,56 +29,56 @@ def circle(*degrees, points=40, names=None):
                  observations=seen.astype(np.int32))
 
 
-def adjacent(scene, *arguments):
-    return [found.tolist() for found in adjacent_views(scene, scene.views, *arguments)]
+def chosen(scene, *arguments):
+    return [sources.tolist() for sources in choose_source_views(scene, scene.views, *arguments)]
 
 
 @pytest.mark.parametrize("tracks", [True, False])
-def test_ten_degrees_are_best(tracks):
+def test_an_angle_of_ten_degrees_is_best(tracks):
     scene = circle(0, 2, 10, 19, 45, 81)
     if not tracks:
         scene = replace(scene, observations=None)
-    assert adjacent(scene, 9) == [[2, 3, 4, 1], [2, 3, 4, 0], [0, 3, 1, 4], [2, 1, 0, 4],
+    assert chosen(scene, 9) == [[2, 3, 4, 1], [2, 3, 4, 0], [0, 3, 1, 4], [2, 1, 0, 4],
                                   [3, 2, 5, 1, 0], [4]]  # more than 60 degrees do not count
-    assert adjacent(scene)[0] == [2, 3, 4]
-    assert adjacent(scene, 1)[4] == [3]
+    assert chosen(scene)[0] == [2, 3, 4]
+    assert chosen(scene, 1)[4] == [3]
 
 
 def test_the_weight_falls_alike_for_half_and_twice_the_angle():
     scene = circle(0, 5, -20)
-    scene = replace(scene, observations=scene.observations[:-1])  # the last sees a point less
-    assert adjacent(scene)[0] == [1, 2]
-    assert adjacent(circle(0, 5.2, -20))[0] == [1, 2]
-    assert adjacent(circle(0, 4.8, -20))[0] == [2, 1]
+    scene = replace(scene, observations=scene.observations[:-1])  # the last sees one point less
+    assert chosen(scene)[0] == [1, 2]
+    assert chosen(circle(0, 5.2, -20))[0] == [1, 2]
+    assert chosen(circle(0, 4.8, -20))[0] == [2, 1]
 
 
 def test_many_shared_points_outweigh_a_better_angle():
     scene = circle(0, 5, 10)
     few = scene.observations[(scene.observations[:, 1] < 2) | (scene.observations[:, 0] < 21)]
-    assert adjacent(replace(scene, observations=few))[0] == [1, 2]
-    assert adjacent(scene)[0] == [2, 1]
+    assert chosen(replace(scene, observations=few))[0] == [1, 2]
+    assert chosen(scene)[0] == [2, 1]
 
 
-def test_cameras_at_one_place_and_far_turned_are_not_adjacent():
-    assert adjacent(circle(0, 0, 0.5, 90)) == [[], [], [], []]
+def test_cameras_at_one_place_or_at_large_angles_are_not_source_views():
+    assert chosen(circle(0, 0, 0.5, 90)) == [[], [], [], []]
 
 
 @pytest.mark.parametrize("points, expected", [(19, [[], []]), (20, [[1], [0]])])
 def test_twenty_shared_points_are_needed(points, expected):
-    assert adjacent(circle(0, 10, points=points)) == expected
+    assert chosen(circle(0, 10, points=points)) == expected
 
 
 def test_few_views_and_views_that_see_nothing():
     scene = circle(0, 10, 20)
-    assert adjacent_views(scene, ()) == []
-    assert adjacent(replace(scene, views=scene.views[:1], observations=None)) == [[]]
+    assert choose_source_views(scene, ()) == []
+    assert chosen(replace(scene, views=scene.views[:1], observations=None)) == [[]]
     blind = scene.observations[scene.observations[:, 1] != 1]
-    found = adjacent_views(replace(scene, observations=blind), scene.views)
-    assert [f.tolist() for f in found] == [[2], [], [0]]
-    assert all(f.dtype.kind == "i" for f in found)
+    sources = choose_source_views(replace(scene, observations=blind), scene.views)
+    assert [s.tolist() for s in sources] == [[2], [], [0]]
+    assert all(s.dtype.kind == "i" for s in sources)
 
 
-def test_projected_points_lie_before_the_camera_and_in_the_image():
+def test_projected_points_lie_in_front_of_the_camera_and_in_the_image():
     scene = replace(circle(0, 10, 20), observations=None)
     camera = scene.views[1].camera
     back = np.diag([-1, 1, -1])
@@ -86,35 +86,35 @@ def test_projected_points_lie_before_the_camera_and_in_the_image():
                            translation=back @ camera.translation),
                    replace(camera, centre=(-1.0, 24.0)), replace(camera, centre=(32.0, 49.0))):
         views = (scene.views[0], replace(scene.views[1], camera=turned), scene.views[2])
-        assert [f.tolist() for f in adjacent_views(scene, views)] == [[2], [], [0]]
+        assert [s.tolist() for s in choose_source_views(scene, views)] == [[2], [], [0]]
 
 
-def test_a_part_of_the_views_is_counted_by_itself():
+def test_indices_count_the_views_of_the_part():
     scene = circle(0, 30, 10, 20, 40, names=("a", "b", "c", "d", "e"))
     train, test = scene.split(3)  # b, c, e at 30, 10, 40 and a, d at 0, 20 degrees
-    assert [f.tolist() for f in adjacent_views(scene, train)] == [[2, 1], [0, 2], [0, 1]]
-    assert [f.tolist() for f in adjacent_views(scene, test)] == [[1], [0]]
-    assert [f.tolist() for f in adjacent_views(scene, train[::-1])] == [[2, 1], [2, 0], [0, 1]]
+    assert [s.tolist() for s in choose_source_views(scene, train)] == [[2, 1], [0, 2], [0, 1]]
+    assert [s.tolist() for s in choose_source_views(scene, test)] == [[1], [0]]
+    assert [s.tolist() for s in choose_source_views(scene, train[::-1])] == [[2, 1], [2, 0], [0, 1]]
 
 
-def test_a_point_at_a_camera_is_no_shared_point():
+def test_a_point_at_a_camera_is_not_shared():
     scene = circle(0, 10)
     scene.points[:25] = scene.views[0].camera.position
     with np.errstate(all="raise"):
-        assert adjacent(scene) == [[], []]
+        assert chosen(scene) == [[], []]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", [CITY, CALITERRA], ids=lambda path: path.name)
 @pytest.mark.parametrize("tracks", [True, False])
-def test_real_neighbours_are_near_and_look_the_same_way(path, tracks):
+def test_source_views_of_real_scenes_are_near_and_look_the_same_way(path, tracks):
     if not path.is_dir():
         pytest.skip(f"no photo data set at {path}")
     scene = read_scene(path)
     views, _ = scene.split(8)
-    found = adjacent_views(scene if tracks else replace(scene, observations=None), views)
-    assert all(len(f) == len(set(f) - {i}) == 3 for i, f in enumerate(found))
-    one, other = np.repeat(range(len(views)), 3), np.concatenate(found)
+    sources = choose_source_views(scene if tracks else replace(scene, observations=None), views)
+    assert all(len(s) == len(set(s) - {i}) == 3 for i, s in enumerate(sources))
+    one, other = np.repeat(range(len(views)), 3), np.concatenate(sources)
     positions = np.array([view.camera.position for view in views])
     distances = np.linalg.norm(positions[:, None] - positions, axis=2)
     rank = distances.argsort(axis=1).argsort(axis=1)[one, other]

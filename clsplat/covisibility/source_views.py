@@ -1,0 +1,158 @@
+"""Which views see the same points, from which directions and distances.
+
+`choose_source_views` chooses for each reference view the source views that constrain its depth.
+`view_spread` measures how much the views of a point differ in direction and distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+if TYPE_CHECKING:
+    from clsplat.scene import Scene, View
+
+BEST_ANGLE = 10.0  # degrees between two views' rays at a point
+LOG_ANGLE_SIGMA = np.log(2)  # half and twice the best angle have the weight exp(-1/2)
+ANGLE_RANGE = (1.0, 60.0)  # degrees: at other angles, a point does not count as shared
+LEAST_SHARED = 20  # points that a source view shares with the reference view
+MOST_PROJECTED = 10_000  # points that are projected where the scene has no observations
+
+
+def choose_source_views(scene: Scene, views: Sequence[View], count: int = 3
+                        ) -> list[NDArray[np.integer]]:
+    """Choose for each view, as the reference view, the best source views among the others.
+
+    A source view's score is the sum, over the points that both views see, of
+    exp(-(ln(angle / 10 deg) / ln 2)^2 / 2), with the angle at the point between the two cameras.
+    Angles of 5 to 20 degrees therefore have a weight of at least 0.6. Small angles do not constrain
+    depth, and from large angles a surface looks different (Yao et al. 2018, MVSNet, section 4.1,
+    rank views by angle too). Views that share fewer than 20 points at 1 to 60 degrees are not
+    source views.
+
+    Parameters
+    ----------
+    scene : the scene of these views.
+    views : such as one part of `scene.split`.
+    count : the most source views of a view.
+
+    Returns
+    -------
+    For each view int[<= count], indices into `views`, best first; it may be empty.
+    """
+    points, point, view = visibility(scene, views)
+    sees = csr_array((np.ones(len(view), np.int8), (view, point)), (len(views), len(points)))
+    seen_by = csr_array(sees.T)
+    positions = np.array([v.camera.position for v in views]).reshape(-1, 3)
+    return [_best(number, sees, seen_by, points, positions, count) for number in range(len(views))]
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSpread:
+    """How much the views of each point differ, for the K points that at least two views see.
+
+    Attributes
+    ----------
+    cap : [K], degrees; the largest angle between the direction to a camera and the mean of these
+        directions, that is the radius of the spherical cap of directions.
+    ratio : [K]; the largest size of a pixel at the point (depth / focal length) over the smallest.
+    """
+
+    cap: NDArray[np.float64]
+    ratio: NDArray[np.float64]
+
+
+def view_spread(scene: Scene, views: Sequence[View]) -> ViewSpread:
+    """The ViewSpread of the sparse points of a scene over `views`; see `visibility`."""
+    points, point, view = visibility(scene, views)
+    cameras = [v.camera for v in views]
+    positions, forward = (np.array(values).reshape(-1, 3) for values in (
+        [c.position for c in cameras], [c.rotation[2] for c in cameras]))
+    ray = positions[view] - points[point]
+    direction = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-300)
+    middle = np.zeros((len(points), 3))
+    np.add.at(middle, point, direction)
+    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-300)
+    # by the chord, since an arc cosine resolves small angles only to 1e-6 degrees
+    chord = np.linalg.norm(direction - middle[point], axis=1)
+    angle = np.rad2deg(2 * np.arcsin((chord / 2).clip(0, 1)))
+    depth = -(ray * forward[view]).sum(axis=1)
+    focal = np.array([np.mean(c.focal) for c in cameras])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.log(depth / focal[view])
+    cap, low, high = (np.full(len(points), start) for start in (0.0, np.inf, -np.inf))
+    np.maximum.at(cap, point, angle)
+    np.minimum.at(low, point, size)
+    np.maximum.at(high, point, size)
+    several = np.bincount(point, minlength=len(points)) >= 2
+    return ViewSpread(cap[several], np.exp((high - low)[several]))
+
+
+def visibility(scene: Scene, views: Sequence[View]
+               ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
+    """Which of `views` sees which point.
+
+    Where the scene has no observations, a view sees those of at most 10000 evenly chosen points
+    that project into its image, without an occlusion test.
+
+    Returns
+    -------
+    The points [P, 3], and the pairs of a point [M] and an index into `views` [M] that see it.
+    """
+    if scene.observations is None:
+        return _projected(scene.points, views)
+    return scene.points, *_observed(scene.observations, scene.views, views)
+
+
+def _observed(observations: NDArray[np.integer], all_views: Sequence[View], views: Sequence[View]
+              ) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+    """Points [M] and indices into `views` [M] of the scene's observations in these views."""
+    numbers = {view.name: number for number, view in enumerate(views)}
+    place = np.array([numbers.get(view.name, -1) for view in all_views])
+    point, view = observations[:, 0], place[observations[:, 1]]
+    return point[view >= 0], view[view >= 0]
+
+
+def _projected(points: NDArray[np.float64], views: Sequence[View]
+               ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
+    """Some of the points [P, 3], and the pairs of point [M] and view [M] that show them."""
+    points = points[::-(-len(points) // MOST_PROJECTED)]
+    inside = []
+    for view in views:
+        pixels, depths = view.camera.project(points)
+        size = view.camera.width, view.camera.height
+        inside.append(np.flatnonzero((depths > 0) & (pixels > 0).all(axis=1)
+                                     & (pixels < size).all(axis=1)))
+    lengths = [len(point) for point in inside]
+    return points, np.concatenate([[], *inside]).astype(int), np.repeat(range(len(views)), lengths)
+
+
+def _best(number: int, sees: csr_array, seen_by: csr_array, points: NDArray[np.float64],
+          positions: NDArray[np.float64], count: int) -> NDArray[np.integer]:
+    """The source views of one view, int[<= count], best first, equally good ones by index."""
+    own = sees.indices[sees.indptr[number]:sees.indptr[number + 1]]
+    shared = seen_by[own]  # each row has the views that see a point
+    other, point = shared.indices, np.repeat(own, np.diff(shared.indptr))
+    angle = _angle(points[point], positions[number], positions[other])
+    useful = (angle >= ANGLE_RANGE[0]) & (angle <= ANGLE_RANGE[1])  # the view itself has angle 0
+    other, angle = other[useful], angle[useful]
+    weight = np.exp(-0.5 * (np.log(angle / BEST_ANGLE) / LOG_ANGLE_SIGMA) ** 2)
+    score = np.bincount(other, weight, len(positions))
+    enough = np.bincount(other, minlength=len(positions)) >= LEAST_SHARED
+    order = np.argsort(-score, kind="stable")
+    return order[enough[order]][:count]
+
+
+def _angle(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
+           ) -> NDArray[np.float64]:
+    """The angle [M] at points [M, 3] between the directions to a and b, degrees; nan at a or b."""
+    a, b = a - points, b - points
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = (a * b).sum(axis=1) / np.sqrt((a * a).sum(axis=1) * (b * b).sum(axis=1))
+    angle: NDArray[np.float64] = np.rad2deg(np.arccos(cosine.clip(-1, 1)))
+    return angle

@@ -1,0 +1,170 @@
+"""The input of a partition in world coordinates: cameras, content, and which view sees which point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.covisibility.source_views import visibility
+from clsplat.errors import InputError
+from clsplat.partition.frame import ground_axes, quantiles, up_axis
+from clsplat.partition.region import Space, map_axes
+
+if TYPE_CHECKING:
+    from clsplat.gaussians import Gaussians
+    from clsplat.scene import Scene
+
+CONTENT_QUANTILES = (0.01, 0.99)  # content beyond these counts as outliers
+LARGEST_BOUND = 1e15  # world units, as for points: squares stay far within float32
+LEAST_HALF_SIDE = 0.02  # of the longest half side of an area of interest
+
+
+@dataclass(frozen=True, eq=False)
+class PartitionInput:
+    """What the partition methods work on.
+
+    Attributes
+    ----------
+    scene : the whole scene.
+    views : [V]; indices into scene.views of the training views.
+    cameras : [V, 3], world; the positions of these views.
+    content : [M, 3], world; the points or gaussians that are divided among the blocks.
+    weights : [M]; how much each of them counts.
+    points : [P, 3], world; the sparse points.
+    observed_points : [S]; with `observed_views`, the pairs (point, view) in which a view sees a
+        point.
+    observed_views : [S]; indices into `views`.
+    rotation : [3, 3]; rows u, v (along the ground) and up.
+    bounds : low [2] and high [2] along u and v of the area of interest, if the user set one.
+    """
+
+    scene: Scene
+    views: NDArray[np.integer]
+    cameras: NDArray[np.float64]
+    content: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    points: NDArray[np.float64]
+    observed_points: NDArray[np.integer]
+    observed_views: NDArray[np.integer]
+    rotation: NDArray[np.float64]
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None
+
+    @classmethod
+    def of(cls, scene: Scene, gaussians: Gaussians | None = None, views: ArrayLike | None = None,
+           up: Sequence[float] | None = None, bounds: Sequence[float] | None = None
+           ) -> PartitionInput:
+        """Collect the input of a partition from a scene.
+
+        Parameters
+        ----------
+        scene : the whole scene.
+        gaussians : a coarse model in the scene's local frame, whose centres are the content. None:
+            the sparse points are, each weighted by the number of views that see it.
+        views : indices into scene.views of the training views. None: all.
+        up : world. None: it is estimated.
+        bounds : X0, Y0, X1, Y1 on the map, see `Space.map`. None: no area of interest is set.
+
+        Raises
+        ------
+        InputError : no view sees any point, or `up` or `bounds` are not valid.
+        """
+        indices = np.arange(len(scene.views)) if views is None else np.asarray(views)
+        chosen = [scene.views[index] for index in indices]
+        local, point, view = visibility(scene, chosen)
+        points = world_of(scene, local)
+        rotations = np.array([v.camera.rotation for v in chosen])
+        cameras = world_of(scene, [v.camera.position for v in chosen])
+        if gaussians is None:
+            content, weights = points, np.bincount(point, minlength=len(points)).astype(float)
+        else:
+            content = world_of(scene, gaussians.positions)
+            weights = np.isfinite(content).all(axis=1).astype(float)
+        if not weights.any():
+            raise InputError(f"{scene.name}: there is nothing to divide among blocks, since no "
+                             "training view sees a point; reconstruct the scene again, or train a "
+                             "coarse model first")
+        up_world = up_axis(rotations, points) if up is None else check_up(up)
+        if bounds is None:
+            area, rotation = None, ground_axes(up_world, content, weights)
+        else:
+            area, rotation = check_bounds(bounds), np.stack([*map_axes(up_world), up_world])
+        result = cls(scene, indices, cameras, content, weights, points, point, view, rotation, area)
+        if area is not None and not result.inside().any():
+            low, high = result.content_box()
+            raise InputError(
+                f"{scene.name}: no points within the bounds {_text(*area)} of the map; most lie "
+                f"within {_text(low[:2], high[:2])}: correct --bounds, or leave them out")
+        return result
+
+    def inside(self) -> NDArray[np.bool_]:
+        """Which content lies in the bounds, as bool[M]; all that counts where none are set."""
+        if self.bounds is None:
+            return self.weights > 0
+        along = self.content @ self.rotation[:2].T
+        within: NDArray[np.bool_] = np.all(
+            (along >= self.bounds[0]) & (along < self.bounds[1]), axis=1)
+        return within
+
+    def content_box(self, shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,)
+                    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The low [3] and high [3] corner, along u, v and up in world units, of what is divided.
+
+        Along u and v these are the bounds where some are set, otherwise the quantiles `shares` of
+        the content. Along up the box contains all content but outliers, and all cameras.
+        """
+        along = self.content @ self.rotation.T
+        up = np.concatenate([quantiles(along[:, 2], self.weights, CONTENT_QUANTILES),
+                             self.cameras @ self.rotation[2]])
+        if self.bounds is not None:
+            low, high = self.bounds
+        else:
+            low, high = np.transpose([quantiles(along[:, axis], self.weights, share)
+                                      for axis, share in enumerate(shares)])
+        return np.array([*low, up.min()]), np.array([*high, up.max()])
+
+    def space(self, contracted: bool = False,
+              shares: Sequence[tuple[float, float]] = 2 * (CONTENT_QUANTILES,),
+              stretch: Sequence[float] = (1.0, 1.0)) -> Space:
+        """The Space whose area of interest is `content_box(shares)`.
+
+        Where no bounds are set, its sides along u and v are multiplied by `stretch` [2].
+        """
+        low, high = self.content_box(shares)
+        half = (high - low) / 2
+        if self.bounds is None:
+            half[:2] *= stretch
+        half = np.maximum(half, LEAST_HALF_SIDE * max(half.max(), np.finfo(float).tiny))
+        return Space(self.rotation, (low + high) / 2 @ self.rotation, half, contracted)
+
+
+def world_of(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
+    """The original world coordinates [N, 3] of points in the local frame of a scene."""
+    return scene.offset + scene.unit * np.asarray(points, np.float64).reshape(-1, 3)
+
+
+def check_up(up: Sequence[float]) -> NDArray[np.float64]:
+    """The unit vector [3] along `up`; InputError where it does not have a direction."""
+    vector = np.array(up, np.float64)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not 0 < length < np.inf:
+        raise InputError("--up: expects three numbers that are not all 0, such as 0 0 1")
+    return vector / length
+
+
+def check_bounds(bounds: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The low [2] and high [2] corner of X0, Y0, X1, Y1; InputError where they enclose no area."""
+    low, high = np.array(bounds, np.float64).reshape(2, 2)
+    if not ((np.abs(bounds) <= LARGEST_BOUND).all() and (low < high).all()):
+        raise InputError("--bounds: expects X0 Y0 X1 Y1 with X0 below X1 and Y0 below Y1, on the "
+                         "map that `clsplat partition` draws")
+    return low, high
+
+
+def _text(low: NDArray[np.float64], high: NDArray[np.float64]) -> str:
+    return " ".join(f"{value:.6g}" for value in (*low, *high))
