@@ -1,9 +1,9 @@
 // A colour transform a training view, c' = M c + t, learned beside the gaussians: photos drift in
 // brightness and white balance (an affine colour map a photo, as Kerbl et al. 2024 use).
 // transforms: real[V, TRANSFORM_REALS], a row [M | t] in row-major order; images and gradients:
-// real[3, H, W], pixels = H W; partials: real[blocks, TRANSFORM_REALS], sums over EXPOSURE_BLOCK pixels
-// each, added up by reduce.cl (blocks of a fixed size: the same order of additions on any number of
-// cores, and short sums).
+// real[3, H, W], pixels = H W; partials: real[blocks, TRANSFORM_REALS], sums over EXPOSURE_BLOCK
+// pixels each, added up by reduce.cl (blocks of a fixed size: the same order of additions on any
+// number of cores, and short sums).
 #include "real.h"
 #include "each.h"
 #include "vector.h"

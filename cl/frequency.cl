@@ -20,10 +20,10 @@ enum { // logarithms of what is summed
     TERM_POWER, // w omega, an axis each
     TERM_SIGMA = TERM_POWER + AXES, // the sigma that release averages, an axis each
     TERM_OPACITY = TERM_SIGMA + AXES, // robust's o
-    TERM_SEEN, // o sigma, an axis each
+    TERM_SEEN // o sigma, an axis each
 };
 #define SUM_COUNT FREQUENCY_TERMS // sums: of exp(term - largest term), then how many count
-typedef char all_terms_have_a_column[TERM_SEEN + AXES == FREQUENCY_TERMS && SUM_COUNT + 1 == FREQUENCY_SUMS ? 1 : -1];
+typedef char each_term_has_a_column[TERM_SEEN + AXES == FREQUENCY_TERMS ? 1 : -1];
 // Beyond this |log sigma|, single precision does not hold sigma, its inverse or the sum of three.
 #define LARGEST_LOG 87.0
 

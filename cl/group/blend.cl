@@ -1,5 +1,5 @@
-// Group form of blend.cl (see there), for GPUs. Forward, a group owns a tile and stages splats in local
-// memory; it notes T and C of every pixel once a bucket of BUCKET pairs. Adjoint, a group of BUCKET
+// Group form of blend.cl (see there), for GPUs. Forward, a group owns a tile and stages splats in
+// local memory; it notes T and C of every pixel once a bucket of BUCKET pairs. Adjoint, a group of BUCKET
 // lanes owns a bucket: lane l holds splat l while the tile's pixels stream through the lanes,
 // (T, C . grad) passing from lane to lane, so that each lane sums its own splat without any reduction.
 #define PIXELS (TILE * TILE)

@@ -33,11 +33,12 @@ def kernel_source(name):
 def _lines(name):
     """A file's lines; name: "blend.cl", "item/blend.cl", "real.h" of include/, or a whole path."""
     folder = kernel_folder() / ("include" if name.endswith(".h") else "")
-    yield f'#line 1 "{name}"'
+    shown = name.replace("\\", "/")  # of Windows: no escapes
+    yield f'#line 1 "{shown}"'
     for number, line in enumerate((folder / name).read_text(encoding="utf-8").splitlines(), 1):
         if included := INCLUDE.match(line):
             yield from _lines(included[1])
-            yield f'#line {number + 1} "{name}"'
+            yield f'#line {number + 1} "{shown}"'
         else:
             yield line
 
