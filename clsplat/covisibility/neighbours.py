@@ -92,12 +92,7 @@ def _projected(points, views):
     """(points float64[P, 3], point int[M], view int[M]): some points and the images they fall in.
     """
     points = points[::-(-len(points) // PROJECTED)]
-    inside = []
-    for view in views:
-        pixels, depths = view.camera.project(points)
-        size = view.camera.width, view.camera.height
-        inside.append(np.flatnonzero((depths > 0) & (pixels > 0).all(axis=1)
-                                     & (pixels < size).all(axis=1)))
+    inside = [np.flatnonzero(view.sees(points)) for view in views]
     lengths = [len(point) for point in inside]
     return points, np.concatenate([[], *inside]).astype(int), np.repeat(range(len(views)), lengths)
 

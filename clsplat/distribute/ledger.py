@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from clsplat.distribute.task import DONE, FAILED, REFUSED, Outcome
-from clsplat.errors import InputError
+from clsplat.io.folders import make_folder
 
 LOSSES = 10  # workers that may go away under a task: it is rarely to blame, but it can be
 
@@ -27,11 +27,7 @@ class Ledger:
                 self.outcomes[task.name] = Outcome(task, True, 0.0, 0, "", "finished before")
                 continue
             self.waiting.append(task)
-            try:
-                task.folder.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(f"{task.folder}: cannot be made ({error.strerror}); check that "
-                                 "the folder above may be written") from None
+            make_folder(task.folder)
 
     def began(self, name):
         """Some worker began a try of the task."""
