@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from clsplat.api.renderer import Frame as Frame
     from clsplat.api.renderer import Renderer as Renderer
     from clsplat.api.renderer import render as render
-    from clsplat.api.run import Run as Run
-    from clsplat.api.score import Score as Score
     from clsplat.api.score import evaluate as evaluate
     from clsplat.api.train import train as train
     from clsplat.camera import Camera as Camera
     from clsplat.errors import ClsplatError as ClsplatError
     from clsplat.errors import StopTraining as StopTraining
+    from clsplat.evaluation.run import Run as Run
+    from clsplat.evaluation.score import Score as Score
     from clsplat.gaussians import Gaussians as Gaussians
     from clsplat.scene import Scene as Scene
     from clsplat.scene import View as View
@@ -31,8 +31,8 @@ _HOMES = {
     "Camera": "clsplat.camera", "ClsplatError": "clsplat.errors", "Device": "clsplat.api.device",
     "Frame": "clsplat.api.renderer", "Gaussians": "clsplat.gaussians",
     "Plan": "clsplat.schedule.plan", "Renderer": "clsplat.api.renderer",
-    "Run": "clsplat.api.run", "Scene": "clsplat.scene", "Schedule": "clsplat.schedule.plan",
-    "Score": "clsplat.api.score", "StopTraining": "clsplat.errors", "View": "clsplat.scene",
+    "Run": "clsplat.evaluation.run", "Scene": "clsplat.scene", "Schedule": "clsplat.schedule.plan",
+    "Score": "clsplat.evaluation.score", "StopTraining": "clsplat.errors", "View": "clsplat.scene",
     "evaluate": "clsplat.api.score", "render": "clsplat.api.renderer",
     "train": "clsplat.api.train"}
 

@@ -164,6 +164,20 @@ class Gaussians:
         rows["log_scales"] = (rows["log_scales"] + np.log(factor)).astype(np.float32)
         return Gaussians(rows, self.sh_degree, self.offset)
 
+    def with_sh_degree(self, degree: int) -> Gaussians:
+        """The same gaussians with spherical harmonics (SH) up to another degree.
+
+        Parameters
+        ----------
+        degree : 0 to 3; bands above it are cut off, bands that are missing become zero.
+        """
+        if degree == self.sh_degree:
+            return self
+        rest = np.zeros((self.count, (degree + 1) ** 2 - 1, 3), np.float32)
+        shared = min(rest.shape[1], self.sh_rest.shape[1])
+        rest[:, :shared] = self.sh_rest[:, :shared]
+        return Gaussians({**self.rows, "sh_rest": rest}, degree, self.offset)
+
     def located(self, offset: ArrayLike) -> Gaussians:
         """The same local coordinates, with their origin at `offset` (float64[3], original)."""
         return Gaussians(self.rows, self.sh_degree, np.asarray(offset, np.float64))

@@ -101,8 +101,8 @@ class Scene:
 
         Parameters
         ----------
-        path : a folder with a COLMAP model, transforms.json or the layout of Mega-NeRF or
-            CityGaussian, or a file of `clsplat pack`.
+        path : a folder with a COLMAP model, transforms.json or the layout of CityGaussian, or a
+            file of `clsplat pack`.
         images : the folder of its photos, from the scene's own folder; "": images.
 
         Raises
@@ -136,6 +136,15 @@ class Scene:
     def near_plane(self) -> float:
         """World units: what is closer to a camera is not drawn."""
         return self.extent * NEAR_SHARE
+
+    def near(self, asked: float) -> float:
+        """The near plane in the units of this scene.
+
+        Parameters
+        ----------
+        asked : original world units, the option `near`; 0: `near_plane`.
+        """
+        return asked / self.unit or self.near_plane
 
     def split(self, test_every: int) -> tuple[tuple[View, ...], tuple[View, ...]]:
         """(train, test) tuples of views: those of `held_out`, or else every `test_every`-th view by

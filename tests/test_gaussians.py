@@ -5,6 +5,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.gaussians import (
+    Gaussians,
     mean_inverse_distance,
     mean_neighbour_distance,
     neighbour_distance,
@@ -64,3 +65,13 @@ def test_too_few_points():
                       mean_inverse_distance):
         with pytest.raises(InputError, match="3 points all lie at one place"):
             distances(np.ones((3, 3)))
+
+
+def test_another_sh_degree_keeps_the_bands_that_both_have():
+    model = Gaussians.from_points(POINTS, np.zeros((60, 3), np.uint8), 2).located((1, 2, 3))
+    model.rows["sh_rest"][:] = np.random.default_rng(0).normal(size=(60, 8, 3))
+    more, fewer = model.with_sh_degree(3), model.with_sh_degree(1)
+    assert np.array_equal(more.sh_rest[:, :8], model.sh_rest) and not more.sh_rest[:, 8:].any()
+    assert np.array_equal(fewer.sh_rest, model.sh_rest[:, :3]) and fewer.sh_degree == 1
+    assert more.sh_rest.shape == (60, 15, 3) and (more.offset == (1, 2, 3)).all()
+    assert model.with_sh_degree(0).sh_rest.shape == (60, 0, 3)

@@ -1,47 +1,13 @@
 """`clsplat.evaluate`: how well a model renders the photos of a scene."""
 
-from dataclasses import dataclass
-from typing import Any
-
 from clsplat.api.device import best_device
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
+from clsplat.evaluation.score import Score
 from clsplat.evaluation.views import evaluate_views
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.slabs import open_model
-from clsplat.report.notebook import table
 from clsplat.scene import Scene
-
-
-@dataclass(frozen=True)
-class Score:
-    """Means over views; `_cc` after a quadratic fit of each render's colours to its photo.
-
-    Attributes
-    ----------
-    views : how many views were rendered.
-    psnr, psnr_cc : dB.
-    ssim, ssim_cc : 0 to 1.
-    per_view : a dict for each view, with its `name` and the four scores.
-    """
-
-    views: int
-    psnr: float
-    ssim: float
-    psnr_cc: float
-    ssim_cc: float
-    per_view: tuple[dict[str, Any], ...] = ()
-
-    def _repr_html_(self) -> str:
-        return table({"held-out views": str(self.views),
-                      "PSNR": f"{self.psnr:.2f} dB ({self.psnr_cc:.2f} after the colour fit)",
-                      "SSIM": f"{self.ssim:.4f} ({self.ssim_cc:.4f} after the colour fit)"})
-
-
-def score_of(result: dict[str, Any]) -> Score:
-    """A Score of what the evaluation of views returned."""
-    return Score(result["views"], result["psnr"], result["ssim"], result["psnr_cc"],
-                 result["ssim_cc"], tuple(result["per_view"]))
 
 
 def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = None,
@@ -70,6 +36,6 @@ def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = No
         raise InputError(f"{scene.name}: no view is held out; use another test_every")
     if (model.offset != scene.offset).any():
         model = model.moved(scene.offset)
-    renderer, rows = open_model(device or best_device(), model, near or scene.near_plane,
+    renderer, rows = open_model(device or best_device(), model, scene.near(near or 0),
                                 antialiased, background)
-    return score_of(evaluate_views(renderer, rows, model.sh_degree, views))
+    return Score.of(evaluate_views(renderer, rows, model.sh_degree, views))

@@ -6,9 +6,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from clsplat.api.run import Run, finished_or_stopped
 from clsplat.device import Device as OpenedDevice
 from clsplat.device import choose_device
+from clsplat.errors import Interrupted
+from clsplat.evaluation.run import Run
 from clsplat.io.run import RunFolder
 from clsplat.options import resolve
 from clsplat.scene import Scene
@@ -47,6 +48,9 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
     opened = device or choose_device(chosen.device, form=chosen.form)
     with RunFolder(folder).locked():
         run = RunFolder.create(folder, overwrite=overwrite)
-        with finished_or_stopped():
+        try:
             loop.train(data, chosen, opened, run, callbacks=callbacks)
+        except Interrupted as error:
+            if not error.planned:
+                raise
     return Run(run)

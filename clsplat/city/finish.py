@@ -3,28 +3,32 @@
 import dataclasses
 
 from clsplat.city.lod import merge_levels
-from clsplat.city.merge import merge, partition_of, seam_table
+from clsplat.city.merge import merge
 from clsplat.city.seams import find_seams
 from clsplat.city.stages import COARSE_FACTOR, draw
 from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run, training_pictures
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
-from clsplat.io.run import MODEL, RunFolder
-from clsplat.report.page import Table, embedded
+from clsplat.io.run import RunFolder
+from clsplat.report.city import seam_table, share_table
+from clsplat.report.page import embedded
 from clsplat.report.run import write_report
 
 
-def check_reference(against):
-    """InputError where `against`, of `evaluate_city`, is neither a finished run nor a PLY file."""
+def reference_file(against):
+    """The PLY of `--against`, a finished run or a PLY file, None of None; InputError where it is
+    neither."""
     if against is None:
-        return
-    path = against / MODEL if against.is_dir() else against
+        return None
+    path = RunFolder(against).model_path if against.is_dir() else against
     if not path.is_file():
         raise InputError(f"--against {against}: " + (
-            f"has no {MODEL}; give a finished run, or a PLY file" if against.is_dir()
+            f"has no {path.name}; give a finished run, or a PLY file" if against.is_dir()
             else "no such file; give a PLY file, or a finished run"))
     read_ply(path)
+    return path
 
 
 def merge_city(city, scene, options, device, fill=False):
@@ -53,7 +57,7 @@ def merge_city(city, scene, options, device, fill=False):
 def keep_coarse_levels(city, scene):
     """Make the coarse model, and what its levels left, levels of detail of the whole."""
     coarse, whole = RunFolder(city.coarse), RunFolder(city.path)
-    for factor, path in [*coarse.snapshots(), (1.0, city.coarse / MODEL)]:
+    for factor, path in [*coarse.snapshots(), (1.0, coarse.model_path)]:
         level = COARSE_FACTOR * factor
         whole.save_snapshot(level, plain(read_ply(path, scene.offset)), scene.offset,
                             (f"level {level:g}",))
@@ -62,46 +66,36 @@ def keep_coarse_levels(city, scene):
 def evaluate_city(city, scene, options, device, against=None):
     """Score the merged model on the held-out views, look for seams, and write the report.
 
-    against: path of the PLY, or of the run, that seams are measured by; None: the coarse model.
+    against: path of the PLY that seams are measured by; None: that of the coarse model.
     Returns (scores as of `evaluate_views`, or None without held-out views; seams as of
     `find_seams`, by the training views where none are held out).
     """
-    run, merged = RunFolder(city.path), merge_record(city)
-    scores = None
+    run, merged = Run.open(city.path), merge_record(city)
+    spent = {**cost(city), "level": 1.0, "gaussians": merged["gaussians"]}
+    counts = [share["gaussians"] for share in merged["blocks"]]
+    scores = seams = None
     train, test = scene.reduced(options.downscale, options.max_resolution).split(options.test_every)
     if test:
         scores = evaluate_run(run, device, save_images=False)
-        means = {key: value for key, value in scores.items()
-                 if key not in ("per_view", "pictures")}
-        run.log({"event": "eval", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
-                 **means})
-    seams, partition = None, partition_of(city, scene)
+        run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
+                                                     if key not in ("per_view", "pictures")}})
+    partition = city.partition(scene)
     if not city.picture.is_file():
-        draw(city, partition, scene, [share["gaussians"] for share in merged["blocks"]])
-    if len(merged["blocks"]) > 1:
+        draw(city, partition, scene, counts)
+    if len(counts) > 1:
         def model_of(number):
-            path = city.block(number).run / MODEL
-            return read_ply(path, scene.offset) if path.is_file() else None
+            block = RunFolder(city.block(number).run)
+            return block.load_model(scene.offset) if block.has_model else None
 
-        model, reference = run.load_model(), against or city.coarse
-        reference = reference / MODEL if reference.is_dir() else reference
-        seams = find_seams(
-            device, partition, scene, test or train, options, model,
-            [share["gaussians"] for share in merged["blocks"]],
-            plain(read_ply(reference, scene.offset)), model_of)
-        run.log({"event": "seams", **cost(city), "level": 1.0, "gaussians": merged["gaussians"],
-                 "seam_db": seams["seam_db"], "worst_seam_db": seams["worst_seam_db"]})
-    write_report(run, embedded(city.picture, "map of the blocks"), block_shares(merged),
+        reference = read_ply(against or RunFolder(city.coarse).model_path, scene.offset)
+        seams = find_seams(device, partition, scene, test or train, options, run.finished_model,
+                           counts, plain(reference), model_of)
+        run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
+                        "worst_seam_db": seams["worst_seam_db"]})
+    write_report(run.folder, embedded(city.picture, "map of the blocks"), share_table(merged),
                  seams and seam_table(seams),
                  pictures=scores["pictures"] if scores else training_pictures(run, device))
     return scores, seams
-
-
-def block_shares(merged):
-    """A Table of the record of a merge."""
-    names = ("block", "state", "gaussians", "trained", "views", "points", "note")
-    return Table("Blocks", names, [tuple(str(share[name]) for name in names)
-                                   for share in merged["blocks"]], range(2, 6))
 
 
 def merge_record(city):
@@ -112,7 +106,7 @@ def merge_record(city):
 def cost(city):
     """{iteration, train_seconds, wall_seconds}: sums over the coarse run and the blocks."""
     last = [record for path in (city.coarse, *(block.run for block in city.blocks()))
-            if RunFolder(path).has_metrics for record in RunFolder(path).records()[-1:]]
+            for record in RunFolder(path).past_records()[-1:]]
     return {key: round(sum(record.get(key) or 0 for record in last), 3)
             for key in ("iteration", "train_seconds", "wall_seconds")}
 

@@ -10,15 +10,10 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.city import PARTITION
 from clsplat.io.lock import holder, is_held
-from clsplat.io.ply import read_ply
-from clsplat.io.reason import reason
-from clsplat.io.run import MODEL
+from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
-from clsplat.partition import Partition
 from clsplat.partition.input import world_of
-from clsplat.report.page import Table
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well
 WHOLE = ("merged", "coarse")  # states of a block whose cell is filled
@@ -70,14 +65,6 @@ class Merged:
         return {"blocks": [asdict(share) for share in self.shares], "dropped": self.dropped,
                 "gaussians": self.gaussians.count}
 
-    def table(self):
-        """Table of the blocks."""
-        rows = [(f"{s.block:03d}", s.state, f"{s.gaussians}", f"{s.trained}", f"{s.views}",
-                 f"{s.points}", s.note) for s in self.shares]
-        notes = [f"{name}: in no block: {why}" for name, why in self.dropped.items()]
-        head = ("block", "state", "gaussians", "trained", "views", "points", "note")
-        return Table("Blocks", head, rows, (2, 3, 4, 5), tuple(notes))
-
 
 def merge(city, scene, fill=False):
     """Merge the finished blocks of a CityFolder; returns a `Merged`, whole or not: `check` it.
@@ -91,7 +78,7 @@ def merge(city, scene, fill=False):
     if fingerprint(scene) != city.read()["fingerprint"]:
         raise InputError(f"{city.path}: is a city of another scene than {scene.path}; give the one "
                          "that it was begun with, or begin a new city")
-    partition = partition_of(city, scene)
+    partition = city.partition(scene)
     _refuse_strangers(city, len(partition.regions))
     owner = partition.owner(world_of(scene, scene.points))
     points = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
@@ -107,7 +94,7 @@ def merge(city, scene, fill=False):
                             int(points[number]), note))
     lacking = [s for s in shares if s.state not in ("merged", *KEPT)]
     if fill and lacking:
-        coarse = read_ply(city.coarse / MODEL, scene.offset)
+        coarse = RunFolder(city.coarse).load_model(scene.offset)
         for share in lacking:
             piece = pieces[share.block] = cropped(coarse, partition, share.block, scene.offset)
             shares[share.block] = Share(share.block, "coarse", piece.count, share.trained,
@@ -126,52 +113,29 @@ def joined(pieces):
     """One Gaussians of several, in order, with harmonics up to the highest degree among them. The
     pieces' rows are given up one field after the other, so that both are not in memory whole."""
     degree = max((piece.sh_degree for piece in pieces), default=0)
-    rows = {}
-    for field in LEARNED:
-        shape = field.row_shape(degree)
-        rows[field.name] = np.concatenate(
-            [_raised(piece.rows.pop(field.name), shape) for piece in pieces]
-            or [np.empty((0, *shape), np.float32)])
-    return Gaussians(rows, degree)
-
-
-def _raised(values, shape):
-    """Rows of a lower SH degree as rows of `shape`: the bands they lack are zero."""
-    if values.shape[1:] == shape:
-        return values
-    result = np.zeros((len(values), *shape), values.dtype)
-    result[:, :values.shape[1]] = values
-    return result
+    pieces = [piece.with_sh_degree(degree) for piece in pieces]
+    return Gaussians({
+        field.name: np.concatenate([piece.rows.pop(field.name) for piece in pieces]
+                                   or [np.empty((0, *field.row_shape(degree)), np.float32)])
+        for field in LEARNED}, degree)
 
 
 def _block(folder, number, partition, scene):
     """(state, gaussians trained, those of its cell or None, note) of a BlockFolder."""
     if not folder.is_there:
         return "missing", 0, None, "it was never written"
-    if not (folder.run / MODEL).is_file():
+    run = RunFolder(folder.run)
+    if not run.has_model:
         if is_held(folder.run):
             return TRAINS, 0, None, (f"{folder.path}: {holder(folder.run)} trains it; wait for it, "
                                      "or stop it")
         return "unfinished", 0, None, "its run has no model yet"
     try:
         folder.check()
-        gaussians = read_ply(folder.run / MODEL, scene.offset)
+        gaussians = run.load_model(scene.offset)
     except InputError as error:
         return "refused", 0, None, str(error)
     return "merged", gaussians.count, cropped(gaussians, partition, number, scene.offset), ""
-
-
-def partition_of(city, scene=None):
-    """The Partition of a CityFolder, where given of this whole Scene; InputError where it is
-    damaged."""
-    try:
-        partition = Partition.from_record(city.read_partition())
-        if scene is not None:
-            partition.check_views(len(scene.views))
-        return partition
-    except ValueError as error:
-        raise InputError(f"{city.path / PARTITION}: damaged ({reason(error)}); make it again with "
-                         f"`clsplat partition {city.path}`") from None
 
 
 def _refuse_strangers(city, count):
@@ -181,21 +145,3 @@ def _refuse_strangers(city, count):
         if folder.path != city.block(number).path or not 0 <= number < count:
             raise InputError(f"{folder.path}: says that it is block {number} of {count}; two "
                              "partitions are mixed here: remove those folders that are not yours")
-
-
-def seam_table(seams):
-    """Table of what `evaluate.seams.find_seams` found."""
-    def cell(value, digits=2):
-        return "-" if value is None else f"{value:.{digits}f}"
-
-    rows = [(" | ".join(f"{block:03d}" for block in record["blocks"]),
-             cell(record["overlap_psnr"]), cell(record["density_jump"]), str(record["pixels"]),
-             cell(record["psnr"]), cell(record["elsewhere_psnr"]), cell(record["seam_db"]))
-            for record in seams["borders"]]
-    rows.append(("all", "", "", "", "", "", cell(seams["seam_db"])))
-    return Table("Seams", ("blocks", "overlap dB", "density jump", "pixels", "PSNR", "elsewhere",
-                           "seam dB"), rows, (1, 2, 3, 4, 5, 6), (
-        "overlap: one block against the other, uncropped, beside their border; density jump: ln of "
-        "gaussians beyond it over those before it, less that of the reference; seam: PSNR "
-        "(colour-corrected, mean of views) gained over the reference elsewhere, less that gained "
-        "beside the border.",))

@@ -17,13 +17,13 @@ seam_db         PSNR that the merged model lacks in the strip: its gain over the
                 corners that hardly a photo shows.
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 
 from clsplat.evaluation.colour import fit_colour
-from clsplat.evaluation.views import photo_of, render_view
-from clsplat.rendering.slabs import open_model
+from clsplat.evaluation.views import opened, photo_of, render_view
 
 STRIP = 0.1  # of the cells' sides, where blocks have no margin
 OPAQUE = 0.5  # a pixel has a place if no more light than this passes
@@ -87,14 +87,10 @@ def find_seams(device, partition, scene, views, options, merged, counts, referen
     None. All Gaussians in the scene's frame. A figure that nothing can be said about is None.
     """
     borders = find_borders(partition)
-
-    def opened(gaussians):
-        return (*open_model(device, gaussians, options.near or scene.near_plane,
-                            options.antialiased, options.background), gaussians.sh_degree)
-
-    looks, errors = _look(borders, partition.space, scene.offset, views, opened(merged),
-                          opened(reference))
-    overlaps = _overlaps(borders, looks, opened, block_model)
+    on_device = functools.partial(opened, device, scene=scene, options=options)
+    shown_in, errors = _inspect_views(borders, partition.space, scene.offset, views,
+                                      on_device(merged), on_device(reference))
+    overlaps = _overlaps(borders, shown_in, on_device, block_model)
     halves = _halves(borders, partition.space, merged.positions, counts, scene.offset)
     owner = partition.owner(reference.positions + scene.offset)
     base = _halves(borders, partition.space,
@@ -111,11 +107,11 @@ def find_seams(device, partition, scene, views, options, merged, counts, referen
             "seam_db": _scores(errors[-1])["seam_db"]}
 
 
-def _look(borders, space, offset, views, merged, reference):
-    """(looks, errors). looks: a border's [(pixels, view, flat indices int[K])], most pixels first,
-    OVERLAP_VIEWS at most. errors: for each border and at last for all, [float64[2, 3] a view]: in
-    the strip and elsewhere, pixels, squared errors of merged, and of reference."""
-    looks, errors = [[] for _ in borders], [[] for _ in range(len(borders) + 1)]
+def _inspect_views(borders, space, offset, views, merged, reference):
+    """(shown_in, errors). shown_in: a border's [(pixels, view, flat indices int[K])], most pixels
+    first, OVERLAP_VIEWS at most. errors: for each border and at last for all, [float64[2, 3] a
+    view]: in the strip and elsewhere, pixels, squared errors of merged, and of reference."""
+    shown_in, errors = [[] for _ in borders], [[] for _ in range(len(borders) + 1)]
     for view in views:
         image, place = _picture(merged, view.camera)
         known = np.isfinite(place).all(axis=-1)
@@ -128,14 +124,14 @@ def _look(borders, space, offset, views, merged, reference):
         strips = [(number, near) for number, border in enumerate(borders)
                   if len(near := border.pixels(coordinates))]
         for number, near in strips:
-            looks[number].append((len(near), view, pixels[near]))
-            looks[number] = sorted(looks[number], key=lambda look: -look[0])[:OVERLAP_VIEWS]
+            shown_in[number].append((len(near), view, pixels[near]))
+            shown_in[number] = sorted(shown_in[number], key=lambda seen: -seen[0])[:OVERLAP_VIEWS]
             away[near] = False
         if strips:
             strips.append((len(borders), np.flatnonzero(~away)))
         for number, near in strips:
             errors[number].append([values[near].sum(axis=0), values[away].sum(axis=0)])
-    return looks, errors
+    return shown_in, errors
 
 
 def _picture(model, camera):
@@ -152,20 +148,20 @@ def _picture(model, camera):
     return image, (place - camera.translation) @ camera.rotation
 
 
-def _overlaps(borders, looks, opened, block_model):
+def _overlaps(borders, shown_in, on_device, block_model):
     """dB a border, or None: one block's render against its neighbour's. Each block is opened once.
     """
     shown = {}  # (border, block): its colours in the strip
     for block in sorted({block for border in borders for block in (border.first, border.second)}):
         own = [number for number, border in enumerate(borders)
-               if block in (border.first, border.second) and looks[number]]
+               if block in (border.first, border.second) and shown_in[number]]
         gaussians = block_model(block) if own else None
         if gaussians is None:
             continue
-        model, pictures = opened(gaussians), {}
+        model, pictures = on_device(gaussians), {}
         for number in own:
             parts = []
-            for _, view, pixels in looks[number]:
+            for _, view, pixels in shown_in[number]:
                 if view.name not in pictures:
                     pictures[view.name] = render_view(*model, view.camera).reshape(-1, 3)
                 parts.append(pictures[view.name][pixels])
@@ -198,7 +194,7 @@ def _jump(halves):
 
 
 def _scores(errors):
-    """What the errors of `_look` say of a border."""
+    """What the errors of `_inspect_views` say of a border."""
     names = "psnr", "reference_psnr", "elsewhere_psnr", "elsewhere_reference_psnr"
     errors = np.reshape(errors, (-1, 2, 3))
     pixels = int(errors[:, 0, 0].sum())

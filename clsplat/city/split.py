@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from clsplat.city.merge import partition_of
 from clsplat.errors import TOO_LARGE
 from clsplat.partition import Partition
 from clsplat.partition.grid import best_cut
@@ -22,7 +21,7 @@ def split_blocks(city, scene, numbers, positions_world):
     removed, the others are theirs as before. Returns the Partition, and which of the blocks could
     not be cut.
     """
-    partition = partition_of(city, scene)
+    partition = city.partition(scene)
     regions, views, whole = list(partition.regions), list(partition.views), []
     coordinates = partition.space.to(positions_world)
     notes = list(partition.notes)

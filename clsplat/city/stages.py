@@ -6,15 +6,15 @@ from contextlib import nullcontext
 
 import numpy as np
 
-from clsplat.city.merge import partition_of
 from clsplat.city.split import split_blocks, too_large
 from clsplat.city.visibility import DropTest
 from clsplat.distribute import Task, run
 from clsplat.errors import InputError
-from clsplat.evaluation.views import run_options
+from clsplat.evaluation.run import Run
 from clsplat.io.atomic import replacing
 from clsplat.io.city import CITY, PARTITION
-from clsplat.io.run import MODEL, RunFolder
+from clsplat.io.folders import make_folder
+from clsplat.io.run import RunFolder
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import checked, resolve
@@ -56,7 +56,7 @@ def begin(city, scene, options):
                              "another --output")
     else:
         city.check_free()
-    city.make()
+    make_folder(city.path, "choose another --output")
     city.write(record)
 
 
@@ -73,12 +73,12 @@ def begin_from_coarse(city, given=None):
             raise InputError(f"{city.path}: its scene {scene.path} has changed since; put it "
                              "back, or begin a new city")
         return scene, options
-    folder = RunFolder.open(city.coarse)
-    coarse = run_options(folder)
+    run = Run.open(city.coarse)
+    coarse = run.options
     if not coarse.coarse:
         raise InputError(f"{city.coarse}: was not trained with --coarse; begin again with "
                          f"`clsplat train SCENE --coarse -o {city.coarse}`")
-    scene = read_scene(folder.scene_path(given), coarse.images)
+    scene = run.scene(given, whole=True)
     options = dataclasses.replace(
         coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         max_resolution=COARSE_FACTOR * coarse.max_resolution,
@@ -119,14 +119,14 @@ def cut_into_blocks(city, scene, options, wanted, device):
     partition. What is there already stays as it is. A block takes as many steps a view as one run
     of the whole would.
     """
-    coarse = RunFolder(city.coarse)
-    small, decided = run_options(coarse), decided_by(coarse)
-    gaussians = coarse.load_model()
+    coarse = Run.open(city.coarse)
+    small, gaussians = coarse.options, coarse.finished_model
+    decided = decided_by(coarse.folder)
     training = {view.name for view in scene.split(options.test_every)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
     if city.has_partition:
         city.adopt()
-        partition = partition_of(city, scene)
+        partition = city.partition(scene)
         _check_asked(city, wanted)
     else:
         drop = None
@@ -138,7 +138,7 @@ def cut_into_blocks(city, scene, options, wanted, device):
     counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
-    exposures = coarse.load_exposures()
+    exposures = coarse.exposures
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         share = len(chosen) / len(views)
         given = block_steps(options, share)
@@ -187,7 +187,8 @@ def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=
     blocks = {block.path.name: block for block in city.blocks()}
     places = {name: f"block {number} of {len(blocks)}" for number, name in enumerate(blocks, 1)}
     chosen = ("--device", devices[0]) if len(devices) == 1 else ()
-    tasks = [Task(name, ("block", str(block.path.resolve()), "-q", *chosen), block.run / MODEL)
+    tasks = [Task(name, ("block", str(block.path.resolve()), "-q", *chosen),
+                  RunFolder(block.run).model_path)
              for name, block in blocks.items()]
 
     def here(task):

@@ -73,7 +73,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     Run again after any failure, it goes on where it was. The folder is a run like any other, for
     `clsplat eval`, `render` and `compare`. Several devices: --device 0,1 with --workers 2.
     """
-    from clsplat.city.finish import check_reference
+    from clsplat.city.finish import reference_file
     from clsplat.city.forecast import block_table
     from clsplat.city.stages import (
         begin,
@@ -92,7 +92,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
     check_workers(workers)
-    check_reference(against)
+    against = reference_file(against)
     if options.init != "sfm" or options.coarse:
         raise InputError("--init, --coarse: the coarse run begins a city, blocks begin with it; "
                          "leave them out")
@@ -175,14 +175,14 @@ def merge(ctx, folder, fill, against, device, scene):
 
     Every gaussian is owned once. Says what is missing, and then ends with exit code 2.
     """
-    from clsplat.city.finish import check_reference
+    from clsplat.city.finish import reference_file
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     there = CityFolder(folder)
     there.check_there()
-    check_reference(against)
+    against = reference_file(against)
     ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(there, scene)
     _finish(there, data, options, choose_device(device), fill, against, False)
@@ -190,15 +190,15 @@ def merge(ctx, folder, fill, against, device, scene):
 
 def _finish(folder, data, options, device, fill, against, quiet):
     from clsplat.city.finish import evaluate_city, merge_city
-    from clsplat.city.merge import seam_table
     from clsplat.cli.evaluate import summary
+    from clsplat.report.city import seam_table, share_table
     merged = merge_city(folder, data, options, device, fill)
     scores, seams = evaluate_city(folder, data, options, device, against)
     if against and seams is None:
         click.echo("--against: not used, as one block has no seams", err=True)
     if quiet:
         return
-    click.echo(merged.table().text())
+    click.echo(share_table(merged.record()).text())
     if seams:
         click.echo(seam_table(seams).text())
     if scores:

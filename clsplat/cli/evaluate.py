@@ -24,16 +24,17 @@ def evaluate(run, device, images, scene):
     """
     from clsplat.device import choose_device
     from clsplat.evaluation.error_map import MEANING
+    from clsplat.evaluation.run import Run
     from clsplat.evaluation.views import PANELS, evaluate_run
-    from clsplat.io.run import RENDERS, RunFolder
-    folder = RunFolder.open(run)
+    opened = Run.open(run)
+    folder = opened.folder
     folder.check_model()
     with folder.locked() if images else nullcontext():
-        result = evaluate_run(folder, choose_device(device), images, scene)
+        result = evaluate_run(opened, choose_device(device), images, scene)
         click.echo(summary(result))
         if images:
             from clsplat.report.run import renew_pictures
-            click.echo(f"pictures: {folder.path / RENDERS}\n"
+            click.echo(f"pictures: {folder.renders.folder}\n"
                        f"  from left to right: {', '.join(PANELS)} ({MEANING})\n"
                        f"report: {renew_pictures(folder, result['pictures'])}")
 

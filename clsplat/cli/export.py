@@ -32,37 +32,38 @@ def export(run, output, sh_degree, sh_cost, device, scene):
     if output.suffix.lower() not in FORMATS:
         known = "; ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
         raise InputError(f"{output}: no format has the suffix '{output.suffix}'; known: {known}")
+    from clsplat.evaluation.run import Run
     from clsplat.export.prune import alive
     from clsplat.io.atomic import replacing
     from clsplat.io.ply import write_part
-    from clsplat.io.run import MODEL, RunFolder
-    folder = RunFolder.open(run)
-    if output.exists() and output.samefile(folder.path / MODEL):
+    opened = Run.open(run)
+    source = opened.folder.model_path
+    if output.exists() and output.samefile(source):
         raise InputError(f"{output}: is the run's own model; name another file")
-    gaussians = folder.load_model()  # reads all of it: a damaged model is not passed on
+    gaussians = opened.finished_model  # reads all of it: a damaged model is not passed on
     keep, degree = alive(gaussians), gaussians.sh_degree
     if sh_degree == "auto":
-        degree = _measured_degree(folder, device, sh_cost, scene)
+        degree = _measured_degree(opened, device, sh_cost, scene)
     elif sh_degree != "all":
         degree = int(sh_degree)
     if not keep.any():
         what = f"all {len(keep):,} gaussians are too faint to be seen" if len(keep) else "is empty"
-        raise InputError(f"{folder.path / MODEL}: {what}, so nothing is left to write; train "
+        raise InputError(f"{source}: {what}, so nothing is left to write; train "
                          "longer, or look at its report")
     if keep.all() and degree == gaussians.sh_degree:
-        with open(folder.path / MODEL, "rb") as model, replacing(output) as copy:
+        with open(source, "rb") as model, replacing(output) as copy:
             shutil.copyfileobj(model, copy)
     else:
-        write_part(output, folder.path / MODEL, keep, degree)
+        write_part(output, source, keep, degree)
     dead = len(keep) - keep.sum()
     click.echo(f"{output}: {keep.sum():,} gaussians, harmonics to degree {degree}; {dead:,} that "
                "no view can show are left out")
 
 
-def _measured_degree(folder, device, cost, scene):
+def _measured_degree(opened, device, cost, scene):
     from clsplat.device import choose_device
     from clsplat.export.prune import needed_sh_degree
-    degree, scores = needed_sh_degree(folder, choose_device(device), cost, scene)
+    degree, scores = needed_sh_degree(opened, choose_device(device), cost, scene)
     click.echo("held-out PSNR, dB: " + ", ".join(
         f"degree {number} {score:.3f}" for number, score in enumerate(scores)))
     return degree

@@ -1,42 +1,58 @@
 """Renders of a model beside the photos of a scene, and what they score."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.camera import Camera
+from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.error_map import error_map
 from clsplat.evaluation.floaters import floater_share, ground_truth
 from clsplat.evaluation.metrics import psnr, ssim
 from clsplat.evaluation.pictures import Pictures, chosen_views, shown_view
+from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_photo, write_image
-from clsplat.io.ply import read_ply
 from clsplat.io.regular import native
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.options import TrainOptions, resolve
+from clsplat.options import TrainOptions
 from clsplat.rendering.slabs import open_model
-from clsplat.scene import Scene
+from clsplat.scene import Scene, View
+
+if TYPE_CHECKING:
+    from clsplat.evaluation.run import Run
 
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 SAMPLED = 24  # training views to choose pictures from, where no view is held out
 SCORES = ("psnr", "ssim", "psnr_cc", "ssim_cc")
 
 
-def render_view(renderer, rows, degree, camera):
+def render_view(renderer: Any, rows: Any, degree: int, camera: Camera) -> NDArray[np.floating]:
     """float32[H, W, 3] in 0..1: what a Camera sees."""
     frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree)
     return np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
 
 
-def evaluate_views(renderer, rows, degree, views, keep=None):
-    """Scores of renders from the views' cameras against their photos, resampled to that size.
+def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
+                   keep: Callable[..., object] | None = None) -> dict[str, Any]:
+    """Compare renders from the cameras of views with their photos, resampled to that size.
 
-    Returns {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", "per_view"}: means over views, dB and
-    0..1; `_cc` after the quadratic colour fit of each render to its photo. keep: called with
-    (view, image, fitted image, photo), each float[H, W, 3], for every view.
+    Parameters
+    ----------
+    renderer, rows, degree : a model on the device; see `opened`.
+    views : whose cameras and photos to take.
+    keep : called with (view, image, fitted image, photo), each float[H, W, 3], for every view.
+
+    Returns
+    -------
+    {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", "per_view"}: means over views, dB and 0..1;
+    `_cc` after the quadratic colour fit of each render to its photo.
     """
     per_view = []
     for view in views:
@@ -51,12 +67,18 @@ def evaluate_views(renderer, rows, degree, views, keep=None):
     return {"views": len(per_view), **means, "per_view": per_view}
 
 
-def pictures_of(renderer, rows, degree, test, train, per_view=None):
-    """The Pictures of a model: of `test`, the held-out views, or where there are none of at most
-    SAMPLED views of `train`, spread evenly.
+def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
+                train: Sequence[View], per_view: list[dict[str, Any]] | None = None) -> Pictures:
+    """The pictures that a report of a model begins with.
 
-    per_view: the scores of `test` as `evaluate_views` lists them; None: they are made here. What is
-    chosen is rendered again, so that no more than one view is in memory at full size.
+    What is chosen is rendered again, so that no more than one view is in memory at full size.
+
+    Parameters
+    ----------
+    renderer, rows, degree : the model on the device; see `opened`.
+    test : the held-out views, which are shown.
+    train : the training views; where none is held out, at most SAMPLED of them are looked at.
+    per_view : the scores of `test` as `evaluate_views` lists them; None: they are made here.
     """
     views = test or train[::-(-len(train) // SAMPLED)]
     if not (test and per_view):
@@ -69,117 +91,91 @@ def pictures_of(renderer, rows, degree, test, train, per_view=None):
     return Pictures(shown, bool(test), len(views))
 
 
-def photo_of(view):
+def photo_of(view: View) -> NDArray[np.float32]:
     """float32[H, W, 3] in 0..1: the view's photo at its camera's size."""
     return read_photo(view) / np.float32(255)
 
 
-def run_options(run) -> TrainOptions:
-    """The TrainOptions that a run was trained with."""
-    record = run.read_options()
-    known = TrainOptions.__dataclass_fields__
-    return resolve({k: v for k, v in record.items() if k in known}, {})
+def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOptions
+           ) -> tuple[Any, Any, int]:
+    """A finished model on a device: the renderer, its rows and the SH degree.
+
+    Parameters
+    ----------
+    device : an open device.
+    gaussians : the model, in the frame of the scene.
+    scene : whose views are rendered; its unit and size say where the near plane is.
+    options : near, antialiased and background are followed.
+    """
+    renderer, rows = open_model(device, gaussians, scene.near(options.near), options.antialiased,
+                                options.background)
+    return renderer, rows, gaussians.sh_degree
 
 
-def read_scene_of(run, given=None) -> Scene:
-    """The Scene that a run was trained on; given: where it is now, None: where the run has it.
-    InputError where that is another scene."""
-    path = run.scene_path(given)
-    scene = read_scene(path, run_options(run).images)
-    wanted = run.read_options().get("fingerprint")
-    if wanted is not None and fingerprint(scene) != wanted:
-        raise InputError(f"{path}: is not the scene that {run.path} was trained on; give that one "
-                         "with --scene")
-    return scene
+def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None
+                 ) -> dict[str, Any]:
+    """Compare the finished model of a run with its held-out photos.
 
+    Parameters
+    ----------
+    run : the run.
+    device : an open device.
+    save_images : whether PANELS are written into the run, side by side as PNG.
+    scene_path : where the scene is now; None: where the run has recorded it.
 
-def read_cameras_for(run, given=None):
-    """The Scene whose cameras a run is rendered from: its own, or any other that is given."""
-    path, images = run.scene_path(given), run_options(run).images
-    return read_scene(path, images if given is None or (path / images).is_dir() else "")
+    Returns
+    -------
+    What `evaluate_views` returns, and `pictures`; where the scene has its ground truth, also that
+    of `floaters.floater_share`.
 
-
-def evaluate_run(run, device, save_images, scene_path=None):
-    """`evaluate_views` of a run's finished model on its held-out views, and their `pictures`;
-    `save_images` writes PANELS side by side as PNG into the run. scene_path: where the scene is
-    now; None takes what the run has recorded. Where the scene has its ground truth, the result
-    also holds `floaters.floater_share`."""
-    options = run_options(run)
-    scene = read_scene_of(run, scene_path)
-    scene = scene.reduced(options.downscale, options.max_resolution)
+    Raises
+    ------
+    InputError : the run is not finished, or holds out no view.
+    """
+    options, scene = run.options, run.scene(scene_path)
     train, views = scene.split(options.test_every)
     if not views:
         raise InputError(f"{run.path}: no held-out views (--test-every {options.test_every}); "
                          "nothing to compare with")
-    gaussians, city = _shown(run.load_model(), run.path), ground_truth(scene.path)
-    renderer, rows, degree = _opened(device, gaussians, scene, options)
+    gaussians, city = run.finished_model, ground_truth(scene.path)
+    model = run.opened(device, scene, gaussians)
 
     def keep(view, image, fitted, photo):
         error = error_map(fitted, photo) / np.float32(255)
         beside = np.concatenate([photo, image, fitted, error], axis=1)
-        write_image(run.render_path("test", view.name), beside)
+        write_image(run.folder.renders.path("test", view.name), beside)
 
     if save_images:
-        run.note_renders("test", [view.name for view in views])
-    result = evaluate_views(renderer, rows, degree, views, keep if save_images else None)
+        run.folder.renders.note("test", [view.name for view in views])
+    result = evaluate_views(*model, views, keep if save_images else None)
     if city:
         cameras = [view.camera for view in train]
         result.update(floater_share(city, gaussians, cameras, scene.offset))
-    result["pictures"] = pictures_of(renderer, rows, degree, views, train, result["per_view"])
+    result["pictures"] = pictures_of(*model, views, train, result["per_view"])
     return result
 
 
-def training_pictures(run, device):
-    """The Pictures of a run's finished model where it holds out no view."""
-    options = run_options(run)
-    scene = read_scene_of(run)
-    scene = scene.reduced(options.downscale, options.max_resolution)
-    return pictures_of(*_opened(device, run.load_model(), scene, options), [], scene.views)
+def training_pictures(run: Run, device: Device) -> Pictures:
+    """The Pictures of a Run's finished model where it holds out no view."""
+    scene = run.scene()
+    return pictures_of(*run.opened(device, scene), [], scene.views)
 
 
-def render_views(model, scene_path, folder, device, views="all", beside=False):
-    """Render a run or a PLY file from a scene's cameras to PNG files; returns how many.
+def render_views(draw: Callable[[Camera], NDArray[np.floating]], views: Sequence[View],
+                 folder: Path, beside: bool = False) -> None:
+    """Write pictures of views, FOLDER/NAME.png.
 
-    scene_path: None takes the run's own scene. views: "all", "test" or "train"; beside: put the
-    photo at the render's right.
+    Parameters
+    ----------
+    draw : makes float[H, W, 3] in 0..1 of a Camera.
+    views : whose cameras to draw from.
+    folder : where to.
+    beside : put the photo at the picture's right.
     """
-    model, folder = Path(model), Path(folder)
-    if model.is_dir():
-        run = RunFolder.open(model)
-        options = run_options(run)
-        scene = read_cameras_for(run, scene_path)
-        gaussians = run.load_model()
-    else:
-        if scene_path is None:
-            raise InputError(f"{model}: a PLY file has no cameras; name them with --scene SCENE")
-        options, scene = TrainOptions(max_resolution=0), read_scene(scene_path)
-        gaussians = read_ply(model, scene.offset)
-    scene = scene.reduced(options.downscale, options.max_resolution)
-    train, test = scene.split(options.test_every)
-    chosen = {"all": scene.views, "train": train, "test": test}[views]
-    if not chosen:
-        raise InputError(f"{scene.name}: no {views} views; choose others with --views")
-    renderer, rows, degree = _opened(device, _shown(gaussians, model), scene, options)
-    for view in chosen:
-        image = render_view(renderer, rows, degree, view.camera)
+    for view in views:
+        image = draw(view.camera)
         if beside:
             image = np.concatenate([image, photo_of(view)], axis=1)
-        path = folder / native(f"{view.name}.png")
+        path = Path(folder) / native(f"{view.name}.png")
         make_folder(path.parent)
         write_image(path, image)
-    return len(chosen)
-
-
-def _shown(gaussians, path):
-    """The gaussians, if there are any; InputError where pictures would show nothing."""
-    if not gaussians.count:
-        raise InputError(f"{path}: holds no gaussians, so there is nothing to show; give another "
-                         "model")
-    return gaussians
-
-
-def _opened(device, gaussians, scene, options):
-    """(renderer, rows, degree) of a finished model."""
-    renderer, rows = open_model(device, gaussians, options.near or scene.near_plane,
-                                options.antialiased, options.background)
-    return renderer, rows, gaussians.sh_degree

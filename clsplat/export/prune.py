@@ -1,40 +1,53 @@
 """What a finished model can do without: gaussians that no view can show, and harmonics that no
 held-out view misses."""
 
-import numpy as np
+from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.device import Device
 from clsplat.errors import InputError
-from clsplat.evaluation.views import evaluate_views, read_scene_of, run_options
-from clsplat.rendering.pipeline import Renderer
+from clsplat.evaluation.run import Run
+from clsplat.evaluation.views import evaluate_views
+from clsplat.gaussians import Gaussians
 
 ALPHA_MIN = 1 / 255  # cl/include/splat.h: fainter contributions are skipped
 
 
-def alive(gaussians):
+def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
     """bool[N]: whether a gaussian can be seen at all. Alpha is opacity times what falls off from 1,
     and below ALPHA_MIN is nothing: without the others every image has the same bytes."""
     with np.errstate(over="ignore"):
         return 1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))) >= ALPHA_MIN
 
 
-def needed_sh_degree(run, device, cost, scene_path=None):
-    """(degree, [PSNR at degree 0, 1, ...], dB): the lowest degree of the harmonics whose renders of
-    the run's held-out views lose less than `cost` dB of PSNR, a mean over views. scene_path: as of
-    `evaluate.views.evaluate_run`.
+def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | None = None
+                     ) -> tuple[int, list[float]]:
+    """The lowest degree of the spherical harmonics (SH) that the held-out views of a run need.
 
-    Raises InputError for a run without held-out views.
+    Parameters
+    ----------
+    run : a finished run.
+    device : an open device.
+    cost : dB of PSNR, a mean over views, that may be lost.
+    scene_path : where the scene is now; None: where the run has recorded it.
+
+    Returns
+    -------
+    The degree, and the PSNR at degree 0, 1, ..., dB.
+
+    Raises
+    ------
+    InputError : the run holds out no view.
     """
-    options, gaussians = run_options(run), run.load_model()
-    scene = read_scene_of(run, scene_path)
-    scene = scene.reduced(options.downscale, options.max_resolution)
-    _, views = scene.split(options.test_every)
+    test_every, scene = run.options.test_every, run.scene(scene_path)
+    _, views = scene.split(test_every)
     if not views:
         raise InputError(f"{run.path}: no held-out views to measure on (--test-every "
-                         f"{options.test_every}); name a degree instead of auto")
-    renderer = Renderer(device, gaussians.sh_degree, options.near or scene.near_plane,
-                        options.antialiased, options.background)
-    rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
+                         f"{test_every}); name a degree instead of auto")
+    renderer, rows, highest = run.opened(device, scene)
     scores = [evaluate_views(renderer, rows, degree, views)["psnr"]
-              for degree in range(gaussians.sh_degree + 1)]
+              for degree in range(highest + 1)]
     enough = [degree for degree, score in enumerate(scores) if scores[-1] - score < cost]
-    return min(enough, default=gaussians.sh_degree), scores
+    return min(enough, default=highest), scores

@@ -11,19 +11,17 @@ from clsplat.errors import InputError
 from clsplat.io.city import PACKED, attached
 from clsplat.io.citygs import has_parts, read_citygs
 from clsplat.io.colmap import read_colmap
-from clsplat.io.meganerf import has_metadata, read_meganerf
 from clsplat.io.packed import read_packed
 from clsplat.io.transforms import has_transforms, read_transforms
 from clsplat.scene import Scene
 
 # how a folder that is no COLMAP folder is told, and its reader
-LAYOUTS = ((has_metadata, read_meganerf), (has_parts, read_citygs),
-           (has_transforms, read_transforms))
+LAYOUTS = ((has_parts, read_citygs), (has_transforms, read_transforms))
 
 
 def read_scene(path, images="") -> Scene:
-    """The Scene of a folder with a COLMAP model, transforms.json, or the layout of Mega-NeRF or
-    CityGS, or of a packed .npz; else InputError.
+    """The Scene of a folder with a COLMAP model, transforms.json, or the layout of CityGS, or of a
+    packed .npz; else InputError.
 
     images: the folder of its photos, from the scene's folder; "": images/, see `photo_folder`.
     """
@@ -49,6 +47,9 @@ def _read_folder(path, images):
         if found(path):
             _no_images(path, images, "a scene that names its photos itself")
             return read(path)
+    if (path / "train" / "metadata").is_dir():
+        raise InputError(f"{path}: a Mega-NeRF folder, whose metadata need PyTorch; describe it "
+                         "with `python docs/examples/from_mega_nerf.py FOLDER`, then give it again")
     return read_colmap(path, images)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
 from clsplat.io.run import find_runs
 from clsplat.options import TrainOptions
 
@@ -56,14 +57,15 @@ def read_runs(paths):
     """(Trained of every run in the folders, their common folder, names of runs without metrics)."""
     paths = [Path(path).resolve() for path in paths]
     parent = Path(os.path.commonpath(paths))
-    runs = {run.path: run for path in paths for run in find_runs(path)}
+    runs = {folder.path: Run(folder) for path in paths for folder in find_runs(path)}
     names = {path: path.name if path == parent else path.relative_to(parent).as_posix()
              for path in runs}
-    read = [Trained(names[path], run.read_options(), run.records(), run.has_model)
-            for path, run in runs.items() if run.has_metrics]
+    read = [Trained(names[path], run.record, run.metrics, run.folder.has_model)
+            for path, run in runs.items() if run.folder.has_metrics]
     if not read:
         raise InputError(f"{parent}: none of its runs has metrics yet; let them train first")
-    return read, parent, [names[path] for path, run in runs.items() if not run.has_metrics]
+    return read, parent, [names[path] for path, run in runs.items()
+                          if not run.folder.has_metrics]
 
 
 def scene_name(options):

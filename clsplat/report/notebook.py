@@ -1,11 +1,16 @@
 """What notebooks show: a table of facts; a run as a sentence, its curve and its scores."""
 
-from html import escape
+from __future__ import annotations
 
-from clsplat.io.run import RunFolder
+from html import escape
+from typing import TYPE_CHECKING
+
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import score_figure
 from clsplat.report.run import lead, score_table
+
+if TYPE_CHECKING:
+    from clsplat.evaluation.run import Run
 
 
 def table(rows: dict[str, str]) -> str:
@@ -15,9 +20,9 @@ def table(rows: dict[str, str]) -> str:
     ) + "</table>"
 
 
-def run_page(run: RunFolder) -> str:
+def run_page(run: Run) -> str:
     """HTML without head and body."""
-    options, records = run.read_options(), list(run.past_records())
+    options, records = run.record, run.metrics
     scores = score_table(records)
     parts = (f"<p>{escape(lead(options, records))}</p>",
              drawn("PSNR and SSIM over training time", score_figure, records),

@@ -38,7 +38,7 @@ def initial_gaussians(scene, options):
         if given.count < FEWEST:
             raise InputError(f"{options.init}: has {given.count} gaussians, and a training starts "
                              f"from at least {FEWEST}; give another PLY to --init, or leave it out")
-        gaussians = of_degree(given, options.sh_degree)
+        gaussians = given.with_sh_degree(options.sh_degree)
     constrained = options.sphere and options.schedule == "sig"
     if constrained and "anchors" not in gaussians.rows:
         gaussians = with_spheres(gaussians, options.sphere_neighbours)
@@ -57,12 +57,3 @@ def initial_exposures(scene, views):
     if not scene.exposures:
         return None
     return np.array([scene.exposures.get(view.name, IDENTITY) for view in views])
-
-
-def of_degree(gaussians, sh_degree):
-    """The same gaussians with harmonics up to `sh_degree`: cut, or filled up with zeros."""
-    bands = (sh_degree + 1) ** 2 - 1
-    rest = np.zeros((gaussians.count, bands, 3), np.float32)
-    shared = min(bands, gaussians.sh_rest.shape[1])
-    rest[:, :shared] = gaussians.sh_rest[:, :shared]
-    return Gaussians({**gaussians.rows, "sh_rest": rest}, sh_degree)

@@ -21,8 +21,6 @@ from tests.data.tiny_training import CITY
 
 @pytest.mark.parametrize("words", [
     ("render", "city", "-o", "out", "--lod", "--lod-bias", "nan"),
-    ("render", "city", "-o", "out", "--lod", "--away", "inf"),
-    ("render", "city", "-o", "out", "--lod", "--downscale", "nan"),
     ("pack", "city", "-o", "a.npz", "-r", "nan"), ("export", "run", "-o", "a.ply", "--sh-cost",
                                                    "nan"),
     ("block", "city", "--wait", "nan"), ("compare", "run", "--psnr", "inf")], ids=" ".join)

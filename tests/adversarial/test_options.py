@@ -12,7 +12,7 @@ import pytest
 from clsplat import options as module
 from clsplat.densify.grow import Candidates
 from clsplat.errors import InputError
-from clsplat.evaluation.views import run_options
+from clsplat.evaluation.run import Run
 from clsplat.io import run as run_module
 from clsplat.io.run import RunFolder
 from clsplat.options import MOST_STEPS, TrainOptions, checked, from_toml, resolve
@@ -89,7 +89,7 @@ def test_a_limit_is_taken_and_what_is_beyond_refused(name, run):
 def test_a_run_of_large_numbers_is_read_by_eval(run, given):
     options = resolve({}, given)
     run.write_options({"scene": run.path, **dataclasses.asdict(options)})
-    assert run_options(run) == options
+    assert Run(run).options == options
 
 
 @pytest.mark.parametrize("given, said", [

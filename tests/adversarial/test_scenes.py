@@ -243,9 +243,9 @@ def test_paths_that_are_not_utf8(tmp_path, locale):
             "write_packed(scene, sys.argv[1] + '/a.npz')\n"
             "print(len(read_scene(sys.argv[1] + '/a.npz').views))\n"
             "from clsplat.io.run import RunFolder\nrun = RunFolder(sys.argv[1] + '/run')\n"
-            "names = [view.name for view in scene.views]\nrun.note_renders('test', names)\n"
-            "for name in names:\n    run.render_path('test', name).touch()\n"
-            "run.note_renders('train', [])\nprint(len(run.renders()))\n")
+            "names = [view.name for view in scene.views]\nrun.renders.note('test', names)\n"
+            "for name in names:\n    run.renders.path('test', name).touch()\n"
+            "run.renders.note('train', [])\nprint(len(run.renders.paths()))\n")
     done = subprocess.run([sys.executable, "-c", code, place], env={**os.environ, **locale},
                           capture_output=True, text=True, timeout=100, check=False)
     assert done.stdout.split() == [str(4 * HEIGHT), "4", "4"], done.stderr
@@ -309,18 +309,8 @@ def test_transforms(tmp_path, case):
     refused(far_away(**parts)(tmp_path / "town"), *words)
 
 
-def test_mega_nerf_and_citygs_without_photos(tmp_path):
+def test_citygs_with_half_of_it(tmp_path):
     scene = read_scene(write_scene(tmp_path / "made"))
-    layouts.write_meganerf(tmp_path / "mega", scene, {"photo_2.png"})
-    photo = next((tmp_path / "mega/train/rgbs").iterdir())
-    photo.unlink()
-    refused(tmp_path / "mega", photo.stem, "1 of 4")
-    photo.symlink_to("/dev/zero")
-    refused(tmp_path / "mega", "a device")
-    table = next((tmp_path / "mega/train/metadata").iterdir())
-    table.unlink()
-    os.mkfifo(table)
-    refused(tmp_path / "mega", table.name, "a pipe")
     layouts.write_citygs(tmp_path / "city", scene, {"photo_1.png", "photo_3.png"})
     shutil.rmtree(tmp_path / "city/val")
     refused(tmp_path / "city", "val", "missing")

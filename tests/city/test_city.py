@@ -10,7 +10,6 @@ import pytest
 
 from clsplat.city import stages
 from clsplat.city.forecast import gaussians_that_fit, scale_table
-from clsplat.city.merge import partition_of
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
@@ -79,7 +78,7 @@ def test_the_folder_is_a_run_like_any_other(made):
 
 
 def test_every_gaussian_is_owned_once(made):
-    partition, offset = partition_of(made), np.array(
+    partition, offset = made.partition(), np.array(
         RunFolder.open(made.path).read_options()["offset"])
     merged = read_ply(made.path / "point_cloud.ply", offset)
     owner = partition.owner(merged.positions.astype(float) + offset)
@@ -220,7 +219,7 @@ def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch, killed):
             city(copy.path, code=9)
     city(copy.path)
     assert (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns == other
-    partition = partition_of(copy)
+    partition = copy.partition()
     assert len(partition.regions) == 3 and "cut in two" in partition.notes[-1]
     records = {block.read()["number"]: block.read() for block in copy.blocks()}
     halves = records[0]["own"], records[2]["own"]

@@ -1,16 +1,13 @@
 """Levels of detail: every cell at the level that its distance asks for, and no gaussian lost."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from clsplat.camera import Camera
 from clsplat.city import lod
-from clsplat.city.lod import Levels, merge_levels, moved_away
+from clsplat.city.lod import Levels, merge_levels
 from clsplat.cli.main import main
-from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
@@ -152,35 +149,6 @@ def test_near_cells_are_fine_and_far_ones_coarse(levels):
     assert (levels.choose(at(-1e6), pixels=1.7) == 0).all()
 
 
-# --- far views
-
-def test_moved_away_shows_what_it_saw_in_the_part_that_it_names(scene):
-    camera = scene.views[3].camera
-    for factor in (0.5, 3.0):
-        moved, part = moved_away(camera, scene.points, factor)
-        pixel, depth = camera.project(scene.points)
-        size = camera.width, camera.height
-        seen = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < size).all(axis=1)
-        distance = np.median(depth[seen])
-        after, further = moved.project(scene.points)
-        assert np.allclose(further, depth + factor * distance)
-        rows, columns = part
-        assert columns.stop - columns.start == pytest.approx(size[0] / (1 + factor), abs=2)
-        assert rows.stop - rows.start == pytest.approx(size[1] / (1 + factor), abs=2)
-        at_it = seen & (abs(depth - distance) < 0.02 * distance)
-        inside = (after[at_it] >= (columns.start - 1, rows.start - 1)).all(axis=1) & (
-            after[at_it] < (columns.stop + 1, rows.stop + 1)).all(axis=1)
-        assert at_it.sum() > 5 and inside.all()
-
-
-def test_a_view_that_sees_no_points_cannot_move_away(scene):
-    camera = scene.views[0].camera
-    turned = replace(camera, rotation=np.diag([1, -1, -1.0]) @ camera.rotation,
-                     translation=np.diag([1, -1, -1.0]) @ camera.translation)
-    with pytest.raises(InputError, match="^--away: a view sees none of the sparse points, .*; "):
-        moved_away(turned, scene.points, 1)
-
-
 # --- a city
 
 def test_levels_of_a_city_are_those_of_its_blocks_cropped(scene, tmp_path):
@@ -210,37 +178,8 @@ def test_levels_of_a_city_are_those_of_its_blocks_cropped(scene, tmp_path):
 
 # --- the command
 
-def refused(*words):
-    result = CliRunner().invoke(main, [str(word) for word in words])
+def test_a_bias_of_levels_wants_levels(tmp_path):
+    result = CliRunner().invoke(main, ["render", str(tmp_path), "-o", str(tmp_path / "out"),
+                                       "--lod-bias", "2"])
     assert result.exit_code == 2 and result.output.count("\n") == 1, result.output
-    return result.output
-
-
-@pytest.mark.parametrize("flag", ["--lod-bias", "--downscale", "--away"])
-def test_flags_of_lod_want_lod(tmp_path, flag):
-    assert f"{flag}: means nothing without --lod" in refused(
-        "render", tmp_path, "-o", tmp_path / "out", flag, 2)
-
-
-def test_the_table_has_a_line_a_view_and_their_mean(monkeypatch):
-    record = {"gaussians": 2000, "share": 0.25, "psnr_full": 30.0, "psnr": 25.5, "full_psnr": 25.0,
-              "seconds": 0.5, "full_seconds": 1.0}
-    asked = []
-
-    def views(*arguments, **named):
-        asked.append((*map(str, arguments), named))
-        return iter([{"name": "a.jpg", **record},
-                     {"name": "b.jpg", **{key: 3 * value for key, value in record.items()}}])
-
-    monkeypatch.setattr(lod, "compare_views", views)
-    monkeypatch.setattr("clsplat.device.choose_device", lambda name: f"device {name}")
-    result = CliRunner().invoke(main, ["render", "run", "--lod", "-o", "out", "--views", "test",
-                                       "-r", "2", "--away", "3", "--lod-bias", "0.5", "--beside"])
-    assert result.exit_code == 0, result.output
-    assert asked == [("run", "None", "out", "device auto", {
-        "views": "test", "beside": True, "bias": 0.5, "away": 3.0, "downscale": 2.0})]
-    lines = [line.split() for line in result.output.splitlines()]
-    assert "full model, 16 samples a pixel" in result.output
-    assert lines[2] == ["a.jpg", "2,000", "25.0%", "30.00", "25.50", "25.00", "0.500", "1.000"]
-    assert lines[4] == ["mean", "4,000", "50.0%", "60.00", "51.00", "50.00", "1.000", "2.000"]
-    assert lines[5] == ["2", "pictures:", "out"]
+    assert "--lod-bias: means nothing without --lod" in result.output

@@ -1,22 +1,22 @@
 """Snapshots of levels, and a run drawn from them: kept through kills, compared as told."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from clsplat.city import lod
-from clsplat.city.lod import Levels, compare_views, moved_away
-from clsplat.errors import InputError
-from clsplat.evaluation.metrics import psnr
-from clsplat.evaluation.views import run_options
+from clsplat.city.lod import Levels
+from clsplat.cli.main import main
+from clsplat.evaluation.run import Run, to_render
+from clsplat.evaluation.views import opened, photo_of, render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.images import read_image
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.options import resolve
-from clsplat.training.loop import train
 from clsplat.training.step import Step
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, resumed, trained
 from tests.reference.frequency import scene_frequency
@@ -102,71 +102,50 @@ def test_the_folder_knows_its_snapshots(tmp_path):
     assert sorted(p.name for p in (run.path / "lod").iterdir()) == ["level_mine.ply", "notes.txt"]
 
 
-def test_a_near_view_is_the_full_model_and_a_far_one_is_less(item_device, scene, run, tmp_path):
-    near = next(compare_views(run.path, None, tmp_path, item_device, views="test", bias=1e-6))
-    assert near["share"] == 1 and near["psnr_full"] > 100
-    assert near["psnr"] == pytest.approx(near["full_psnr"], abs=1e-4)
-    far = next(compare_views(run.path, None, tmp_path, item_device, views="test", away=30))
-    coarse = read_ply(run.snapshots()[0][1])
-    assert far["gaussians"] == coarse.count and far["share"] < 1
-    assert np.isfinite(far["psnr_full"]) and far["seconds"] > 0 and far["full_seconds"] > 0
+def rendered(path, out, device, *words):
+    """(what `clsplat render --lod` prints, the picture of its first view)."""
+    result = CliRunner().invoke(main, ["render", str(path), "--lod", "-o", str(out), "--device",
+                                       device.name, *words])
+    assert result.exit_code == 0, result.output
+    return result.output, read_image(min(out.rglob("*.png")))
 
 
-def test_what_is_told_is_what_the_pictures_show(item_device, scene, run, tmp_path):
-    told = next(compare_views(run.path, None, tmp_path, item_device, bias=1e6, beside=True,
-                              downscale=2))
-    picture = read_image(tmp_path / f"{told['name']}.png") / 255
-    camera = scene.reduced(OPTIONS["downscale"]).reduced(2).views[0].camera
-    assert picture.shape == (camera.height, 3 * camera.width, 3)
-    drawn, full, photo = np.split(picture, 3, axis=1)
-    for key, pair in (("psnr_full", (drawn, full)), ("psnr", (drawn, photo)),
-                      ("full_psnr", (full, photo))):
-        assert told[key] == pytest.approx(psnr(*pair), abs=0.05), key
-    assert told["psnr"] < told["full_psnr"] - 0.1 and told["share"] < 1
-
-
-def test_supersampling_is_the_mean_of_the_pixels_in_a_pixel(item_device, scene, run):
-    options, small = run_options(run), scene.reduced(4)
-    detail = lod.Detail(run, small, options, item_device)
-    camera = small.views[0].camera
-    image, count = detail.draw_full(camera, 2)
-    large, _ = detail.draw_full(camera.resized(2 * camera.width, 2 * camera.height))
-    assert count == detail.full[0].count and image.shape == (camera.height, camera.width, 3)
-    quarters = [large[i::2, j::2] for i in (0, 1) for j in (0, 1)]
-    assert np.allclose(image, sum(quarters) / 4, atol=1e-6)
-    assert not np.allclose(image, quarters[0], atol=1e-3)
+def test_near_levels_are_the_full_model_and_far_ones_less(item_device, run, tmp_path):
+    said, near = rendered(run.path, tmp_path / "near", item_device, "--lod-bias", "1e-6",
+                          "--views", "test", "--beside")
+    gaussians, scene, options = to_render(run.path, None)
+    view = scene.split(options.test_every)[1][0]
+    full = render_view(*opened(item_device, gaussians, scene, options), view.camera)
+    assert f"100.0% of {gaussians.count:,} gaussians drawn" in said
+    assert abs(near / 255 - np.concatenate([full, photo_of(view)], axis=1)).max() < 0.003
+    said, far = rendered(run.path, tmp_path / "far", item_device, "--lod-bias", "1e6",
+                         "--views", "test")
+    share = read_ply(run.snapshots()[0][1]).count / gaussians.count
+    assert f"{share:.1%} of" in said and share < 1
+    assert abs(far / 255 - full).mean() > 0.003
 
 
 def test_a_choice_that_stays_is_not_taken_again(item_device, scene, run, monkeypatch):
-    detail = lod.Detail(run, scene.reduced(4), run_options(run), item_device)
+    detail = lod.Detail(Run(run), scene.reduced(4), item_device)
     taken, take = [], Levels.take
     monkeypatch.setattr(Levels, "take", lambda *a: taken.append(1) or take(*a))
     near = scene.views[0].camera.reduced(4)
     distance = np.linalg.norm(near.position)  # between this and 31 times as far levels change
     detail.pixels = near.focal[0] / (5 * distance * detail.levels.frequencies[0])
-    far, _ = moved_away(near, scene.points, 30)
-    counts = [detail.draw(camera)[1] for camera in (near, near, far, near)]
+    far = replace(near, translation=near.translation + [0, 0, 30 * distance])
+    counts = []
+    for camera in (near, near, far, near):
+        detail.draw(camera)
+        counts.append(detail.chosen.count)
     assert len(taken) == 3 and counts[0] == counts[1] == counts[3] > counts[2]
 
 
-def test_a_run_without_levels_says_how_to_get_them(run, tmp_path, item_device):
+def test_a_run_without_levels_says_how_to_get_them(run, tmp_path):
     bare, early = (shutil.copytree(run.path, tmp_path / name) for name in ("bare", "early"))
     shutil.rmtree(bare / "lod")
     (early / "point_cloud.ply").unlink()
     for model, said in ((bare, "bare: has no levels of detail; train it to its end with --snap"),
-                        (early, "early: has no levels of detail; train it to its end with"),
+                        (early, "early/point_cloud.ply: the run has no model yet"),
                         (bare / "point_cloud.ply", "point_cloud.ply: holds no run")):
-        with pytest.raises(InputError, match=said):
-            next(compare_views(model, None, tmp_path / "out", item_device))
-
-
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_far_views_take_few_gaussians_and_lose_nothing(scene, tmp_path, antialiased, item_device):
-    """The figure of issue 5: at most 30 % of the gaussians, at most 0.2 dB worse against photos."""
-    run = RunFolder.create(tmp_path / "run")
-    train(scene, resolve({}, {"iterations": 1500, "snapshots": True, "antialiased": antialiased}),
-          item_device, run)
-    records = list(compare_views(run.path, None, tmp_path / "out", item_device, downscale=8))
-    share, lod_psnr, full_psnr = (np.mean([record[key] for record in records])
-                                  for key in ("share", "psnr", "full_psnr"))
-    assert share <= 0.3 and lod_psnr >= full_psnr - 0.2, (share, lod_psnr, full_psnr)
+        result = CliRunner().invoke(main, ["render", str(model), "--lod", "-o", str(tmp_path)])
+        assert result.exit_code == 2 and said in result.output

@@ -14,6 +14,7 @@ from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.partition import Partition
 from clsplat.partition.region import Region, Space
+from clsplat.report.city import share_table
 from tests.data.tiny_training import CITY
 
 BLOCKS = 4
@@ -103,7 +104,7 @@ def test_blocks_come_in_order_and_within_their_cells(city, scene):
     points = sum(share.points for share in merged.shares)
     assert points == len(scene.points)
     assert merged.dropped == {scene.views[3].name: "it sees nothing"}
-    assert scene.views[3].name in merged.table().text()
+    assert scene.views[3].name in share_table(merged.record()).text()
     assert json.loads(json.dumps(merged.record()))["gaussians"] == 2000
 
 
@@ -161,7 +162,7 @@ def test_a_block_that_lacks_is_named_and_can_be_filled(city, scene, fault):
     broken(city, scene, fault)
     merged = merge(city, scene)
     assert states(merged) == ["merged", "merged", fault, "merged"]
-    assert merged.shares[2].gaussians == 0 and fault in merged.table().text()
+    assert merged.shares[2].gaussians == 0 and fault in share_table(merged.record()).text()
     with pytest.raises(InputError, match=f"1 of 4 blocks .*: 002 {fault}; .*blocks/002.*--fill"):
         merged.check()
     assert not quarters(scene).regions[2].owns(merged.gaussians.positions + scene.offset).any()

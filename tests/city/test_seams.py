@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.city.merge import cropped, joined, seam_table
+from clsplat.city.merge import cropped, joined
 from clsplat.city.seams import LEAST_PIXELS, _scores, find_borders, find_seams
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, SH_C0, Gaussians
@@ -16,6 +16,7 @@ from clsplat.options import TrainOptions
 from clsplat.partition import Partition
 from clsplat.partition.region import Region, Space
 from clsplat.rendering.slabs import open_model
+from clsplat.report.city import seam_table
 from tests.data.tiny_training import CITY
 
 OPTIONS = TrainOptions()

@@ -263,22 +263,6 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
     assert all((words in result.output) is images for words in ("renders", "page with new"))
 
 
-def test_render_passes_everything_on(monkeypatch):
-    asked = []
-
-    def render_views(*arguments, **named):
-        asked.append((*map(str, arguments), named))
-        return 7
-
-    module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
-    module(monkeypatch, "clsplat.evaluation.views", render_views=render_views)
-    result = clsplat_("render", "m.ply", "--scene", "city", "-o", "pictures", "--views", "test",
-                      "--beside")
-    assert result.output == "7 pictures: pictures\n"
-    assert asked == [("m.ply", "city", "pictures", "device auto",
-                      {"views": "test", "beside": True})]
-
-
 def test_eval_summary_labels_both():
     text = summary({"views": 3, "psnr": 20.123, "ssim": 0.5, "psnr_cc": 25.0, "ssim_cc": 0.75})
     rows = [line.split() for line in text.splitlines()]

@@ -1,11 +1,8 @@
 """A scene written in the layouts of large data sets, so that reading it back can be compared."""
 
-import io
 import json
 import math
 import shutil
-import struct
-import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +11,8 @@ import plyfile
 from clsplat.io.colmap_write import Tracks, write_colmap
 
 OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes right, down, forward to right, up, back
-# torch's world axes of Mega-NeRF: right, down, forward to down, right, back
+# world axes of Mega-NeRF: right, down, forward to down, right, back
 DRB = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
-STORAGES = {"float32": "Float", "float64": "Double", "int64": "Long"}
 
 
 def every_fourth(scene):
@@ -113,50 +109,14 @@ def write_export(folder, scene):
     return names
 
 
-def torch_file(table, root="archive", program=None):
-    """The bytes that `torch.save` makes of {text: number, text or array}; program: another pickle
-    than that of the table."""
-    storages = []
-
-    def written(value):
-        match value:
-            case np.ndarray():
-                storages.append(value.tobytes())
-                kind, *strides = STORAGES[str(value.dtype)], *value.strides
-                return (b"ctorch._utils\n_rebuild_tensor_v2\n((" + written("storage")
-                        + f"ctorch\n{kind}Storage\n".encode() + written(str(len(storages) - 1))
-                        + written("cpu") + written(value.size) + b"tQK\0" + several(value.shape)
-                        + several(stride // value.itemsize for stride in strides)
-                        + b"\x89ccollections\nOrderedDict\n)RtR")
-            case int():
-                return b"J" + struct.pack("<i", value)
-            case float():
-                return b"G" + struct.pack(">d", value)
-            case str():
-                return b"X" + struct.pack("<I", len(value)) + value.encode()
-        raise TypeError(type(value))
-
-    def several(numbers):
-        return b"(" + b"".join(written(int(number)) for number in numbers) + b"t"
-
-    pairs = b"".join(written(key) + written(value) for key, value in table.items())
-    members = {"data.pkl": program or b"\x80\x02}(" + pairs + b"u.", "byteorder": b"little",
-               **{f"data/{key}": storage for key, storage in enumerate(storages)}}
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w") as archive:
-        for name, content in members.items():
-            archive.writestr(zipfile.ZipInfo(f"{root}/{name}"), content)
-    return out.getvalue()
-
-
-def write_meganerf(folder, scene, held_out, scale=50.0, dtype=np.float64):
-    """Mega-NeRF's tree, without points; numbers in `dtype`."""
+def write_mega_nerf(folder, scene, held_out, save, scale=50.0, dtype=np.float64):
+    """Mega-NeRF's tree, without points; save: called with a table and a path, as torch.save;
+    numbers in `dtype`."""
     poses = {view.name: pose(scene, view)[:3] for view in scene.views}
     origin = DRB @ np.mean([matrix[:, 3] for matrix in poses.values()], axis=0)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "coordinates.pt").write_bytes(torch_file(
-        {"origin_drb": origin.astype(dtype), "pose_scale_factor": scale}))
-    lines = []
+    save({"origin_drb": origin.astype(dtype), "pose_scale_factor": scale},
+         folder / "coordinates.pt")
     for number, view in enumerate(scene.views):
         part, camera = "val" if view.name in held_out else "train", view.camera
         matrix = DRB @ poses[view.name]
@@ -164,12 +124,9 @@ def write_meganerf(folder, scene, held_out, scale=50.0, dtype=np.float64):
         put_photo(view, folder / part / "rgbs" / f"{number:06d}{view.source.suffix}")
         metadata = folder / part / "metadata" / f"{number:06d}.pt"
         metadata.parent.mkdir(parents=True, exist_ok=True)
-        metadata.write_bytes(torch_file({
-            "H": camera.height, "W": camera.width, "c2w": matrix.astype(dtype),
-            "intrinsics": np.array([*camera.focal, *camera.centre], dtype),
-            "distortion": np.array([0.01, 0, 0, 0], dtype)}, f"{number:06d}"))
-        lines.append(f"{view.name},{number:06d}.pt\n")
-    (folder / "mappings.txt").write_text("".join(lines))
+        save({"H": camera.height, "W": camera.width, "c2w": matrix.astype(dtype),
+              "intrinsics": np.array([*camera.focal, *camera.centre], dtype),
+              "distortion": np.array([0.01, 0, 0, 0], dtype)}, metadata)
 
 
 def write_model(folder, scene, views, points):

@@ -11,6 +11,7 @@ from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.evaluation import floaters, views
 from clsplat.evaluation.floaters import floater_share, ground_truth
+from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
@@ -158,7 +159,7 @@ def test_where_the_ground_truth_lies(tmp_path, plane):
 
 @pytest.mark.slow
 def test_evaluations_tell_floaters_where_the_truth_is_known(tmp_path, sample, monkeypatch):
-    monkeypatch.setattr(views, "_opened", lambda *_: (None, None, 0))
+    monkeypatch.setattr(Run, "opened", lambda *_: (None, None, 0))
     monkeypatch.setattr(views, "evaluate_views", lambda *_: {"psnr": 20.0, "per_view": []})
     model = Gaussians.from_points(sample.points, sample.colours, 0)
     lift = np.random.default_rng(0).exponential(5, model.count)  # from none to many pixels
@@ -170,7 +171,7 @@ def test_evaluations_tell_floaters_where_the_truth_is_known(tmp_path, sample, mo
         run = RunFolder.create(tmp_path / f"run_{scene.name}")
         run.write_options({**vars(options_of(sh_degree=0)), "scene": scene})
         run.save_model(model, sample.offset)
-        results.append(views.evaluate_run(run, None, save_images=False))
+        results.append(views.evaluate_run(Run(run), None, save_images=False))
     cameras = [view.camera for view in sample.reduced(8).split(8)[0]]
     expected = floater_share(ground_truth(CITY), model, cameras, sample.offset)
     assert 0 < expected["floaters_10"] < expected["floaters_3"] < expected["floaters"] < 1

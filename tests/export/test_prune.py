@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.estimate.trial_steps import strewn
+from clsplat.evaluation.run import Run
 from clsplat.export import prune as thin
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply, write_ply
@@ -55,7 +56,7 @@ def test_the_lowest_degree_that_costs_little(tmp_path, item_device, city, monkey
         return {"psnr": scores[of_degree]}
     monkeypatch.setattr(thin, "evaluate_views", evaluated)
     run = run_with(tmp_path, strewn(city, 20, 3))
-    assert thin.needed_sh_degree(run, item_device, cost) == (degree, list(scores))
+    assert thin.needed_sh_degree(Run(run), item_device, cost) == (degree, list(scores))
 
 
 @pytest.mark.slow
@@ -63,7 +64,7 @@ def test_harmonics_that_carry_nothing_are_found(tmp_path, item_device, city):
     gaussians = strewn(city, 4400, 3)
     gaussians.sh_rest[:, :3] = 0.3  # of the first degree
     run = run_with(tmp_path, gaussians)
-    degree, scores = thin.needed_sh_degree(run, item_device, 0.01)
+    degree, scores = thin.needed_sh_degree(Run(run), item_device, 0.01)
     assert scores[1] == scores[2] == scores[3] != scores[0]
     assert degree == (0 if scores[3] < scores[0] + 0.01 else 1)
 

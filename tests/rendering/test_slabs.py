@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.run import RunFolder
@@ -216,11 +217,11 @@ def test_a_model_that_does_not_fit_is_evaluated_all_the_same(float_device, tmp_p
     gaussians = Gaussians.from_points(city.points, city.colours, 1)
     gaussians.rows["opacity_logits"][:] = 1
     run.save_model(gaussians, city.offset)
-    whole = evaluate_run(run, float_device, save_images=False)
+    whole = evaluate_run(Run(run), float_device, save_images=False)
     limits = []
     monkeypatch.setattr(slabs, "gaussian_limit", lambda *_: (
         limits.append(1), gaussians.count // 6)[1])
-    slabbed = evaluate_run(run, float_device, save_images=False)
+    slabbed = evaluate_run(Run(run), float_device, save_images=False)
     assert limits
     for score in ("psnr", "ssim", "psnr_cc", "ssim_cc"):
         assert abs(slabbed[score] - whole[score]) < 1e-3, score

@@ -18,6 +18,7 @@ from clsplat.cli.campaign import MAY_DIFFER
 from clsplat.cli.flags import given_options
 from clsplat.cli.train import train
 from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.options import from_toml, resolve
 from clsplat.report.groups import Trained
@@ -84,8 +85,8 @@ def trained(runs, jobs, gpus):
     for run, place in places.items():
         group = found.setdefault(run.scene.name, {}).setdefault(run.group, [])
         if place:
-            read = RunFolder.open(place)
-            group.append(Trained(str(place), read.read_options(), read.records(), True))
+            read = Run.open(place)
+            group.append(Trained(str(place), read.record, read.metrics, True))
     return found, [run.folder for run, place in places.items() if place is None]
 
 

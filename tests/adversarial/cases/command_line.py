@@ -96,8 +96,6 @@ CASES = [
             needs=("sy", "run")),
     refused("render-bias-nan", "clsplat render city --lod --lod-bias nan -o out",
             needs=("sy", "city")),
-    refused("render-away-inf", "clsplat render city --lod --away inf -o out",
-            needs=("sy", "city")),
     refused("render-views-unknown", "clsplat render run --views some -o out", "some",
             needs=("sy", "run")),
     refused("export-no-suffix", "clsplat export run -o out", "out", needs=("sy", "run")),

@@ -178,13 +178,6 @@ def _made_transforms(folder):
     return whole, angled, parted, exported
 
 
-def _made_meganerf(folder):
-    scene = read_scene(write_scene(folder / "made"))
-    for kind, dtype in (("double", np.float64), ("single", np.float32)):
-        layouts.write_meganerf(folder / kind, scene, {"photo_2.png"}, dtype=dtype)
-        yield folder / kind
-
-
 def _made_citygs(folder):
     scene = read_scene(write_scene(folder / "made"))
     layouts.write_citygs(folder / "town", scene, {"photo_1.png", "photo_3.png"})
@@ -288,7 +281,6 @@ READERS = {
     "image": Reader(_made_images, _image),
     "packed": Reader(_made_packed, _packed),
     "transforms": Reader(_made_transforms, _scene, text=True, files=(".json", ".ply")),
-    "meganerf": Reader(_made_meganerf, _scene, files=(".pt", ".txt")),
     "citygs": Reader(_made_citygs, _scene, files=(".bin",)),
     "checkpoint": Reader(_made_checkpoints, _checkpoint, files=(".npz",)),
     "options": Reader(_made_options, _options, text=True),

@@ -1,0 +1,32 @@
+"""Tables of a city: what each block gave to the merged model, and what shows where two meet."""
+
+from typing import Any
+
+from clsplat.report.page import Table
+
+
+def share_table(record: dict[str, Any]) -> Table:
+    """The Table of the blocks; record: of a `city.merge.Merged`, as in the city's metrics."""
+    names = ("state", "gaussians", "trained", "views", "points", "note")
+    rows = [(f"{share['block']:03d}", *(str(share[name]) for name in names))
+            for share in record["blocks"]]
+    return Table("Blocks", ("block", *names), rows, range(2, 6), tuple(
+        f"{name}: in no block: {why}" for name, why in record["dropped"].items()))
+
+
+def seam_table(seams: dict[str, Any]) -> Table:
+    """The Table of what `city.seams.find_seams` found."""
+    def cell(value: float | None) -> str:
+        return "-" if value is None else f"{value:.2f}"
+
+    rows = [(" | ".join(f"{block:03d}" for block in record["blocks"]),
+             cell(record["overlap_psnr"]), cell(record["density_jump"]), str(record["pixels"]),
+             cell(record["psnr"]), cell(record["elsewhere_psnr"]), cell(record["seam_db"]))
+            for record in seams["borders"]]
+    rows.append(("all", "", "", "", "", "", cell(seams["seam_db"])))
+    return Table("Seams", ("blocks", "overlap dB", "density jump", "pixels", "PSNR", "elsewhere",
+                           "seam dB"), rows, (1, 2, 3, 4, 5, 6), (
+        "overlap: one block against the other, uncropped, beside their border; density jump: ln of "
+        "gaussians beyond it over those before it, less that of the reference; seam: PSNR "
+        "(colour-corrected, mean of views) gained over the reference elsewhere, less that gained "
+        "beside the border.",))

@@ -1,0 +1,113 @@
+"""What levels of detail cost and save in pictures of far places: prints a line a view and the mean.
+
+    python -m tools.studies.levels_of_detail RUN [--scene SCENE] [-r R] [--away A] [--bias B]
+
+Held-out views are drawn at levels of detail and in full. -r makes pictures and photos R times
+smaller, which then have as few pixels a world unit as from R times as far away; both are compared
+with the photos. --away moves each camera back by A times its distance to the scene; both are then
+compared with the full model at SUPERSAMPLING^2 samples a pixel.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.city.lod import Detail
+from clsplat.device import choose_device
+from clsplat.errors import InputError
+from clsplat.evaluation.metrics import psnr
+from clsplat.evaluation.run import Run, to_render
+from clsplat.evaluation.views import opened, photo_of, render_view
+from tools.studies.evidence import outermost
+
+SUPERSAMPLING = 4  # samples a pixel along each axis
+COLUMNS = {"gaussians": "11,.0f", "share": "8.1%", "psnr_full": "10.2f", "psnr": "8.2f",
+           "full_psnr": "10.2f", "seconds": "8.3f", "full_seconds": "13.3f"}
+
+
+def main(argv):
+    made = argparse.ArgumentParser(description=__doc__,
+                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("run", type=Path)
+    made.add_argument("--scene", type=Path, help="where the scene is, if it was moved")
+    made.add_argument("-r", "--downscale", type=float, default=1.0)
+    made.add_argument("--away", type=float, default=0.0)
+    made.add_argument("--bias", type=float, default=1.0, help="see `clsplat.city.lod.Detail`")
+    made.add_argument("--device", default="auto")
+    given = made.parse_args(argv)
+    print(f"{'view':<20}" + "".join(
+        f"{name:>{how.partition('.')[0].rstrip(',')}}" for name, how in COLUMNS.items()))
+    records = []
+    for record in compare_views(given.run, given.scene, choose_device(given.device), given.bias,
+                                given.away, given.downscale):
+        records.append(record)
+        print(line(record), flush=True)
+    print(line({"name": "mean", **{key: np.mean([r[key] for r in records]) for key in COLUMNS}}))
+
+
+def line(record):
+    return f"{record['name']:<20}" + "".join(
+        f"{record[key]:>{how}}" for key, how in COLUMNS.items())
+
+
+def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0):
+    """Yields a dict for each held-out view of a run: name; gaussians and share: drawn, and of the
+    full model; psnr_full: dB, against the full model's render; psnr, full_psnr: of both against the
+    reference; seconds, full_seconds: of both, without compiling."""
+    run = Run.open(path)
+    gaussians, scene, options = to_render(path, scene_path)
+    scene = scene.reduced(downscale)
+    detail, full = Detail(run, scene, device, bias), opened(device, gaussians, scene, options)
+    for view in scene.split(options.test_every)[1] or scene.views:
+        camera, part = view.camera, np.s_[:, :]
+        if away:
+            camera, part = moved_away(camera, scene.points, away)
+        image, seconds = _timed(device, detail.draw, camera)
+        whole, full_seconds = _timed(device, lambda camera: render_view(*full, camera), camera)
+        image, whole, reference = image[part], whole[part], (
+            supersampled(full, camera) if away else photo_of(view))[part]
+        yield {"name": view.name, "gaussians": detail.chosen.count,
+               "share": detail.chosen.count / gaussians.count, "psnr_full": psnr(image, whole),
+               "psnr": psnr(image, reference), "full_psnr": psnr(whole, reference),
+               "seconds": seconds, "full_seconds": full_seconds}
+
+
+def supersampled(model, camera, samples=SUPERSAMPLING):
+    """float32[H, W, 3]: the mean of samples x samples a pixel."""
+    height, width = camera.height, camera.width
+    image = render_view(*model, camera.resized(samples * width, samples * height))
+    return image.reshape(height, samples, width, samples, 3).mean(axis=(1, 3))
+
+
+def moved_away(camera, points, factor):
+    """(camera, part): the Camera moved back along its axis by `factor` times the distance of what
+    it sees, and the part of its image, two slices, that shows what it saw: the rest was perhaps
+    never photographed.
+
+    points: float64[N, 3]; the median depth of those in the image is the distance. InputError where
+    there are none.
+    """
+    pixel, depth = camera.project(points)
+    size, centre = np.array([camera.width, camera.height]), np.array(camera.centre)
+    seen = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < size).all(axis=1)
+    if not seen.any():
+        raise InputError("--away: a view sees none of the sparse points, so nothing says how far "
+                         "away it is; take another scene")
+    back = np.array([0, 0, factor * np.median(depth[seen])])
+    ends = np.clip(centre + np.array([-centre, size - centre]) / (1 + factor), 0, size)
+    left, top, right, bottom = (*np.floor(ends[0]).astype(int), *np.ceil(ends[1]).astype(int))
+    return (replace(camera, translation=camera.translation + back),
+            np.s_[top:bottom, left:right])
+
+
+def _timed(device, draw, camera):
+    """(the image that `draw` makes, the seconds that it took without compiling)."""
+    begin = time.perf_counter() - device.build_seconds
+    return draw(camera), time.perf_counter() - device.build_seconds - begin
+
+
+if __name__ == "__main__":
+    outermost(main)
