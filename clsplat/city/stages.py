@@ -13,6 +13,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.atomic import replacing
 from clsplat.io.city import CITY, PARTITION
+from clsplat.io.folders import make_folder
 from clsplat.io.run import RunFolder
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
@@ -55,7 +56,7 @@ def begin(city, scene, options):
                              "another --output")
     else:
         city.check_free()
-    city.make()
+    make_folder(city.path, "choose another --output")
     city.write(record)
 
 
@@ -77,7 +78,7 @@ def begin_from_coarse(city, given=None):
     if not coarse.coarse:
         raise InputError(f"{city.coarse}: was not trained with --coarse; begin again with "
                          f"`clsplat train SCENE --coarse -o {city.coarse}`")
-    scene = run.whole_scene(given)
+    scene = run.scene(given, whole=True)
     options = dataclasses.replace(
         coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         max_resolution=COARSE_FACTOR * coarse.max_resolution,

@@ -26,7 +26,6 @@ def evaluate(run, device, images, scene):
     from clsplat.evaluation.error_map import MEANING
     from clsplat.evaluation.run import Run
     from clsplat.evaluation.views import PANELS, evaluate_run
-    from clsplat.io.run import RENDERS
     opened = Run.open(run)
     folder = opened.folder
     folder.check_model()
@@ -35,7 +34,7 @@ def evaluate(run, device, images, scene):
         click.echo(summary(result))
         if images:
             from clsplat.report.run import renew_pictures
-            click.echo(f"pictures: {folder.path / RENDERS}\n"
+            click.echo(f"pictures: {folder.renders.folder}\n"
                        f"  from left to right: {', '.join(PANELS)} ({MEANING})\n"
                        f"report: {renew_pictures(folder, result['pictures'])}")
 

@@ -122,12 +122,7 @@ def _projected(points: NDArray[np.float64], views: Sequence[View]
                ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
     """Some of the points [P, 3], and the pairs of point [M] and view [M] that show them."""
     points = points[::-(-len(points) // MOST_PROJECTED)]
-    inside = []
-    for view in views:
-        pixels, depths = view.camera.project(points)
-        size = view.camera.width, view.camera.height
-        inside.append(np.flatnonzero((depths > 0) & (pixels > 0).all(axis=1)
-                                     & (pixels < size).all(axis=1)))
+    inside = [np.flatnonzero(view.sees(points)) for view in views]
     lengths = [len(point) for point in inside]
     return points, np.concatenate([[], *inside]).astype(int), np.repeat(range(len(views)), lengths)
 

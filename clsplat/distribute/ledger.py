@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from clsplat.distribute.task import DONE, FAILED, REFUSED, Outcome, Result, Task
-from clsplat.errors import InputError
+from clsplat.io.folders import make_folder
 
 MOST_LOSSES = 10  # workers that may disappear while they run a task: it may be the cause
 
@@ -37,11 +37,7 @@ class Ledger:
                 self.outcomes[task.name] = Outcome(task, True, 0.0, 0, "", "finished before")
                 continue
             self.waiting.append(task)
-            try:
-                task.folder.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(f"{task.folder}: cannot be made ({error.strerror}); check that "
-                                 "the folder above may be written") from None
+            make_folder(task.folder)
 
     def began(self, name: str) -> None:
         """Note that a worker began a try of the task."""

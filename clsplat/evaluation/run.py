@@ -134,37 +134,25 @@ class Run:
         found: dict[str, NDArray[np.float64]] | None = self.folder.load_exposures()
         return found
 
-    def whole_scene(self, path: str | Path | None = None) -> Scene:
-        """The scene that it was trained on, as it was read: at the size of its photos.
-
-        Parameters
-        ----------
-        path : where the scene is now; None: where the run has recorded it.
-
-        Raises
-        ------
-        clsplat.ClsplatError : where it is not there, or is another scene.
-        """
-        place = self.folder.scene_path(None if path is None else Path(path))
-        scene = read_scene(place, self.options.images)
-        wanted = self.record.get("fingerprint")
-        if wanted is not None and fingerprint(scene) != wanted:
-            raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "
-                             "that one with --scene")
-        return scene
-
-    def scene(self, path: str | Path | None = None) -> Scene:
+    def scene(self, path: str | Path | None = None, *, whole: bool = False) -> Scene:
         """The scene that it was trained on, at the size that it was trained at.
 
         Parameters
         ----------
         path : where the scene is now; None: where the run has recorded it.
+        whole : at the size of its photos instead.
 
         Raises
         ------
         clsplat.ClsplatError : where it is not there, or is another scene.
         """
-        return self.whole_scene(path).reduced(self.options.downscale, self.options.max_resolution)
+        place, options = self.folder.scene_path(None if path is None else Path(path)), self.options
+        scene = read_scene(place, options.images)
+        wanted = self.record.get("fingerprint")
+        if wanted is not None and fingerprint(scene) != wanted:
+            raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "
+                             "that one with --scene")
+        return scene if whole else scene.reduced(options.downscale, options.max_resolution)
 
     def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
                ) -> tuple[Any, Any, int]:
@@ -207,7 +195,7 @@ class Run:
         device = device or choose_device(options.device, form=options.form)
         with self.folder.locked():
             try:
-                resume(self.whole_scene(), options, device, self.folder, callbacks=callbacks)
+                resume(self.scene(whole=True), options, device, self.folder, callbacks=callbacks)
             except Interrupted as error:
                 if not error.planned:
                     raise

@@ -1,37 +1,58 @@
 """Renders of a model beside the photos of a scene, and what they score."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.camera import Camera
+from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.error_map import error_map
 from clsplat.evaluation.floaters import floater_share, ground_truth
 from clsplat.evaluation.metrics import psnr, ssim
 from clsplat.evaluation.pictures import Pictures, chosen_views, shown_view
+from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_photo, write_image
 from clsplat.io.regular import native
+from clsplat.options import TrainOptions
 from clsplat.rendering.slabs import open_model
+from clsplat.scene import Scene, View
+
+if TYPE_CHECKING:
+    from clsplat.evaluation.run import Run
 
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 SAMPLED = 24  # training views to choose pictures from, where no view is held out
 SCORES = ("psnr", "ssim", "psnr_cc", "ssim_cc")
 
 
-def render_view(renderer, rows, degree, camera):
+def render_view(renderer: Any, rows: Any, degree: int, camera: Camera) -> NDArray[np.floating]:
     """float32[H, W, 3] in 0..1: what a Camera sees."""
     frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree)
     return np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
 
 
-def evaluate_views(renderer, rows, degree, views, keep=None):
-    """Scores of renders from the views' cameras against their photos, resampled to that size.
+def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
+                   keep: Callable[..., object] | None = None) -> dict[str, Any]:
+    """Compare renders from the cameras of views with their photos, resampled to that size.
 
-    Returns {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", "per_view"}: means over views, dB and
-    0..1; `_cc` after the quadratic colour fit of each render to its photo. keep: called with
-    (view, image, fitted image, photo), each float[H, W, 3], for every view.
+    Parameters
+    ----------
+    renderer, rows, degree : a model on the device; see `opened`.
+    views : whose cameras and photos to take.
+    keep : called with (view, image, fitted image, photo), each float[H, W, 3], for every view.
+
+    Returns
+    -------
+    {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", "per_view"}: means over views, dB and 0..1;
+    `_cc` after the quadratic colour fit of each render to its photo.
     """
     per_view = []
     for view in views:
@@ -46,12 +67,18 @@ def evaluate_views(renderer, rows, degree, views, keep=None):
     return {"views": len(per_view), **means, "per_view": per_view}
 
 
-def pictures_of(renderer, rows, degree, test, train, per_view=None):
-    """The Pictures of a model: of `test`, the held-out views, or where there are none of at most
-    SAMPLED views of `train`, spread evenly.
+def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
+                train: Sequence[View], per_view: list[dict[str, Any]] | None = None) -> Pictures:
+    """The pictures that a report of a model begins with.
 
-    per_view: the scores of `test` as `evaluate_views` lists them; None: they are made here. What is
-    chosen is rendered again, so that no more than one view is in memory at full size.
+    What is chosen is rendered again, so that no more than one view is in memory at full size.
+
+    Parameters
+    ----------
+    renderer, rows, degree : the model on the device; see `opened`.
+    test : the held-out views, which are shown.
+    train : the training views; where none is held out, at most SAMPLED of them are looked at.
+    per_view : the scores of `test` as `evaluate_views` lists them; None: they are made here.
     """
     views = test or train[::-(-len(train) // SAMPLED)]
     if not (test and per_view):
@@ -64,24 +91,47 @@ def pictures_of(renderer, rows, degree, test, train, per_view=None):
     return Pictures(shown, bool(test), len(views))
 
 
-def photo_of(view):
+def photo_of(view: View) -> NDArray[np.float32]:
     """float32[H, W, 3] in 0..1: the view's photo at its camera's size."""
     return read_photo(view) / np.float32(255)
 
 
-def opened(device, gaussians, scene, options):
-    """(renderer, rows, SH degree) of finished Gaussians, to render views of a Scene as TrainOptions
-    say."""
+def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOptions
+           ) -> tuple[Any, Any, int]:
+    """A finished model on a device: the renderer, its rows and the SH degree.
+
+    Parameters
+    ----------
+    device : an open device.
+    gaussians : the model, in the frame of the scene.
+    scene : whose views are rendered; its unit and size say where the near plane is.
+    options : near, antialiased and background are followed.
+    """
     renderer, rows = open_model(device, gaussians, scene.near(options.near), options.antialiased,
                                 options.background)
     return renderer, rows, gaussians.sh_degree
 
 
-def evaluate_run(run, device, save_images, scene_path=None):
-    """`evaluate_views` of a Run's finished model on its held-out views, and their `pictures`;
-    `save_images` writes PANELS side by side as PNG into the run. scene_path: where the scene is
-    now; None takes what the run has recorded. Where the scene has its ground truth, the result
-    also holds `floaters.floater_share`."""
+def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None
+                 ) -> dict[str, Any]:
+    """Compare the finished model of a run with its held-out photos.
+
+    Parameters
+    ----------
+    run : the run.
+    device : an open device.
+    save_images : whether PANELS are written into the run, side by side as PNG.
+    scene_path : where the scene is now; None: where the run has recorded it.
+
+    Returns
+    -------
+    What `evaluate_views` returns, and `pictures`; where the scene has its ground truth, also that
+    of `floaters.floater_share`.
+
+    Raises
+    ------
+    InputError : the run is not finished, or holds out no view.
+    """
     options, scene = run.options, run.scene(scene_path)
     train, views = scene.split(options.test_every)
     if not views:
@@ -93,10 +143,10 @@ def evaluate_run(run, device, save_images, scene_path=None):
     def keep(view, image, fitted, photo):
         error = error_map(fitted, photo) / np.float32(255)
         beside = np.concatenate([photo, image, fitted, error], axis=1)
-        write_image(run.folder.render_path("test", view.name), beside)
+        write_image(run.folder.renders.path("test", view.name), beside)
 
     if save_images:
-        run.folder.note_renders("test", [view.name for view in views])
+        run.folder.renders.note("test", [view.name for view in views])
     result = evaluate_views(*model, views, keep if save_images else None)
     if city:
         cameras = [view.camera for view in train]
@@ -105,16 +155,22 @@ def evaluate_run(run, device, save_images, scene_path=None):
     return result
 
 
-def training_pictures(run, device):
+def training_pictures(run: Run, device: Device) -> Pictures:
     """The Pictures of a Run's finished model where it holds out no view."""
     scene = run.scene()
     return pictures_of(*run.opened(device, scene), [], scene.views)
 
 
-def render_views(draw, views, folder, beside=False):
-    """Write what `draw` makes of each view's Camera, float[H, W, 3], to FOLDER/NAME.png.
+def render_views(draw: Callable[[Camera], NDArray[np.floating]], views: Sequence[View],
+                 folder: Path, beside: bool = False) -> None:
+    """Write pictures of views, FOLDER/NAME.png.
 
-    beside: put the photo at the render's right.
+    Parameters
+    ----------
+    draw : makes float[H, W, 3] in 0..1 of a Camera.
+    views : whose cameras to draw from.
+    folder : where to.
+    beside : put the photo at the picture's right.
     """
     for view in views:
         image = draw(view.camera)

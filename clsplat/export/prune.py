@@ -1,26 +1,44 @@
 """What a finished model can do without: gaussians that no view can show, and harmonics that no
 held-out view misses."""
 
+from pathlib import Path
+
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.constants import ALPHA_STEPS
+from clsplat.device import Device
 from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views
+from clsplat.gaussians import Gaussians
 
 
-def alive(gaussians):
+def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
     """bool[N]: whether a gaussian can be seen at all. Alpha is opacity times what falls off from 1,
     and below 1 / ALPHA_STEPS is nothing: without the others every image has the same bytes."""
     with np.errstate(over="ignore"):
         return 1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))) >= 1 / ALPHA_STEPS
 
 
-def needed_sh_degree(run, device, cost, scene_path=None):
-    """(degree, [PSNR at degree 0, 1, ...], dB): the lowest degree of the harmonics whose renders of
-    a Run's held-out views lose less than `cost` dB of PSNR, a mean over views. scene_path: as of
-    `evaluation.views.evaluate_run`.
+def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | None = None
+                     ) -> tuple[int, list[float]]:
+    """The lowest degree of the spherical harmonics (SH) that the held-out views of a run need.
 
-    Raises InputError for a run without held-out views.
+    Parameters
+    ----------
+    run : a finished run.
+    device : an open device.
+    cost : dB of PSNR, a mean over views, that may be lost.
+    scene_path : where the scene is now; None: where the run has recorded it.
+
+    Returns
+    -------
+    The degree, and the PSNR at degree 0, 1, ..., dB.
+
+    Raises
+    ------
+    InputError : the run holds out no view.
     """
     test_every, scene = run.options.test_every, run.scene(scene_path)
     _, views = scene.split(test_every)

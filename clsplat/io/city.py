@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.io.atomic import PARTIAL, replacing
+from clsplat.io.atomic import PARTIAL
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.packed import write_packed
 from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
-from clsplat.io.records import object_of
+from clsplat.io.records import object_of, write_object
 from clsplat.io.run import CITY, FILES, RunFolder
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region
@@ -52,17 +52,9 @@ class CityFolder:
     def has_partition(self):
         return (self.path / PARTITION).is_file()
 
-    def make(self):
-        """The folder itself, if it is missing."""
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot be made ({error.strerror}); choose another "
-                             "--output") from None
-
     def write(self, record):
         """Replace city.json: a dict for JSON, with at least `fingerprint`, of the whole scene."""
-        _write(self.path / CITY, record)
+        write_object(self.path / CITY, record)
 
     def read(self, **kinds):
         """What `write` wrote; kinds: the types of keys that are needed besides `fingerprint`."""
@@ -89,7 +81,7 @@ class CityFolder:
 
     def write_partition(self, record):
         """Replace partition.json by a Partition's record, a dict for JSON."""
-        _write(self.path / PARTITION, record)
+        write_object(self.path / PARTITION, record)
 
     def read_partition(self):
         """What `write_partition` wrote."""
@@ -141,7 +133,7 @@ class CityFolder:
                 os.rename(block.path, gone)
                 shutil.rmtree(gone, ignore_errors=True)
             else:
-                _write(block.path / BLOCK, {**record, **identity})
+                write_object(block.path / BLOCK, {**record, **identity})
 
     def block(self, number):
         """The BlockFolder of a block, there or not."""
@@ -181,13 +173,13 @@ class CityFolder:
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir(parents=True)
             _write_scene(partial, part)
-            _write(partial / REGION, {**region.record(), WINDOWS: windows})
+            write_object(partial / REGION, {**region.record(), WINDOWS: windows})
             if exposures is not None:
                 write_exposures(partial / EXPOSURES, {
                     view.name: exposures[view.name] for view in part.views
                     if view.name in exposures})
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
-            _write(partial / BLOCK, record)
+            write_object(partial / BLOCK, record)
             os.rename(partial, block.path)
         except BaseException as error:
             shutil.rmtree(partial, ignore_errors=True)
@@ -311,11 +303,6 @@ def _link(source, link):
             os.link(source, link)
         except OSError:
             shutil.copyfile(source, link)
-
-
-def _write(path, record):
-    with replacing(path) as file:
-        file.write((json.dumps(record, indent=1, allow_nan=False) + "\n").encode())
 
 
 def _read(path, kinds, cure):

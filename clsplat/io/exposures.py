@@ -1,13 +1,10 @@
 """Learned colour transforms by name of view, as JSON: `exposures.json` of a run, of a block."""
 
-import json
-
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
-from clsplat.io.records import object_of
+from clsplat.io.records import object_of, write_object
 from clsplat.io.regular import read_regular
 
 EXPOSURES = "exposures.json"
@@ -18,8 +15,7 @@ def write_exposures(path, exposures):
     to the bit."""
     record = {name: np.asarray(rows, np.float64).ravel().tolist()
               for name, rows in exposures.items()}
-    with replacing(path) as file:
-        file.write((json.dumps(record, indent=0, allow_nan=False) + "\n").encode())
+    write_object(path, record, indent=0)
 
 
 def read_exposures(path):

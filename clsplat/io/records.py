@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from clsplat.io.atomic import replacing
+
 LARGEST = 1e100  # of a number: sums of squares stay finite
 # where they are there and not null, these are whole numbers, numbers, text, or objects
 WHOLE = ("iteration", "gaussians", "views", "seed")
@@ -52,6 +54,12 @@ def record_of(data):
         if not all(value is None or _is(value, (int, float)) for value in values):
             raise ValueError("frequency is no number")
     return record
+
+
+def write_object(path: Path, record: dict, indent: int = 1) -> None:
+    """Replace a JSON file by a dict, whose numbers are finite."""
+    with replacing(path) as file:
+        file.write((json.dumps(record, indent=indent, allow_nan=False) + "\n").encode())
 
 
 def _is(value, kinds):

@@ -21,8 +21,8 @@ from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.reason import reason
-from clsplat.io.records import object_of, plain, record_of
-from clsplat.io.regular import in_unicode, native
+from clsplat.io.records import object_of, plain, record_of, write_object
+from clsplat.io.renders import Renders
 from clsplat.io.scene_path import recorded_scene, scene_record
 
 OPTIONS = "options.json"
@@ -30,10 +30,8 @@ METRICS = "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
 MODEL = "point_cloud.ply"
 REPORT = "report.html"
-RENDERS = "renders"
 LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
 FILES = (METRICS, CHECKPOINT, EXPOSURES, MODEL, REPORT, OPTIONS)  # in the order of their removal
-WRITTEN = "written.json"  # in RENDERS: the pictures there that clsplat wrote
 CITY = "city.json"  # of a folder that `clsplat city` wrote: io/city.py reads it
 STATE = "state.json"  # the member of a checkpoint that holds what is no array
 
@@ -48,6 +46,7 @@ class RunFolder:
     def __init__(self, path):
         """Use `create` or `open`."""
         self.path = Path(path)
+        self.renders = Renders(self.path)
         self._metrics_whole = self._replaces = False
 
     @classmethod
@@ -124,9 +123,8 @@ class RunFolder:
 
     def _remove_files(self):
         """Remove what clsplat wrote of a run; links are removed, never followed."""
-        renders, lod = self.path / RENDERS, self.path / LOD
-        if not renders.is_symlink():
-            remove_files([*self.renders(), renders / WRITTEN], renders)
+        self.renders.remove()
+        lod = self.path / LOD
         if not lod.is_symlink():
             remove_files([path for path in lod.glob("level_*")
                           if SNAPSHOT.fullmatch(path.name.removesuffix(PARTIAL))], lod)
@@ -144,8 +142,7 @@ class RunFolder:
         record = {**record, "version": clsplat.__version__, "commit": _commit()}
         if "scene" in record:
             record |= scene_record(record["scene"], self.path)
-        with replacing(self.path / OPTIONS) as file:
-            file.write((json.dumps(plain(record), indent=2) + "\n").encode())
+        write_object(self.path / OPTIONS, plain(record), indent=2)
 
     def scene_path(self, given: Path | None = None) -> Path:
         """Where the run's scene is.
@@ -165,8 +162,7 @@ class RunFolder:
         record = self.read_options()
         found = scene_record(scene, self.path)
         if any(record.get(key) != value for key, value in found.items()):
-            with replacing(self.path / OPTIONS) as file:
-                file.write((json.dumps(record | found, indent=2) + "\n").encode())
+            write_object(self.path / OPTIONS, record | found, indent=2)
 
     def read_options(self):
         """The dict that `write_options` wrote."""
@@ -321,39 +317,6 @@ class RunFolder:
         `ply.read_ply`."""
         self.check_model()
         return read_ply(self.model_path, offset)
-
-    def renders(self):
-        """The pictures of views that clsplat wrote and that are still there, as a list of paths.
-        What lies behind a link is not listed: it may be somebody's own."""
-        folder = self.path / RENDERS
-        try:
-            names = object_of((folder / WRITTEN).read_bytes())["pictures"]
-            found = [folder / native(name) for name in names if ".." not in Path(name).parts]
-        except (OSError, ValueError, KeyError, TypeError):
-            return []
-        inside = os.path.join(os.path.realpath(self.path), RENDERS, "")
-        return [path for path in found if path.is_file() and not path.is_symlink()
-                and os.path.realpath(path).startswith(inside)]
-
-    def note_renders(self, kind: str, names: list[str]) -> None:
-        """Record that each `render_path(kind, name)` will be written: --overwrite may remove it."""
-        folder = self.path / RENDERS
-        make_folder(folder)
-        pictures = {in_unicode(path.relative_to(folder)) for path in self.renders()}
-        pictures |= {f"{kind}/{name}.png" for name in names}
-        with replacing(folder / WRITTEN) as file:
-            file.write((json.dumps({"pictures": sorted(pictures)}, indent=0) + "\n").encode())
-
-    def render_path(self, kind, name):
-        """Where the render of a view goes, its folder made: `renders/KIND/NAME.png`.
-
-        The view's name stays whole, or a.jpg and a.png would meet in one file.
-        """
-        path = self.path / RENDERS / kind / native(f"{name}.png")
-        if not path.resolve().is_relative_to((self.path / RENDERS).resolve()):
-            raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
-        make_folder(path.parent)
-        return path
 
 
 def find_runs(path):

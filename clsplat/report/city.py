@@ -1,9 +1,11 @@
 """Tables of a city: what each block gave to the merged model, and what shows where two meet."""
 
+from typing import Any
+
 from clsplat.report.page import Table
 
 
-def share_table(record):
+def share_table(record: dict[str, Any]) -> Table:
     """The Table of the blocks; record: of a `city.merge.Merged`, as in the city's metrics."""
     names = ("state", "gaussians", "trained", "views", "points", "note")
     rows = [(f"{share['block']:03d}", *(str(share[name]) for name in names))
@@ -12,9 +14,9 @@ def share_table(record):
         f"{name}: in no block: {why}" for name, why in record["dropped"].items()))
 
 
-def seam_table(seams):
+def seam_table(seams: dict[str, Any]) -> Table:
     """The Table of what `city.seams.find_seams` found."""
-    def cell(value):
+    def cell(value: float | None) -> str:
         return "-" if value is None else f"{value:.2f}"
 
     rows = [(" | ".join(f"{block:03d}" for block in record["blocks"]),

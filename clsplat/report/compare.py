@@ -1,11 +1,11 @@
 """Runs against each other: error over training time, and what was equal between them."""
 
-import json
 import math
 from pathlib import Path
 
-from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
+from clsplat.io.folders import make_folder
+from clsplat.io.records import write_object
 from clsplat.report.curves import curve, reached, spread, value_at
 from clsplat.report.drawing import as_png, drawn
 from clsplat.report.figures import comparison_figure, cost_figure
@@ -35,13 +35,8 @@ def write_comparison(paths, folder=None, levels=()):
     final, time = final_table(result), time_table(result)
     different, same = equality_tables(groups)
     folder = Path(folder or parent)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another --output"
-                         ) from None
-    with replacing(folder / "compare.json") as file:
-        file.write((json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
+    make_folder(folder, "choose another --output")
+    write_object(folder / "compare.json", result, indent=2)
     curves = drawn("PSNR, SSIM and number of gaussians over training time, by group",
                    comparison_figure, groups, result["levels"])
     _write_picture(folder / "compare.png", groups, result["levels"])

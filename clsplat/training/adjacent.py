@@ -8,8 +8,8 @@ from clsplat.loss.reproject import pack_pairs
 class Adjacent:
     """Pairs of a view and one of its neighbours, and on the device what takes one to the other.
 
-    neighbours: of each view, the indices of its source views (covisibility/source_views.py);
-    exposures: loss.exposure.Exposures or None; seed: of the drawing.
+    neighbours: of each view, the indices of adjacent ones (covisibility/neighbours.py); exposures:
+    loss.exposure.Exposures or None; seed: of the drawing.
     """
 
     def __init__(self, device, neighbours, exposures, seed):

@@ -243,9 +243,9 @@ def test_paths_that_are_not_utf8(tmp_path, locale):
             "write_packed(scene, sys.argv[1] + '/a.npz')\n"
             "print(len(read_scene(sys.argv[1] + '/a.npz').views))\n"
             "from clsplat.io.run import RunFolder\nrun = RunFolder(sys.argv[1] + '/run')\n"
-            "names = [view.name for view in scene.views]\nrun.note_renders('test', names)\n"
-            "for name in names:\n    run.render_path('test', name).touch()\n"
-            "run.note_renders('train', [])\nprint(len(run.renders()))\n")
+            "names = [view.name for view in scene.views]\nrun.renders.note('test', names)\n"
+            "for name in names:\n    run.renders.path('test', name).touch()\n"
+            "run.renders.note('train', [])\nprint(len(run.renders.paths()))\n")
     done = subprocess.run([sys.executable, "-c", code, place], env={**os.environ, **locale},
                           capture_output=True, text=True, timeout=100, check=False)
     assert done.stdout.split() == [str(4 * HEIGHT), "4", "4"], done.stderr

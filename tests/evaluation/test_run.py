@@ -42,7 +42,7 @@ def test_the_scene_is_as_it_was_trained_on(run, scene):
     assert run.metrics == [] and run.exposures is None and not run.is_finished
     camera, whole = run.scene().views[0].camera, scene.views[0].camera
     assert (camera.width, camera.height) == (whole.width // 8, whole.height // 8)
-    assert run.whole_scene().views[0].camera.width == whole.width
+    assert run.scene(whole=True).views[0].camera.width == whole.width
 
 
 def test_another_scene_is_refused(run, tmp_path):
@@ -51,9 +51,8 @@ def test_another_scene_is_refused(run, tmp_path):
     data = bytearray(points.read_bytes())
     data[16:24] = np.float64(7.5).tobytes()  # x of the first point
     points.write_bytes(data)
-    for read in (run.scene, run.whole_scene):
-        with pytest.raises(InputError, match="other: is not the scene that .* was trained on"):
-            read(tmp_path / "other")
+    with pytest.raises(InputError, match="other: is not the scene that .* was trained on"):
+        run.scene(tmp_path / "other")
     _, shown, _ = to_render(run.path, tmp_path / "other")  # cameras may be those of any scene
     assert shown.path == tmp_path / "other"
 

@@ -35,7 +35,7 @@ def test_pictures_behind_a_link_stay(tmp_path):
     (pictures / "test").mkdir(parents=True)
     (pictures / "test" / "a.jpg.png").write_bytes(b"mine")
     (run.path / "renders").symlink_to(pictures)
-    run.note_renders("test", ["a.jpg"])  # through the link, as `clsplat eval` does
+    run.renders.note("test", ["a.jpg"])  # through the link, as `clsplat eval` does
     overwritten(run)
     assert (pictures / "test" / "a.jpg.png").read_bytes() == b"mine"
     assert (run.path / "renders").is_symlink()
@@ -44,7 +44,7 @@ def test_pictures_behind_a_link_stay(tmp_path):
 @pytest.mark.parametrize("place", ["renders/test", "lod"])
 def test_a_folder_inside_that_is_a_link_is_not_followed(tmp_path, place):
     run = made(tmp_path / "run")
-    run.note_renders("test", ["level_3.ply", "a.jpg"])
+    run.renders.note("test", ["level_3.ply", "a.jpg"])
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     for name in ("level_3.ply.png", "a.jpg.png", "level_3.ply"):
@@ -59,9 +59,9 @@ def test_a_folder_inside_that_is_a_link_is_not_followed(tmp_path, place):
 
 def test_files_of_the_user_stay(tmp_path):
     run = made(tmp_path / "run")
-    run.note_renders("test", ["a.jpg"])
+    run.renders.note("test", ["a.jpg"])
     for name in ("a.jpg", "mine"):
-        run.render_path("test", name).write_bytes(b"png")
+        run.renders.path("test", name).write_bytes(b"png")
     (run.path / "renders" / "empty").mkdir()
     assert overwritten(run) == {"options.json", "renders", "renders/empty", "renders/test",
                                 "renders/test/mine.png"}

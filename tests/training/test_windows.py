@@ -174,7 +174,7 @@ def test_windows_change_little_of_the_pixels_that_show_a_block(scene, gaussians)
 @pytest.fixture
 def block(scene, gaussians, tmp_path):
     city = CityFolder(tmp_path / "city")
-    city.make()
+    city.path.mkdir(parents=True, exist_ok=True)
     city.write({"fingerprint": fingerprint(scene)})
     city.write_partition({"method": "by hand"})
     return city.write_block(0, scene, [3, 8], region_of(scene, 0.3),

@@ -13,21 +13,7 @@ import numpy as np
 
 from clsplat.report.curves import spread
 from clsplat.report.page import Table
-from tools.studies.evidence import (
-    NOTE,
-    SCORES,
-    TITLES,
-    cell,
-    complete,
-    mean,
-    measured,
-    outermost,
-    parsed,
-    parser,
-    refuse,
-    score_cells,
-    write,
-)
+from tools.studies import evidence
 from tools.studies.runs import trained, wanted
 
 FULL = "full"
@@ -42,19 +28,19 @@ ROWS = {
     "w/o ceiling": ["--pixels-per-gaussian", "0"],
     "w/o level resets": ["--no-level-reset"],
 }
-HEAD = ("", "runs", TITLES[0], "to full, dB", *TITLES[1:])
+HEAD = ("", "runs", evidence.TITLES[0], "to full, dB", *evidence.TITLES[1:])
 
 
 def main(argv):
-    made = parser(__doc__, 7000)
+    made = evidence.parser(__doc__, 7000)
     made.add_argument("--seeds", type=int, default=3, help="default 3")
-    given = parsed(made, argv)
+    given = evidence.parsed(made, argv)
     groups, failed = trained(
         [wanted(given, scene, name, seed, flags) for seed in range(given.seeds)
          for scene in given.scenes for name, flags in ROWS.items()], given.jobs, given.gpus)
-    write(given.out / "ablation.md", "Ablation", given, groups,
+    evidence.write(given.out / "ablation.md", "Ablation", given, groups,
           [mean_table(groups), *(scene_table(*found) for found in groups.items())])
-    refuse(failed)
+    evidence.refuse(failed)
 
 
 def difference(runs, full):
@@ -63,33 +49,34 @@ def difference(runs, full):
 
     The seeds are taken as independent: runs of one seed part at the first growth.
     """
-    ends = [measured(group, "psnr_cc") for group in (runs, full)]
+    ends = [evidence.measured(group, "psnr_cc") for group in (runs, full)]
     errors = [(spread(values)[1] or np.nan) / math.sqrt(len(values) or 1) for values in ends]
-    return mean(runs, "psnr_cc") - mean(full, "psnr_cc"), math.hypot(*errors)
+    return evidence.mean(runs, "psnr_cc") - evidence.mean(full, "psnr_cc"), math.hypot(*errors)
 
 
 def scene_table(scene, found):
     """One scene: a row a variant."""
     rows = []
     for name, runs in found.items():
-        first, *rest = score_cells(runs)
-        to_full = "" if name == FULL else cell(*difference(runs, found[FULL]), 2, "+")
+        first, *rest = evidence.score_cells(runs)
+        to_full = "" if name == FULL else evidence.cell(*difference(runs, found[FULL]), 2, "+")
         rows.append((name, str(len(runs)), first, to_full, *rest))
     return Table(scene, HEAD, rows, range(1, 9),
-                 (f"{NOTE} That of the difference to full is its standard error.",))
+                 (f"{evidence.NOTE} That of the difference to full is its standard error.",))
 
 
 def mean_table(groups):
     """Means over the scenes that have every variant."""
-    scenes, rows = complete(groups), []
+    scenes, rows = evidence.complete(groups), []
     for name in ROWS:
         if not scenes:
             break
         runs = sum(len(found[name]) for found in scenes)
-        first, *rest = (cell(np.mean([mean(found[name], key) for found in scenes]), None, digits)
-                        for _, key, digits in SCORES)
+        first, *rest = (
+            evidence.cell(np.mean([evidence.mean(found[name], key) for found in scenes]), None,
+                          digits) for _, key, digits in evidence.SCORES)
         values, errors = np.transpose([difference(found[name], found[FULL]) for found in scenes])
-        to_full = "" if name == FULL else cell(
+        to_full = "" if name == FULL else evidence.cell(
             values.mean(), math.hypot(*errors) / len(scenes), 2, "+")
         rows.append((name, str(runs), first, to_full, *rest))
     left_out = len(groups) - len(scenes)
@@ -101,4 +88,4 @@ def mean_table(groups):
 
 
 if __name__ == "__main__":
-    outermost(main)
+    evidence.outermost(main)
