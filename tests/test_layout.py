@@ -41,6 +41,8 @@ LAYERS = (
     {"cli"},
     {"__main__"},
 )
+NOUNS = {"__init__", "__main__", "camera", "constants", "errors", "extensions", "gaussians",
+         "options", "scene"}
 LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
 
 # tested without OpenCL, though they stand above the device layer
@@ -141,6 +143,13 @@ def layers(root):
                 yield f"{name}:{line}: '{unit}' is not above '{other}'"
             elif unit in NO_DEVICE and other in ("device", "primitives"):
                 yield f"{name}:{line}: '{unit}' must work without OpenCL"
+
+
+def corridor(root):
+    """Only the nouns that everybody speaks of stand outside a room."""
+    for path in sorted((root / "clsplat").glob("*.py")):
+        if path.stem not in NOUNS:
+            yield f"clsplat/{path.name}: belongs into one of the packages"
 
 
 def walls(root):
@@ -263,7 +272,7 @@ def top_level(root):
             yield f"pyproject.toml: [{section}] belongs in setup.cfg"
 
 
-CHECKS = (layers, walls, function_imports, rhyme, kernel_forms, form_branches, sizes,
+CHECKS = (layers, corridor, walls, function_imports, rhyme, kernel_forms, form_branches, sizes,
           names, packaging, top_level)
 
 
@@ -327,6 +336,7 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/schedule/constant.py", "import clsplat.device.find", "must work without OpenCL"),
     ("clsplat/__init__.py", "from clsplat.camera import x", "the package itself imports"),
     ("clsplat/attic.py", "", "'attic' has no layer"),
+    ("clsplat/attic.py", "", "attic.py: belongs into one of the packages"),
     ("clsplat/rendering/blend.py", "try:\n    import pyopencl\nexcept E:\n    pass",
      "pyopencl belongs in clsplat/device/"),
     ("clsplat/bench/blend.py", "import pyopencl as cl", "pyopencl belongs in clsplat/device/"),

@@ -1,25 +1,30 @@
 """The end of a city: one model of its blocks, its levels of detail, and what it scores."""
 
 import dataclasses
+from pathlib import Path
+from typing import Any
 
 from clsplat.city.lod import merge_levels
-from clsplat.city.merge import merge
+from clsplat.city.merge import Merged, merge
 from clsplat.city.seams import find_seams
 from clsplat.city.stages import COARSE_FACTOR, draw
+from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run, training_pictures
 from clsplat.gaussians import Gaussians
+from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
+from clsplat.options import TrainOptions
 from clsplat.report.city import seam_table, share_table
 from clsplat.report.page import embedded
 from clsplat.report.run import write_report
+from clsplat.scene import Scene
 
 
-def reference_file(against):
-    """The PLY of `--against`, a finished run or a PLY file, None of None; InputError where it is
-    neither."""
+def reference_file(against: Path | None) -> Path | None:
+    """The PLY of `--against`, a finished run or a PLY file; InputError where it is neither."""
     if against is None:
         return None
     path = RunFolder(against).model_path if against.is_dir() else against
@@ -31,11 +36,21 @@ def reference_file(against):
     return path
 
 
-def merge_city(city, scene, options, device, fill=False):
-    """Merge the blocks of a CityFolder into its model and levels of detail; returns a `Merged`.
+def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+               fill: bool = False) -> Merged:
+    """Merge the blocks of a city into its model and its levels of detail.
 
-    options: TrainOptions of the whole; fill: see `merge.merge`. InputError, with nothing written,
-    where a block is lacking.
+    Parameters
+    ----------
+    city : its folder.
+    scene : the whole, as `read_scene` gave it.
+    options : of the whole.
+    device : whose name is recorded.
+    fill : see `merge.merge`.
+
+    Raises
+    ------
+    InputError : a block is lacking; nothing is written then.
     """
     merged = merge(city, scene, fill)
     merged.check()
@@ -54,7 +69,7 @@ def merge_city(city, scene, options, device, fill=False):
     return merged
 
 
-def keep_coarse_levels(city, scene):
+def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
     """Make the coarse model, and what its levels left, levels of detail of the whole."""
     coarse, whole = RunFolder(city.coarse), RunFolder(city.path)
     for factor, path in [*coarse.snapshots(), (1.0, coarse.model_path)]:
@@ -63,12 +78,23 @@ def keep_coarse_levels(city, scene):
                             (f"level {level:g}",))
 
 
-def evaluate_city(city, scene, options, device, against=None):
+def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+                  against: Path | None = None
+                  ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Score the merged model on the held-out views, look for seams, and write the report.
 
-    against: path of the PLY that seams are measured by; None: that of the coarse model.
-    Returns (scores as of `evaluate_views`, or None without held-out views; seams as of
-    `find_seams`, by the training views where none are held out).
+    Parameters
+    ----------
+    city : its folder, merged.
+    scene : the whole, as `read_scene` gave it.
+    options : of the whole.
+    device : an open device.
+    against : a PLY file that seams are measured by; None: that of the coarse model.
+
+    Returns
+    -------
+    The scores as of `evaluate_views`, None without held-out views; and the seams as of
+    `find_seams`, by the training views where none are held out.
     """
     run, merged = Run.open(city.path), merge_record(city)
     spent = {**cost(city), "level": 1.0, "gaussians": merged["gaussians"]}
@@ -98,12 +124,12 @@ def evaluate_city(city, scene, options, device, against=None):
     return scores, seams
 
 
-def merge_record(city):
+def merge_record(city: CityFolder) -> dict[str, Any]:
     """The last record of a merge in the city's metrics."""
     return [record for record in RunFolder(city.path).records() if record["event"] == "merge"][-1]
 
 
-def cost(city):
+def cost(city: CityFolder) -> dict[str, float]:
     """{iteration, train_seconds, wall_seconds}: sums over the coarse run and the blocks."""
     last = [record for path in (city.coarse, *(block.run for block in city.blocks()))
             for record in RunFolder(path).past_records()[-1:]]
@@ -111,7 +137,7 @@ def cost(city):
             for key in ("iteration", "train_seconds", "wall_seconds")}
 
 
-def plain(gaussians):
+def plain(gaussians: Gaussians) -> Gaussians:
     """The gaussians without spheres."""
     return Gaussians({name: values for name, values in gaussians.rows.items()
                       if name not in ("anchors", "max_offsets")}, gaussians.sh_degree)

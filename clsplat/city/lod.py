@@ -7,19 +7,27 @@ at most so many pixels there; beyond, a finer one shows more. A finer level than
 but worse: gaussians smaller than a pixel are drawn as if they covered one.
 """
 
+from __future__ import annotations
+
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import expit
 
+from clsplat.camera import Camera
 from clsplat.city.merge import cropped, joined
+from clsplat.device import Device
 from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
+from clsplat.scene import Scene
 
 # pixels that the mean sigma of a level may cover, by whether the renderer is antialiased (measured:
 # to there it meets photos as small better, or at most 0.2 dB worse, than the finest level does)
@@ -32,12 +40,16 @@ TAIL = 0.01  # share of a cell's gaussians at each end of each axis that do not 
 class Levels:
     """A model in cells, each at several levels of detail.
 
-    rows: field -> float32[N, ...], of all cells, each coarse to fine; firsts: int[C, L + 1], where
-    the rows of cell and level begin; low, high: float64[C, 3], the box around a cell's gaussians,
-    world units; frequencies: float64[L], in 1 / world unit.
+    Attributes
+    ----------
+    rows : field -> float32[N, ...], of all cells, each coarse to fine.
+    sh_degree : of all levels.
+    firsts : int[C, L + 1], where the rows of cell and level begin.
+    low, high : float64[C, 3], the box around a cell's gaussians, world units.
+    frequencies : float64[L], in 1 / world unit.
     """
 
-    rows: dict
+    rows: dict[str, NDArray[np.float32]]
     sh_degree: int
     firsts: np.ndarray
     low: np.ndarray
@@ -45,11 +57,16 @@ class Levels:
     frequencies: np.ndarray
 
     @classmethod
-    def of(cls, models, owner=None, limit=CELL):
-        """Levels from Gaussians, coarse to fine, in one frame.
+    def of(cls, models: list[Gaussians],
+           owner: Callable[[NDArray[np.float64]], NDArray[np.integer]] | None = None,
+           limit: int = CELL) -> Levels:
+        """Cut models into cells.
 
-        owner: positions float64[N, 3] -> int[N], the block of each, whose cells are its own;
-        limit: gaussians of the finest model in a cell.
+        Parameters
+        ----------
+        models : coarse to fine, in one frame.
+        owner : positions float64[N, 3] -> int[N], the block of each, whose cells are its own.
+        limit : gaussians of the finest model in a cell.
         """
         degree = max(model.sh_degree for model in models)
         models = [model.with_sh_degree(degree) for model in models]
@@ -70,7 +87,7 @@ class Levels:
                                 for model in models])
         return cls(rows, degree, firsts, low, high, frequencies)
 
-    def choose(self, camera, pixels):
+    def choose(self, camera: Camera, pixels: float) -> NDArray[np.integer]:
         """int[C]: the level that each cell needs for a Camera: the coarsest whose mean sigma covers
         at most so many pixels where the cell is nearest, else the finest."""
         nearest = np.clip(camera.position, self.low, self.high)
@@ -81,7 +98,7 @@ class Levels:
         enough[:, -1] = True
         return enough.argmax(axis=1)
 
-    def take(self, choice):
+    def take(self, choice: NDArray[np.integer]) -> Gaussians:
         """The Gaussians of the level int[C] of each cell."""
         cells = np.arange(len(choice))
         pieces = np.stack([self.firsts[cells, choice], self.firsts[cells, choice + 1]], axis=1)
@@ -89,10 +106,17 @@ class Levels:
                           for name, values in self.rows.items()}, self.sh_degree)
 
 
-def frequency(log_scales, opacity_logits):
-    """The `robust_mean` of frequency.py, in 1 / world unit, on the host; 0 without gaussians.
+def frequency(log_scales: NDArray[np.floating], opacity_logits: NDArray[np.floating]) -> float:
+    """The `robust_mean` of training/frequency.py, on the host; 0 without gaussians.
 
-    log_scales: float[N, 3]; opacity_logits: float[N].
+    Parameters
+    ----------
+    log_scales : float[N, 3].
+    opacity_logits : float[N].
+
+    Returns
+    -------
+    In 1 / world unit.
     """
     opacity = expit(opacity_logits.astype(np.float64))
     sigma = np.exp(log_scales.astype(np.float64)).mean(axis=1)
@@ -123,27 +147,40 @@ def _box(points):
 class Detail:
     """Draws the finished model of a run at levels of detail.
 
-    run: Run; scene: the Scene, reduced, whose frame to use; bias: coarser levels, as if everything
-    were so many times as far away. Raises InputError where the run has no levels.
+    Parameters
+    ----------
+    run : a run that was trained with snapshots, or a city.
+    scene : reduced to the size to draw at; the levels are read into its frame.
+    device : an open device.
+    bias : coarser levels, as if everything were so many times as far away.
+
+    Attributes
+    ----------
+    chosen : the gaussians that the last picture was drawn from.
+    drawn : how many gaussians were drawn, in all pictures together.
+
+    Raises
+    ------
+    InputError : the run has no levels of detail.
     """
 
-    def __init__(self, run, scene, device, bias=1.0):
+    def __init__(self, run: Run, scene: Scene, device: Device, bias: float = 1.0) -> None:
         folder, snapshots = run.folder, run.folder.snapshots()
         if not snapshots or not folder.has_model:
             raise InputError(f"{run.path}: has no levels of detail; train it to its end with "
                              "--snapshots, and more than one of --levels")
         models = [read_ply(path, scene.offset) for _, path in snapshots]
-        self.full = folder.load_model(scene.offset)
+        models.append(folder.load_model(scene.offset))
         city = CityFolder(run.path)
         partition = city.partition() if city.has_partition else None
-        self.levels = Levels.of([*models, self.full], partition and (
+        self.levels = Levels.of(models, partition and (
             lambda positions: partition.owner(scene.offset + positions)))
         self.pixels = bias * PIXELS[run.options.antialiased]
         self._opened = functools.partial(run.opened, device, scene)
         self.chosen = self._choice = self._on_device = None
-        self.drawn = 0  # gaussians, in all pictures
+        self.drawn = 0
 
-    def draw(self, camera):
+    def draw(self, camera: Camera) -> NDArray[np.floating]:
         """float32[H, W, 3] in 0..1, at the levels that a Camera needs."""
         choice = self.levels.choose(camera, self.pixels)
         if not np.array_equal(choice, self._choice):
@@ -153,11 +190,19 @@ class Detail:
         return render_view(*self._on_device, camera)
 
 
-def merge_levels(city, scene):
-    """Join the levels of the blocks of a CityFolder, each cropped to its cell, to levels of the
-    city; returns their factors. A block may lack some: its finer ones are drawn instead.
+def merge_levels(city: CityFolder, scene: Scene) -> list[float]:
+    """Join the levels of a city's blocks, each cropped to its cell, to levels of the city.
 
-    scene: the whole Scene, as `read_scene` gave it.
+    A block may lack some: its finer ones are drawn instead.
+
+    Parameters
+    ----------
+    city : its folder.
+    scene : the whole, as `read_scene` gave it.
+
+    Returns
+    -------
+    The levels' factors.
     """
     partition = city.partition()
     parts = {}

@@ -5,15 +5,21 @@ block lacks is listed, never passed over: `Merged.check` refuses a model with ho
 """
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.city import CityFolder
 from clsplat.io.lock import holder, is_held
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
+from clsplat.partition import Partition
 from clsplat.partition.input import world_of
+from clsplat.scene import Scene
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well
 WHOLE = ("merged", "coarse")  # states of a block whose cell is filled
@@ -23,10 +29,19 @@ KEPT = (TRAINS, "refused")  # states of a block that is never filled; the last o
 
 @dataclass(frozen=True)
 class Share:
-    """What a block gave. state: merged; coarse, the coarse model's gaussians in its place; or why
-    not: missing, unfinished, in training, starved, refused. gaussians: that the merged model has of
-    it; trained: that its own model has, margin and surroundings included; views: it trained with;
-    points: sparse ones in its cell; note: more, for people."""
+    """What a block gave to the merged model.
+
+    Attributes
+    ----------
+    block : its number.
+    state : merged; coarse, the coarse model's gaussians in its place; or why not: missing,
+        unfinished, in training, starved, refused.
+    gaussians : that the merged model has of it.
+    trained : gaussians of its own model, margin and surroundings included.
+    views : how many it trained with.
+    points : sparse points in its cell.
+    note : more, for people.
+    """
 
     block: int
     state: str
@@ -39,15 +54,22 @@ class Share:
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """gaussians: in the frame of the whole scene, block after block; shares: a Share a block, in
-    the same order; dropped: {name of a view: why no block took it}; path: of the city."""
+    """Blocks as one model, whole or not.
+
+    Attributes
+    ----------
+    gaussians : in the frame of the whole scene, block after block.
+    shares : one for each block, in the same order.
+    dropped : name of a view -> why no block took it.
+    path : of the city.
+    """
 
     gaussians: Gaussians
     shares: tuple[Share, ...]
-    dropped: dict
-    path: object
+    dropped: dict[str, str]
+    path: Path
 
-    def check(self):
+    def check(self) -> None:
         """Raise InputError where a cell is empty that should not be: one line that names all."""
         lacking = [share for share in self.shares if share.state not in WHOLE]
         if not lacking:
@@ -60,20 +82,27 @@ class Merged:
         raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be "
                          f"merged: {named}; {cure}")
 
-    def record(self):
+    def record(self) -> dict[str, Any]:
         """A dict for JSON."""
         return {"blocks": [asdict(share) for share in self.shares], "dropped": self.dropped,
                 "gaussians": self.gaussians.count}
 
 
-def merge(city, scene, fill=False):
-    """Merge the finished blocks of a CityFolder; returns a `Merged`, whole or not: `check` it.
+def merge(city: CityFolder, scene: Scene, fill: bool = False) -> Merged:
+    """Merge the finished blocks of a city; `Merged.check` says whether it is whole.
 
-    scene: the whole Scene, as `read_scene` gave it. fill: take the coarse model's gaussians for
-    cells that are missing, unfinished or starved; not of a block that another process trains at
-    this moment. One block at a time is read; what its cell holds
-    is kept. Raises InputError for another scene, a damaged partition, and block folders that are
-    none of it.
+    One block at a time is read; what its cell holds is kept.
+
+    Parameters
+    ----------
+    city : its folder.
+    scene : the whole, as `read_scene` gave it.
+    fill : take the coarse model's gaussians for cells that are missing, unfinished or starved; not
+        of a block that another process trains at this moment.
+
+    Raises
+    ------
+    InputError : another scene, a damaged partition, or block folders that are none of it.
     """
     if fingerprint(scene) != city.read()["fingerprint"]:
         raise InputError(f"{city.path}: is a city of another scene than {scene.path}; give the one "
@@ -103,15 +132,16 @@ def merge(city, scene, fill=False):
     return Merged(joined([piece for piece in pieces if piece]), tuple(shares), dropped, city.path)
 
 
-def cropped(gaussians, partition, number, offset):
-    """The Gaussians that block `number` owns, of those in a frame at `offset` float64[3], world."""
+def cropped(gaussians: Gaussians, partition: Partition, number: int,
+            offset: NDArray[np.float64]) -> Gaussians:
+    """The gaussians that block `number` owns, of those in a frame at `offset` float64[3], world."""
     kept = partition.owner(gaussians.positions.astype(np.float64) + offset) == number
     return Gaussians({f.name: gaussians.rows[f.name][kept] for f in LEARNED}, gaussians.sh_degree)
 
 
-def joined(pieces):
-    """One Gaussians of several, in order, with harmonics up to the highest degree among them. The
-    pieces' rows are given up one field after the other, so that both are not in memory whole."""
+def joined(pieces: list[Gaussians]) -> Gaussians:
+    """One model of several, in order, with the highest SH degree among them. The pieces' rows are
+    given up one field after the other, so that both are not in memory whole."""
     degree = max((piece.sh_degree for piece in pieces), default=0)
     pieces = [piece.with_sh_degree(degree) for piece in pieces]
     return Gaussians({

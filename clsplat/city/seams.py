@@ -18,12 +18,20 @@ seam_db         PSNR that the merged model lacks in the strip: its gain over the
 """
 
 import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.device import Device
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.views import opened, photo_of, render_view
+from clsplat.gaussians import Gaussians
+from clsplat.options import TrainOptions
+from clsplat.partition import Partition
+from clsplat.scene import Scene, View
 
 STRIP = 0.1  # of the cells' sides, where blocks have no margin
 OPAQUE = 0.5  # a pixel has a place if no more light than this passes
@@ -34,8 +42,15 @@ CHUNK = 1 << 20  # gaussians at once
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """Two blocks that share a face, `first` on its low side; axis: across it; at: where it is;
-    low, high: float64[3], the strip. Coordinates of the partition's space."""
+    """Two blocks that share a face. Coordinates are those of the partition's space.
+
+    Attributes
+    ----------
+    first, second : the blocks, `first` on the low side of the face.
+    axis : across the face.
+    at : where the face is.
+    low, high : float64[3], the strip.
+    """
 
     first: int
     second: int
@@ -44,14 +59,14 @@ class Border:
     low: np.ndarray
     high: np.ndarray
 
-    def side(self, coordinates):
+    def side(self, coordinates: NDArray[np.float64]) -> NDArray[np.int8]:
         """int8[N]: of coordinates [N, 3], -1 in the first's half of the strip, 1 in the second's,
         0 elsewhere."""
         within = ((coordinates >= self.low) & (coordinates < self.high)).all(axis=1)
         half = np.where(coordinates[:, self.axis] < self.at, -1, 1)
         return np.where(within, half, 0).astype(np.int8)
 
-    def pixels(self, coordinates):
+    def pixels(self, coordinates: NDArray[np.float64]) -> NDArray[np.int64]:
         """int64[K]: which of coordinates [N, 3], those of a picture, are in the strip."""
         if not len(coordinates) or (coordinates.max(axis=0) < self.low).any() or (
                 coordinates.min(axis=0) >= self.high).any():
@@ -59,7 +74,7 @@ class Border:
         return np.flatnonzero(self.side(coordinates))
 
 
-def find_borders(partition):
+def find_borders(partition: Partition) -> list[Border]:
     """The Borders of a Partition, each pair of neighbours once."""
     regions = partition.regions
     low, high = (np.array([getattr(region, end) for region in regions]) for end in ("low", "high"))
@@ -77,14 +92,28 @@ def find_borders(partition):
     return borders
 
 
-def find_seams(device, partition, scene, views, options, merged, counts, reference, block_model):
-    """{"borders": [a dict a border], "seam_db", "worst_seam_db", "views"}; see above.
+def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
+               options: TrainOptions, merged: Gaussians, counts: Sequence[int],
+               reference: Gaussians, block_model: Callable[[int], Gaussians | None]
+               ) -> dict[str, Any]:
+    """Measure how much shows where blocks meet. All models are in the scene's frame.
 
-    scene: the whole Scene, and views: those of its views to look from, at the size to look at, with
-    photos; options: TrainOptions, how models are rendered; merged: Gaussians, block after block;
-    counts: int a block, how many; reference: Gaussians trained in one piece (the coarse model, or
-    the run to compare with); block_model: called with a block's number, its uncropped Gaussians, or
-    None. All Gaussians in the scene's frame. A figure that nothing can be said about is None.
+    Parameters
+    ----------
+    device : an open device.
+    partition : the blocks.
+    scene : the whole.
+    views : those of its views to look from, at the size to look at.
+    options : how models are rendered.
+    merged : the model, block after block.
+    counts : how many gaussians of it each block gave.
+    reference : a model trained in one piece: the coarse one, or another to compare with.
+    block_model : a block's number -> its model, not cropped, or None.
+
+    Returns
+    -------
+    {"borders": [a dict a border], "seam_db", "worst_seam_db", "views"}; None for a figure that
+    nothing can be said about.
     """
     borders = find_borders(partition)
     on_device = functools.partial(opened, device, scene=scene, options=options)

@@ -6,6 +6,7 @@ the keys that reports rely on hold what they rely on.
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ TEXT = ("event", "scene", "fingerprint", "opencl_device", "kernel_form", "versio
 OBJECTS = ("reasons", "needs")
 
 
-def object_of(data):
+def object_of(data: bytes) -> dict[str, Any]:
     """The dict of a JSON object, as bytes, with finite numbers and whole characters only; else
     ValueError."""
     try:
@@ -37,7 +38,7 @@ def object_of(data):
     return table
 
 
-def record_of(data):
+def record_of(data: bytes) -> dict[str, Any]:
     """The dict of options.json or of a line of metrics.jsonl, as bytes; ValueError names the key
     that holds what clsplat does not write."""
     record = object_of(data)
@@ -56,27 +57,27 @@ def record_of(data):
     return record
 
 
-def write_object(path: Path, record: dict, indent: int = 1) -> None:
+def write_object(path: Path, record: dict[str, Any], indent: int = 1) -> None:
     """Replace a JSON file by a dict, whose numbers are finite."""
     with replacing(path) as file:
         file.write((json.dumps(record, indent=indent, allow_nan=False) + "\n").encode())
 
 
-def _is(value, kinds):
+def _is(value: object, kinds: Any) -> bool:
     if isinstance(value, bool):
         return False
     return isinstance(value, kinds) and (
         not isinstance(value, (int, float)) or abs(value) <= LARGEST)
 
 
-def _finite(text):
+def _finite(text: str) -> float:
     value = float(text)
     if not abs(value) <= LARGEST:
         raise ValueError(f"{text} is no number")
     return value
 
 
-def plain(value):
+def plain(value: Any) -> Any:
     """What JSON can hold: numpy values as Python's, numbers that are not finite as None."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}

@@ -1,15 +1,19 @@
 """The folder of a run: the only code that knows its file names."""
 
+from __future__ import annotations
+
 import json
 import os
 import re
 import subprocess
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import clsplat
 from clsplat.errors import InputError
@@ -43,16 +47,22 @@ class RunFolder:
     dropped by the next `log` or `rewind`. Errors are InputError.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path) -> None:
         """Use `create` or `open`."""
         self.path = Path(path)
         self.renders = Renders(self.path)
         self._metrics_whole = self._replaces = False
 
     @classmethod
-    def create(cls, path, overwrite=False):
-        """A new run in a folder, made if needed, that holds none; overwrite: the first write,
-        `write_options`, removes the files of the run it holds, and nothing else."""
+    def create(cls, path: str | Path, overwrite: bool = False) -> RunFolder:
+        """A new run.
+
+        Parameters
+        ----------
+        path : a folder, made if needed, that holds no run.
+        overwrite : it may hold one, whose files, and nothing else, the first write,
+            `write_options`, removes.
+        """
         run = cls(path)
         try:
             run.path.mkdir(parents=True, exist_ok=True)
@@ -66,7 +76,7 @@ class RunFolder:
                              "choose another --output") from None
         return run
 
-    def _check_free(self, overwrite):
+    def _check_free(self, overwrite: bool) -> None:
         """InputError where a new run cannot begin here."""
         if (self.path / CITY).exists():
             raise InputError(f"{self.path}: holds a city ({CITY}); go on with it by `clsplat "
@@ -79,7 +89,7 @@ class RunFolder:
             raise InputError(f"{self.path}: holds {found[-1]}, but no run that clsplat wrote; "
                              "--overwrite removes runs only: choose another folder")
 
-    def _is_ours(self):
+    def _is_ours(self) -> bool:
         """Whether clsplat wrote what the folder holds: the options say so, or, where these are
         damaged, the metrics or the checkpoint."""
         try:
@@ -113,7 +123,7 @@ class RunFolder:
                     remove_files([self.path / LOCK, self.path / HOLDER], self.path)
 
     @classmethod
-    def open(cls, path):
+    def open(cls, path: str | Path) -> RunFolder:
         """The run that a folder holds."""
         run = cls(path)
         if not (run.path / OPTIONS).is_file():
@@ -121,7 +131,7 @@ class RunFolder:
                              "give a folder that `clsplat train` wrote")
         return run
 
-    def _remove_files(self):
+    def _remove_files(self) -> None:
         """Remove what clsplat wrote of a run; links are removed, never followed."""
         self.renders.remove()
         lod = self.path / LOD
@@ -132,7 +142,7 @@ class RunFolder:
             (self.path / (name + PARTIAL)).unlink(missing_ok=True)
             (self.path / name).unlink(missing_ok=True)
 
-    def write_options(self, record):
+    def write_options(self, record: dict[str, Any]) -> None:
         """Write what the run was started with: a dict for JSON, with `scene` a path, recorded
         here relative to the run and absolute; `version` and, in a checkout, `commit` of clsplat
         are added."""
@@ -164,7 +174,7 @@ class RunFolder:
         if any(record.get(key) != value for key, value in found.items()):
             write_object(self.path / OPTIONS, record | found, indent=2)
 
-    def read_options(self):
+    def read_options(self) -> dict[str, Any]:
         """The dict that `write_options` wrote."""
         path = self.path / OPTIONS
         try:
@@ -174,14 +184,14 @@ class RunFolder:
                              "--overwrite") from None
 
     @property
-    def is_begun(self):
+    def is_begun(self) -> bool:
         return (self.path / OPTIONS).is_file()
 
     @property
-    def has_metrics(self):
+    def has_metrics(self) -> bool:
         return (self.path / METRICS).is_file()
 
-    def log(self, record):
+    def log(self, record: dict[str, Any]) -> None:
         """Append one line to the metrics; a number that is not finite becomes null."""
         path = self.path / METRICS
         line = json.dumps(plain(record), allow_nan=False) + "\n"
@@ -196,15 +206,15 @@ class RunFolder:
             raise InputError(f"{path}: cannot be written ({error.strerror}); "
                              "free some space and continue with --resume") from error
 
-    def records(self):
+    def records(self) -> list[dict[str, Any]]:
         """The metrics as a list of dicts, in order; a last line cut short is left out."""
         return [record for record, _ in self._lines()]
 
-    def past_records(self):
+    def past_records(self) -> list[dict[str, Any]]:
         """`records`, none where there are no metrics yet."""
         return self.records() if self.has_metrics else []
 
-    def _lines(self):
+    def _lines(self) -> list[tuple[dict[str, Any], bytes]]:
         path = self.path / METRICS
         lines = []
         for number, line in enumerate(_whole_lines(_read(path)).splitlines(keepends=True), 1):
@@ -215,7 +225,7 @@ class RunFolder:
                                  "remove that line") from None
         return lines
 
-    def rewind(self, iteration):
+    def rewind(self, iteration: int) -> None:
         """Drop the metrics after an iteration: the steps a resumed run will take again."""
         if not (self.path / METRICS).exists():
             return
@@ -225,10 +235,10 @@ class RunFolder:
             file.writelines(kept)
 
     @property
-    def has_checkpoint(self):
+    def has_checkpoint(self) -> bool:
         return (self.path / CHECKPOINT).is_file()
 
-    def save_checkpoint(self, arrays, state):
+    def save_checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         """Replace the checkpoint: arrays by name, and `state`, a dict for JSON.
 
         When it fails, a full disk included, the checkpoint before stays.
@@ -241,7 +251,7 @@ class RunFolder:
                 with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
-    def load_checkpoint(self):
+    def load_checkpoint(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """(arrays, state) as they were saved; every byte is checked against its CRC."""
         path = self.path / CHECKPOINT
         if not self.has_checkpoint:
@@ -254,26 +264,28 @@ class RunFolder:
         except (KeyError, ValueError) as error:
             raise InputError(f"{path}: {what} ({STATE}: {reason(error)}); {cure}") from None
 
-    def save_exposures(self, exposures):
+    def save_exposures(self, exposures: dict[str, np.ndarray]) -> None:
         """Replace what the run has learned of its photos' colours: name -> float[3, 4]."""
         write_exposures(self.path / EXPOSURES, exposures)
 
-    def load_exposures(self):
+    def load_exposures(self) -> dict[str, np.ndarray] | None:
         """name -> float64[3, 4], or None where the run learned none."""
         path = self.path / EXPOSURES
         return read_exposures(path) if path.is_file() else None
 
-    def save_model(self, gaussians, offset, comments=(), sphere=False):
+    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = (),
+                   sphere: bool = False) -> None:
         """Replace the finished model; see `ply.write_ply`."""
         write_ply(self.path / MODEL, gaussians, offset, comments, sphere)
 
-    def save_snapshot(self, level, gaussians, offset, comments=()):
+    def save_snapshot(self, level: float, gaussians: Gaussians, offset: ArrayLike,
+                      comments: Iterable[str] = ()) -> None:
         """Replace the model of a level, by its down-sampling factor; see `ply.write_ply`."""
         path = self.path / LOD / f"level_{level:g}.ply"
         make_folder(path.parent)
         write_ply(path, gaussians, offset, comments)
 
-    def snapshots(self):
+    def snapshots(self) -> list[tuple[float, Path]]:
         """[(factor, path)] of the models that levels left, coarse to fine; without the finished."""
         found = ((SNAPSHOT.fullmatch(path.name), path) for path in (self.path / LOD).glob("*"))
         return sorted(((float(name[1]), path) for name, path in found if name), reverse=True)
@@ -293,33 +305,33 @@ class RunFolder:
         """Whether all is done: the report comes last."""
         return self.has_model and (self.path / REPORT).is_file()
 
-    def write_report(self, html):
+    def write_report(self, html: str) -> Path:
         """Replace the report by a page (str); returns its path."""
         with replacing(self.path / REPORT) as file:
             file.write(html.encode("utf-8", "backslashreplace"))
         return self.path / REPORT
 
-    def read_report(self):
+    def read_report(self) -> str | None:
         """The page that `write_report` wrote, or None where there is none that can be read."""
         try:
             return (self.path / REPORT).read_bytes().decode()
         except (OSError, ValueError):
             return None
 
-    def check_model(self):
+    def check_model(self) -> None:
         """InputError where the training is not finished."""
         if not self.has_model:
             raise InputError(f"{self.model_path}: the run has no model yet; finish it with "
                              "--resume")
 
-    def load_model(self, offset=None) -> Gaussians:
+    def load_model(self, offset: ArrayLike | None = None) -> Gaussians:
         """The finished model's Gaussians, in the scene's local coordinates; offset: see
         `ply.read_ply`."""
         self.check_model()
         return read_ply(self.model_path, offset)
 
 
-def find_runs(path):
+def find_runs(path: str | Path) -> list[RunFolder]:
     """The RunFolders of a folder: itself, or those at most two levels below, ordered by path.
 
     InputError where there are none.
@@ -333,7 +345,7 @@ def find_runs(path):
     return [RunFolder.open(folder) for folder in found]
 
 
-def _read(path):
+def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
@@ -341,11 +353,11 @@ def _read(path):
                          ) from None
 
 
-def _whole_lines(data):
+def _whole_lines(data: bytes) -> bytes:
     return data[:data.rfind(b"\n") + 1]
 
 
-def _commit():
+def _commit() -> str | None:
     """The commit of the checkout clsplat runs from, with -dirty if changed; None elsewhere."""
     root = Path(clsplat.__file__).parents[1]
     if not (root / ".git").exists():
