@@ -3,7 +3,8 @@
 A block trains the gaussians its region reaches: those it owns, and a margin, which gives its edge
 the neighbours that it has in the whole. Behind them its photos show the rest of the scene. These
 surroundings stay as the coarse run left them. Trained, they would come to make up for the block's
-own gaussians in ways that no other block knows of: merged, caliterra then lost 4 dB (docs/city.md).
+own gaussians in ways that no other block knows of: merged, caliterra then lost 4 dB
+(docs/notebook/city.md).
 So does a gaussian that the block owns but that covers more than its reach, such as a haze: all the
 others are trained under it as it is. Merging drops margin and surroundings. Of its photos a block
 reads the windows that show what it reaches.

@@ -25,10 +25,11 @@ class PartitionOptions:
     """method: a key of METHODS; grid: (N, M) cells along u and v, or None to choose it; limit:
     gaussians that a block may hold with its margin (0: any number), expected: those of the whole
     scene at the end of training, and least_blocks, which choose it; up, bounds: see `Site.of`;
-    margin: share of a cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; docs/city.md);
-    threshold: of citygs, 1 - SSIM; least_views, least_gaussians: a block with fewer is starved;
-    starved: "refuse" a grid that starves a block, or "join" it to a neighbour, as is done with a
-    chosen grid always. Raises InputError for what no scene can be cut with.
+    margin: share of a cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; see
+    docs/notebook/city.md); threshold: of citygs, 1 - SSIM; least_views, least_gaussians: a block
+    with fewer is starved; starved: "refuse" a grid that starves a block, or "join" it to a
+    neighbour, as is done with a chosen grid always. Raises InputError for what no scene can
+    be cut with.
     """
 
     method: str = "citygs"
