@@ -9,7 +9,7 @@ enum {
     SPLAT_DEPTH = 11,
     SPLAT_REALS = 12
 };
-// docs/numerics.md compares other values of these two
+// docs/notebook/numerics.md compares other values of these two
 #ifndef ALPHA_STEPS
 #define ALPHA_STEPS 255
 #endif

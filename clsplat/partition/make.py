@@ -47,7 +47,8 @@ class PartitionOptions:
     least_blocks : the least number of blocks of a chosen grid.
     up : see `PartitionInput.of`.
     bounds : see `PartitionInput.of`.
-    margin : share of a cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; docs/city.md).
+    margin : share of a cell's sides (BlockGaussian has 0.05, VastGaussian 0.2; see
+        docs/notebook/city.md).
     threshold : 1 - SSIM above which citygs assigns a view to a cell.
     least_views : a block with fewer views is starved.
     least_gaussians : a block with fewer gaussians is starved.

@@ -119,7 +119,7 @@ class Sig(Schedule):
 
     def decay(self, iteration):
         """The position rate falls at the finest level only: what has settled at a coarse one must
-        still be able to move when finer images show where it belongs (measured: docs/results.md).
+        still be able to move when finer images show where it belongs (docs/notebook/results.md).
         """
         left = self.options.iterations - self.began
         return min(1.0, (iteration - 1 - self.began) / max(1, left)) if self.last else 0.0

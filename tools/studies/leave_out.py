@@ -16,6 +16,7 @@ import argparse
 import dataclasses
 import itertools
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -69,8 +70,9 @@ def main(argv):
             file.writelines((json.dumps(record) + "\n").encode() for record in records)
     tables = [table(name, [r for r in records if r["scene"] == name]) for name, _ in scenes]
     with replacing(given.out / "leave_out.md") as file:
-        file.write(("# What parts of a step cost\n\n" + "\n\n".join(map(markdown, tables)) + "\n"
-                    ).encode())
+        said = f"Made by `python -m tools.studies.leave_out {shlex.join(argv)}`; do not edit."
+        file.write("\n\n".join(["# What parts of a step cost", said, *map(markdown, tables), ""]
+                              ).encode())
     print(f"{given.out / 'leave_out.md'}")
 
 
