@@ -16,7 +16,7 @@ from clsplat.io.ply import read_ply
 from clsplat.io.reason import reason
 from clsplat.io.run import MODEL
 from clsplat.io.scenes import fingerprint
-from clsplat.partition import Partition
+from clsplat.partition.partition import Partition
 from clsplat.partition.site import world_of
 from clsplat.report.page import Table
 

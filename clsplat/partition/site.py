@@ -10,7 +10,6 @@ from clsplat.partition.frame import ground_axes, quantiles, up_axis
 from clsplat.region import Space, map_axes
 
 BULK = (0.01, 0.99)  # quantiles between which the content lies that is no outlier
-LARGEST = 1e15  # world units of bounds, as of points: squares stay far within float32
 THINNEST = 0.02  # of the longest half side of an area: no side is shorter
 
 
@@ -58,11 +57,11 @@ class Site:
         if not weights.any():
             raise InputError(f"{scene.name}: nothing to share out: no point is seen by a training "
                              "view; reconstruct the scene again, or train a coarse model first")
-        up = up_axis(rotations, points) if up is None else check_up(up)
+        up = up_axis(rotations, points) if up is None else np.array(up) / np.linalg.norm(up)
         if bounds is None:
             rotation = ground_axes(up, content, weights)
         else:
-            bounds = check_bounds(bounds)
+            bounds = np.array(bounds, np.float64).reshape(2, 2)
             rotation = np.stack([*map_axes(up), up])
         site = cls(scene, views, cameras, content, weights, points, point, view, rotation, bounds)
         if bounds is not None and not site.inside().any():
@@ -107,29 +106,6 @@ class Site:
 def world_of(scene, points):
     """Original world coordinates float64[N, 3] of local ones."""
     return scene.offset + scene.unit * np.asarray(points, np.float64).reshape(-1, 3)
-
-
-def check_up(up):
-    """The unit vector float64[3] of what a user gives as up, None of None; InputError for none."""
-    if up is None:
-        return None
-    up = np.array(up, np.float64)
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(up)
-    if up.shape != (3,) or not 0 < length < np.inf:
-        raise InputError("--up: wants three numbers that are not all 0, such as 0 0 1")
-    return up / length
-
-
-def check_bounds(bounds):
-    """(low float64[2], high float64[2]) of X0 Y0 X1 Y1, None of None; InputError for no area."""
-    if bounds is None:
-        return None
-    low, high = np.array(bounds, np.float64).reshape(2, 2)
-    if not ((np.abs(bounds) <= LARGEST).all() and (low < high).all()):
-        raise InputError("--bounds: wants X0 Y0 X1 Y1 with X0 below X1 and Y0 below Y1, on the map "
-                         "that `clsplat partition` draws")
-    return low, high
 
 
 def _words(low, high):

@@ -17,7 +17,7 @@ from clsplat.distribute import guarded, local, run
 from clsplat.errors import InputError
 from clsplat.io.lock import Held
 from clsplat.io.scenes import read_scene
-from clsplat.partition import PartitionOptions
+from clsplat.partition.options import PartitionOptions
 from clsplat.training import loop
 from clsplat.training.silent import WARNING, Silent
 from tests.city.test_merge import (  # noqa: F401  (fixtures)
@@ -123,7 +123,7 @@ def test_a_city_of_the_root_must_be_told_where_to_go():
         _beside(Path("/"))
 
 
-@pytest.mark.parametrize("changes", [{"limit": 100, "expected": 10**9},
+@pytest.mark.parametrize("changes", [{"block_gaussians": 100, "expected": 10**9},
                                      {"least_blocks": 10**6}])
 def test_a_chosen_grid_has_an_end(changes):
     with pytest.raises(InputError, match="blocks, of at most 10,000; allow more gaussians a block"):
