@@ -16,9 +16,9 @@ from clsplat.errors import InputError, Interrupted
 from clsplat.evaluation.views import evaluate_run, read_scene_of, run_options
 from clsplat.gaussians import Gaussians
 from clsplat.io.run import RunFolder
-from clsplat.options import TrainOptions
 from clsplat.report.notebook import run_page
 from clsplat.scene import Scene
+from clsplat.train_options import TrainOptions
 from clsplat.training import loop
 from clsplat.training.checkpoint import saved_gaussians
 

@@ -10,8 +10,8 @@ from clsplat.api.run import Run, finished_or_stopped
 from clsplat.device import Device as OpenedDevice
 from clsplat.device import choose_device
 from clsplat.io.run import RunFolder
-from clsplat.options import resolve
 from clsplat.scene import Scene
+from clsplat.train_options import resolve
 from clsplat.training import loop
 
 

@@ -16,8 +16,8 @@ from clsplat.io.ply import read_ply
 from clsplat.io.reason import reason
 from clsplat.io.run import MODEL
 from clsplat.io.scenes import fingerprint
-from clsplat.partition import Partition
 from clsplat.partition.input import world_of
+from clsplat.partition.partition import Partition
 from clsplat.report.page import Table
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well

@@ -16,9 +16,9 @@ from clsplat.io.ply import read_ply
 from clsplat.io.regular import native
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.options import TrainOptions, resolve
 from clsplat.rendering.slabs import open_model
 from clsplat.scene import Scene
+from clsplat.train_options import TrainOptions, resolve
 
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 SAMPLED = 24  # training views to choose pictures from, where no view is held out

@@ -15,7 +15,7 @@ from clsplat.io.images import read_image
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.options import resolve
+from clsplat.train_options import resolve
 from clsplat.training.loop import train
 from clsplat.training.step import Step
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, resumed, trained
