@@ -20,7 +20,6 @@ BUILD_OUTPUTS = {"out", "build", "dist", "clsplat.egg-info", "__pycache__"}
 # a module imports from its own package and from the lines above its own
 LAYERS = (
     {"constants", "errors"},
-    {"extensions"},
     {"device"},
     {"primitives"},
     {"camera", "options"},
@@ -31,6 +30,7 @@ LAYERS = (
     {"rendering", "schedule", "synth"},
     {"loss", "optimise"},
     {"densify"},
+    {"train_options"},
     {"evaluation"},
     {"report"},
     {"training"},
@@ -47,7 +47,7 @@ LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in unit
 
 # tested without OpenCL, though they stand above the device layer
 NO_DEVICE = {"camera", "options", "gaussians", "scene", "covisibility", "schedule",
-             "partition", "synth", "report"}
+             "partition", "synth", "report", "train_options"}
 
 # package -> the only folders that may import it
 WALLS = {

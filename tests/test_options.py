@@ -8,16 +8,19 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from clsplat.cli.flags import flag_name, given_options, training_flags
+from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
-from clsplat.options import (
-    CHOICES,
+from clsplat.options import flag_name, wanted
+from clsplat.schedule import OURS, schedule_of
+from clsplat.schedule.sig import PAPER, RELEASE
+from clsplat.train_options import (
     TrainOptions,
     checked,
     from_toml,
     resolve,
     seconds_of,
+    serves,
 )
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
@@ -65,10 +68,15 @@ def another(field):
         return "90s", [flag, "90s"]
     if isinstance(default, tuple):
         return (0.5, 0.25, 1.0), [flag, "0.5", "0.25", "1.0"]
-    if isinstance(default, str) and not meta["auto"]:
+    if field.type is str:
         return "text", [flag, "text"]
     value = field.type(meta["maximum"] if meta["maximum"] is not None else 5)
     return value, [flag, str(value)]
+
+
+def serving(name):
+    """The schedules to which an option means something."""
+    return [schedule for schedule in OURS if serves(FIELDS[name], schedule)]
 
 
 @pytest.mark.parametrize("name", FIELDS)
@@ -80,8 +88,7 @@ def test_every_option_is_a_flag_and_a_key_that_agree(name, toml):
         if isinstance(value, tuple) else str(value))
     for key in (name, name.replace("_", "-")):
         assert from_toml(toml(f"{key} = {written}")) == {name: value}
-    only = FIELDS[name].metadata["only"]
-    around = {"schedule": only[0]} if only and name != "schedule" else {}
+    around = {} if name == "schedule" else {"schedule": serving(name)[0]}
     assert getattr(resolve({}, {**around, name: value}), name) == value
 
 
@@ -115,11 +122,11 @@ def test_help_has_each_group_once_with_defaults():
 
 @pytest.mark.parametrize("text, message", [
     ("iteration = 5", "unknown option 'iteration'"),
-    ("iterations = 2.5", "'iterations' wants int, got 2.5"),
-    ("iterations = true", "'iterations' wants int, got True"),
-    ("iterations = 0", "'iterations' wants at least 1, got 0"),
-    ("sh_degree = 4", "'sh-degree' wants from 0 to 3, got 4"),
-    ("ssim-weight = nan", "'ssim-weight' wants from 0.0 to 1.0"),
+    ("iterations = 2.5", "'iterations' wants a whole number of at least 1, got 2.5"),
+    ("iterations = true", "'iterations' wants a whole number of at least 1, got True"),
+    ("iterations = 0", "'iterations' wants a whole number of at least 1, got 0"),
+    ("sh_degree = 4", "'sh-degree' wants auto or a whole number from 0 to 3, got 4"),
+    ("ssim-weight = nan", "'ssim-weight' wants a number from 0 to 1"),
     ("optimizer = 'sgd'", "'optimizer' wants one of dense, sparse"),
     ("background = [1, 1]", "'background' wants three numbers"),
     ("iterations = ", "not valid TOML"),
@@ -141,7 +148,7 @@ def test_a_file_that_is_not_text_or_not_there(tmp_path):
 
 
 def test_a_flag_out_of_its_limits_is_refused():
-    with pytest.raises(InputError, match="command line: option 'downscale' wants at least 1.0"):
+    with pytest.raises(InputError, match="option 'downscale' wants a number of at least 1, got"):
         resolve({}, {"downscale": 0.5})
 
 
@@ -150,19 +157,19 @@ def test_whole_numbers_serve_as_fractions():
 
 
 @pytest.mark.parametrize("text, wish", [
-    ("eval_at = ['a']", "a list of steps"),
-    ("eval_at = [0]", "a list of steps"),
-    ("eval_at = [2.5]", "a list of steps"),
-    ("eval_at = [true]", "a list of steps"),
-    ("eval_at = [[7]]", "a list of steps"),
-    ("eval_at = 7", "a list of steps"),
+    ("eval_at = ['a']", "none or a list of steps"),
+    ("eval_at = [0]", "none or a list of steps"),
+    ("eval_at = [2.5]", "none or a list of steps"),
+    ("eval_at = [true]", "none or a list of steps"),
+    ("eval_at = [[7]]", "none or a list of steps"),
+    ("eval_at = 7", "none or a list of steps"),
     ("background = ['a', 'b', 'c']", "three numbers from 0 to 1"),
     ("background = [0, 0, 1.5]", "three numbers from 0 to 1"),
     ("background = [0, nan, 0]", "three numbers from 0 to 1"),
     ("background = 0.5", "three numbers from 0 to 1"),
     ("background = 'red'", "three numbers from 0 to 1"),
     ("downscale = inf", "a finite number"),
-    ("downscale = nan", "at least 1.0"),
+    ("downscale = nan", "a number of at least 1"),
     ("grow_threshold = inf", "a finite number"),
 ])
 def test_elements_and_infinities_are_refused(text, wish, toml):
@@ -190,12 +197,15 @@ def test_lists_of_a_run_s_record_become_tuples():
 
 
 def test_choices_set_what_there_is_to_legal_values():
-    for choice, table in CHOICES.items():
-        for value, chosen in table.items():
-            assert value in (FIELDS[choice].metadata["choices"] or (True, False))
-            for name, other in chosen.items():
-                assert checked("choice", name, other) == other
-                assert other != FIELDS[name].default, (choice, value, name)
+    tables = [("schedule", name, schedule_of(name).defaults) for name in OURS] + [
+        (name, value, table) for name, field in FIELDS.items()
+        for value, table in field.metadata["sets"].items()]
+    assert len(tables) >= 9
+    for choice, value, chosen in tables:
+        assert value in (FIELDS[choice].metadata["choices"] or (True, False))
+        for name, other in chosen.items():
+            assert checked("choice", name, other) == other
+            assert other != FIELDS[name].default, (choice, value, name)
 
 
 @pytest.mark.parametrize("given, chosen", [
@@ -204,8 +214,8 @@ def test_choices_set_what_there_is_to_legal_values():
     ({"schedule": "dash"}, {"reset_every": 3000, "exposure": "off"}),
     ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off", "prune_size": 0.1}),
     ({"schedule": "sig"}, {}),
-    ({"preset": "paper"}, CHOICES["preset"]["paper"]),
-    ({"preset": "release"}, CHOICES["preset"]["release"]),
+    ({"preset": "paper"}, PAPER),
+    ({"preset": "release"}, RELEASE),
     ({"size": "L"}, {"grow_threshold": 1.25e-4}),
     ({"schedule": "constant", "size": "L"},
      {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05,
@@ -253,14 +263,11 @@ def test_a_run_s_record_gives_the_same_options_again(given):
 # --- what contradicts
 
 
-ONLY = [name for name, field in FIELDS.items() if field.metadata["only"]]
-
-
-@pytest.mark.parametrize("name", ONLY)
-@pytest.mark.parametrize("schedule", FIELDS["schedule"].metadata["choices"])
+@pytest.mark.parametrize("name", [name for name, field in FIELDS.items() if field.metadata["part"]])
+@pytest.mark.parametrize("schedule", OURS)
 def test_an_option_of_another_schedule_is_refused(name, schedule):
-    field = FIELDS[name]
-    only, (value, _) = field.metadata["only"], another(field)
+    field, only = FIELDS[name], serving(name)
+    value, _ = another(field)
     if schedule in only:
         resolve({}, {"schedule": schedule, name: value})
         return
@@ -288,13 +295,16 @@ def test_levels_that_fall_to_1(levels):
 def test_levels_that_do_not(levels, shown):
     with pytest.raises(InputError) as caught:
         resolve({}, {"levels": levels})
-    assert str(caught.value) == (f"--levels {shown}: wants factors that fall and end at 1, such as "
-                                 "4,2,1")
+    said = "wants auto or factors that fall and end at 1, such as 4,2,1"
+    assert str(caught.value) == f"command line: option 'levels' {said}, got {levels}"
+    with pytest.raises(InputError) as caught:
+        invoke("--levels", shown)
+    assert str(caught.value) == f"--levels {','.join(map(str, map(float, levels)))}: {said}"
 
 
 @pytest.mark.parametrize("levels", [(4, 0.5), (math.nan, 1), (math.inf, 1), (4, 0), (-2, 1)])
 def test_levels_that_are_no_factors(levels):
-    with pytest.raises(InputError, match="'levels' wants factors of at least 1, coarse to fine"):
+    with pytest.raises(InputError, match="'levels' wants (a finite|auto or factors that fall)"):
         resolve({}, {"levels": levels})
 
 
@@ -315,10 +325,9 @@ def test_lists_have_commas_or_come_in_parts(arguments, expected):
     ("--levels", "4;2"), ("--levels", "4,,1"), ("--levels", ""), ("--levels", "a"),
     ("--eval-at", "2.5"), ("--eval-at", "7,")])
 def test_what_is_no_list_is_refused(flag, text):
-    found, result = invoke(flag, text)
-    assert result.exit_code == 2 and not found
-    assert f"{text!r} is not a list of numbers such as 4,2,1" in " ".join(
-        result.output.replace("│", " ").split())
+    with pytest.raises(InputError) as caught:
+        invoke(flag, text)
+    assert str(caught.value) == f"{flag} {text}: wants {wanted(FIELDS[flag[2:].replace('-', '_')])}"
 
 
 # --- time budget
@@ -337,8 +346,9 @@ def test_seconds_of_a_time_budget(text, seconds):
 def test_what_is_no_time_is_refused(text):
     with pytest.raises(InputError) as caught:
         resolve({}, {"time_budget": text})
-    assert str(caught.value) == ("--time-budget: wants seconds, or a number with s, m or h such as "
-                                 f"90s, 10m or 2h; got {text!r}")
+    assert str(caught.value) == (
+        "command line: option 'time-budget' wants none or a number of seconds, or one with s, m or "
+        f"h such as 10m, got {text!r}")
 
 
 def test_a_time_budget_and_a_number_of_steps_contradict():
@@ -346,3 +356,38 @@ def test_a_time_budget_and_a_number_of_steps_contradict():
                                          "leave one of them out"):
         resolve({"iterations": 500}, {"time_budget": "10m"})
     assert resolve({}, {"time_budget": ""}).iterations == 30000  # none: nothing to refuse
+
+
+# --- words
+
+
+WORDS = [(name, word) for name, field in FIELDS.items() for word in field.metadata["words"]]
+
+
+@pytest.mark.parametrize("name, word", WORDS)
+def test_a_word_is_a_flag_a_key_and_a_record_that_agree(name, word, toml):
+    meaning = FIELDS[name].metadata["words"][word]
+    assert parse(flag_name(name), word)[0] == {name: meaning}
+    assert from_toml(toml(f'{name} = "{word}"')) == {name: meaning}
+    assert checked("options.json", name, word) == meaning
+    written = json.loads(json.dumps(meaning))  # what is recorded, and what users had before
+    assert checked("options.json", name, written) == meaning
+    assert word in wanted(FIELDS[name])
+
+
+def test_few_words_are_enough():
+    assert {word for _, word in WORDS} == {"auto", "none", "end", "all"}
+
+
+def test_help_shows_the_word_of_a_default():
+    text = " ".join(parse("--help-all")[1].split())
+    for words in ("--max-gaussians [none|INTEGER]", "--near [auto|FLOAT]", "[default: none]"):
+        assert words in text
+    assert "0:" not in text
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=list(FIELDS))
+def test_an_option_says_what_it_affects(field):
+    assert field.metadata["affects"] in ("model", "time", "nothing")
+    assert field.metadata["help"][0].islower() or field.metadata["help"][0].isupper()
+    assert not field.metadata["help"].endswith(".")

@@ -17,7 +17,7 @@ import click
 import pytest
 
 from clsplat.cli.main import main
-from clsplat.options import TrainOptions
+from clsplat.train_options import TrainOptions
 from tests.test_layout import ROOT, sources
 
 try:
@@ -25,12 +25,14 @@ try:
 except ImportError:  # Python 3.10
     import tomli as tomllib
 
-USER_PAGES = ("README.md", "CHANGELOG.md")
-PAGES = (*USER_PAGES, "CONTRIBUTING.md",
-         *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")))
+DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))
+# what users read: they may have no checkout
+USER_PAGES = ("README.md", "CHANGELOG.md", *(page for page in DOCS if "notebook" not in page))
+PAGES = ("CONTRIBUTING.md", *USER_PAGES, *(page for page in DOCS if page not in USER_PAGES))
 # other programs that may be named; their options are not checked
 PROGRAMS = {"pip", "python", "python3", "apt-get", "apt", "brew", "conda", "git", "dask", "colmap",
-            "ruff", "pytest", "cd", "wsl", "sbatch", "clinfo", "docker", "flock", "dnf", "py"}
+            "ruff", "pytest", "mkdocs", "cd", "wsl", "sbatch", "clinfo", "docker", "flock", "dnf",
+            "py"}
 # options of those programs, where a message names them alone
 FOREIGN_OPTIONS = {"--nthreads": "dask", "--resources": "dask", "--memory-limit": "dask",
                    "--image_path": "colmap", "--input_path": "colmap", "--output_path": "colmap",
@@ -280,9 +282,9 @@ def test_messages():
 
 
 def test_files_of_a_run():
-    """README's table of a run names files that the code writes."""
-    text = (ROOT / "README.md").read_text("utf-8")
-    section = text.partition("\n## A run\n")[2].partition("\n## ")[0]
+    """The guide's table of a run names files that the code writes."""
+    text = (ROOT / "docs/guide/files.md").read_text("utf-8")
+    section = text.partition("\n## The run folder\n")[2].partition("\n## ")[0]
     names = re.findall(r"(?m)^\| `([^`]+)` \|", section)
     assert len(names) > 4
     missing = [name for name in names if f'"{name.rstrip("/")}"' not in package_text()]

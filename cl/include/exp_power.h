@@ -1,5 +1,5 @@
 // exp for the powers that matter, -6 to 0, of the width `vreal`. EXP_KIND, a choice at build time:
-// 0 exp, 1 native_exp, 3 to 6 the degree of our polynomial (docs/numerics.md compares them).
+// 0 exp, 1 native_exp, 3 to 6 the degree of our polynomial (docs/notebook/numerics.md).
 // Default: native_exp in the group form where it was seen accurate, else degree 6.
 #ifndef EXP_KIND
 #if HAVE_NATIVE_EXP && !FORM_ITEM

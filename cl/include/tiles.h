@@ -37,7 +37,7 @@ inline void tile_rows(Ellipse e, int tiles_y, int *begin, int *end)
 inline void tile_columns(Ellipse e, int row, int tiles_x, int *begin, int *end)
 {
     const real slope = e.shear * e.extent_y;
-#if BOX_TILES // all tiles of the ellipse's bounding box: what it would cost, docs/numerics.md
+#if BOX_TILES // all tiles of the ellipse's bounding box: its cost: docs/notebook/numerics.md
     const real right = sqrt(slope * slope + e.half_width * e.half_width), left = -right;
 #else
     const real low = (row * TILE + 0.5 - e.mean_y) / e.extent_y;

@@ -17,8 +17,8 @@ from clsplat.io.city import CityFolder
 from clsplat.io.lock import holder, is_held
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
-from clsplat.partition import Partition
 from clsplat.partition.input import world_of
+from clsplat.partition.partition import Partition
 from clsplat.scene import Scene
 
 STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well

@@ -3,8 +3,8 @@
 import numpy as np
 
 from clsplat.errors import TOO_LARGE
-from clsplat.partition import Partition
 from clsplat.partition.grid import best_cut
+from clsplat.partition.partition import Partition
 
 
 def too_large(outcomes):

@@ -17,11 +17,14 @@ from clsplat.io.folders import make_folder
 from clsplat.io.run import RunFolder
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.options import checked, resolve
-from clsplat.partition import geojson, make_partition
+from clsplat.options import differences, plain
 from clsplat.partition.blocks import block_start, find_windows
 from clsplat.partition.input import world_of
+from clsplat.partition.make import make_partition
+from clsplat.partition.outline import geojson
 from clsplat.report.map import write_map
+from clsplat.schedule import schedule_of
+from clsplat.train_options import checked, resolve
 from clsplat.training.block import (
     block_options,
     decided_by,
@@ -33,9 +36,7 @@ from clsplat.training.loop import resume, train
 COARSE_FACTOR = 2  # by which the coarse run's photos are smaller
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
 ASKED = "asked"  # key of partition.json: the PartitionOptions
-CHOOSE = ("limit", "expected", "least_blocks")  # the grid, which is then kept
 SPLITS = 4  # of a block, one after the other
-LEVELS = (1.0,)  # of blocks under sig: the coarse run, at half size, has been through the others
 
 
 def begin(city, scene, options):
@@ -48,12 +49,10 @@ def begin(city, scene, options):
         if there["fingerprint"] != record["fingerprint"]:
             raise InputError(f"{city.path}: is the city of another scene, "
                              f"{there.get('scene_absolute')}; choose another --output")
-        changed = [name for name, value in there["options"].items()
-                   if name != "device" and _plain(record["options"].get(name)) != value]
+        changed = next(differences(there["options"], options), None)
         if changed and RunFolder(city.coarse).is_begun:  # else nothing was made of them yet
-            raise InputError(f"{city.path}: was begun with {changed[0]} "
-                             f"{there['options'][changed[0]]}; give the same options, or choose "
-                             "another --output")
+            raise InputError(f"{city.path}: was begun with {changed[0]} {changed[1]}; give the "
+                             "same options, or choose another --output")
     else:
         city.check_free()
     make_folder(city.path, "choose another --output")
@@ -108,7 +107,7 @@ def coarse_options(options):
     return dataclasses.replace(
         options, coarse=True, downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
-        snapshots=options.schedule == "sig",
+        snapshots="levels" in schedule_of(options.schedule).parts,
         iterations=max(1, int(COARSE_SHARE * options.iterations)), eval_at=(), eval_every=0)
 
 
@@ -134,7 +133,7 @@ def cut_into_blocks(city, scene, options, wanted, device):
             drop = DropTest(device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
         partition = make_partition(scene, wanted, gaussians, views, drop)
-        city.write_partition({**partition.record(), ASKED: _plain(wanted)})
+        city.write_partition({**partition.record(), ASKED: plain(wanted)})
     counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
@@ -158,10 +157,10 @@ def cut_into_blocks(city, scene, options, wanted, device):
 def block_steps(options, share):
     """{option: value} of a block with this share of the views."""
     steps = max(1, round(options.iterations * share))
-    shrunk = dataclasses.replace(options, iterations=steps, snapshots=options.schedule == "sig",
-                                 eval_at=(), eval_every=0)
-    if options.schedule == "sig" and not options.levels:
-        shrunk = dataclasses.replace(shrunk, levels=LEVELS)
+    schedule = schedule_of(options.schedule)
+    shrunk = dataclasses.replace(options, iterations=steps, eval_at=(), eval_every=0,
+                                 snapshots="levels" in schedule.parts,
+                                 **schedule.options_of_block(options))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}
 
@@ -225,15 +224,6 @@ def _check_asked(city, wanted):
     if not isinstance(asked, dict):
         raise InputError(f"{city.path / PARTITION}: damaged ({ASKED} is {str(asked)[:20]!r}); "
                          f"remove it, and make it with `clsplat partition {city.path}`")
-    for name, value in (_plain(wanted) if wanted else {}).items():
-        if name in asked and name not in CHOOSE and asked[name] != value:
-            raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {asked[name]}, "
-                             f"not {value}; remove partition.json and blocks/ there, or choose "
-                             "another --output")
-
-
-def _plain(value):
-    """As JSON gives it back."""
-    if dataclasses.is_dataclass(value):
-        value = dataclasses.asdict(value)
-    return json.loads(json.dumps(value))
+    for name, there, here in differences({**plain(wanted), **asked}, wanted) if wanted else ():
+        raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {there}, not {here}; "
+                         "remove partition.json and blocks/ there, or choose another --output")

@@ -3,17 +3,15 @@
 A run is folder OUTPUT/SCHEDULE.SEED. The same command again goes on where the last one ended.
 """
 
-import dataclasses
 import os
 from pathlib import Path
 
 import click
 
 from clsplat.errors import ClsplatError, InputError, Interrupted
-from clsplat.options import TrainOptions, resolve
+from clsplat.options import differences, options_of
+from clsplat.train_options import TrainOptions, resolve, serves
 
-# options in which a run that is there may differ from what is asked for now
-MAY_DIFFER = ("checkpoint_every", "device", "stop_at")
 NEW, STARTED, FINISHED = "from the start", "going on from its checkpoint", "finished before"
 
 
@@ -34,10 +32,10 @@ def combinations(file_values, flag_values, schedules, seeds):
     if given.get("stop_at"):
         raise InputError("--stop-at: cannot go with --schedules, which finishes every run; "
                          "leave one of them out")
-    others = {option.name: option.metadata["only"] for option in dataclasses.fields(TrainOptions)
-              if set(option.metadata["only"] or ()) & set(names)}
+    serving = {option.name: [name for name in names if serves(option, name)]
+               for option in options_of(TrainOptions)}
     return [resolve({}, {**{key: value for key, value in given.items()
-                            if name in others.get(key, (name,))},
+                            if name in (serving[key] or names)},
                          "schedule": name, "seed": given.get("seed", 0) + number})
             for number in range(seeds) for name in names]
 
@@ -87,11 +85,8 @@ def _state(folder, options, scene):
     cure = "choose another -o, or remove that folder"
     if not _is_of(run, record, scene):
         raise InputError(f"{folder}: holds a run of another scene, {record.get('scene')}; {cure}")
-    for name, value in dataclasses.asdict(options).items():
-        held = record.get(name)
-        held = tuple(held) if isinstance(held, list) else held
-        if name not in MAY_DIFFER and held != value:
-            raise InputError(f"{folder}: holds a run with {name} {held}, not {value}; {cure}")
+    for name, there, here in differences(record, options):
+        raise InputError(f"{folder}: holds a run with {name} {there}, not {here}; {cure}")
     if run.is_finished:
         return folder, FINISHED
     return folder, STARTED if run.has_checkpoint else NEW

@@ -6,55 +6,18 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import given_options, training_flags
+from clsplat.cli.flags import flags_of, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.errors import InputError, Interrupted
+from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 
 BLOCKS = {"cls": SectionedOption, "section": "Blocks"}
-
-
-def _grid(context, option, text):
-    if text is None:
-        return None
-    try:
-        n, m = (int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise InputError(f"--grid {text}: wants blocks along both sides, such as 3x3") from None
-    return n, m
-
-
-def partition_flags(command):
-    """Decorator: how a scene is cut."""
-    for option in (
-            click.option("--least-views", default=8, show_default=True, **BLOCKS,
-                         help="A block with fewer views is starved."),
-            click.option("--threshold", type=float, default=0.003, show_default=True, **BLOCKS,
-                         help="citygs: a view is given to a block where it changes by more than "
-                         "this without the block, as 1 - SSIM."),
-            click.option("--starved", type=click.Choice(("refuse", "join")), default="refuse",
-                         show_default=True, **BLOCKS, help="What becomes of a starved block of "
-                         "--grid: refused, or joined to a neighbour."),
-            click.option("--bounds", type=float, nargs=4, **BLOCKS, help="X0 Y0 X1 Y1: the area of "
-                         "interest on the map."),
-            click.option("--up", type=float, nargs=3, **BLOCKS, help="The direction that is up."),
-            click.option("--margin", type=float, default=0.3, show_default=True, **BLOCKS,
-                         help="Share of a block's sides that it trains beyond them."),
-            click.option("--block-gaussians", type=int, default=0, **BLOCKS, help="Gaussians that "
-                         "a block may end with; chooses the grid (0: what fits the device)."),
-            click.option("--grid", callback=_grid, **BLOCKS, help="Blocks along both sides of the "
-                         "ground, such as 3x3; chosen where left out."),
-            click.option("--method", type=click.Choice(("citygs", "blockgs", "vastgs")),
-                         default="citygs", show_default=True, **BLOCKS, help="citygs: a grid, and "
-                         "the views that change without a block; blockgs: halves of equal content, "
-                         "and views by tracks; vastgs: cells of equal cameras.")):
-        command = option(command)
-    return command
 
 
 @click.command(cls=SectionedCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
-@partition_flags
+@flags_of(PartitionOptions)
 @click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
               help="Folder of the city; SCENE.city where left out.")
 @click.option("--workers", default=1, show_default=True, **BLOCKS,
@@ -86,7 +49,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
-    from clsplat.options import resolve
+    from clsplat.train_options import resolve
     from clsplat.training.photos import size_note
     given = given_options(ctx)
     devices = _devices(given.pop("device", ""), workers, scheduler)
@@ -99,7 +62,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
     device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
-    wanted = partition_options(ctx.params, data, options, device)
+    wanted = partition_options(ctx, data, options, device)
     if scheduler and not RunFolder(folder.coarse).has_model:
         check_scheduler(scheduler)
     if not folder.has_record:
@@ -134,7 +97,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
 
 @click.command("partition", cls=SectionedCommand)
 @click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
-@partition_flags
+@flags_of(PartitionOptions)
 @click.option("--scene", type=click.Path(path_type=Path), **BLOCKS, help="Where the scene is now, "
               "if it was moved.")
 @click.pass_context
@@ -153,7 +116,7 @@ def partition_command(ctx, folder, scene, **_):
     ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(there, scene)
     device = choose_device(options.device, form=options.form)
-    wanted = partition_options(ctx.params, data, options, device)
+    wanted = partition_options(ctx, data, options, device)
     _, counts = cut_into_blocks(there, data, options, wanted, device)
     click.echo(block_table(there, device, counts).text())
     click.echo(f"{there.picture}")
@@ -207,21 +170,15 @@ def _finish(folder, data, options, device, fill, against, quiet):
                "blocks")
 
 
-def partition_options(params, scene, options, device):
-    """PartitionOptions of the flags; the grid where none is given is what fits the device."""
+def partition_options(ctx, scene, options, device):
+    """PartitionOptions of the flags; blocks fit the device unless they say otherwise."""
     from clsplat.city.forecast import expected_gaussians, gaussians_that_fit
-    from clsplat.partition import PartitionOptions
-    least, expected = PartitionOptions.least_gaussians, expected_gaussians(scene, options)
-    asked = params["block_gaussians"]
-    if asked and asked < least:
-        raise InputError(f"--block-gaussians {asked}: wants at least {least}, or 0 for what fits "
-                         "the device")
-    return PartitionOptions(
-        method=params["method"], grid=params["grid"], up=params["up"] or None,
-        bounds=params["bounds"] or None, margin=params["margin"],
-        threshold=params["threshold"], least_views=params["least_views"], starved=params["starved"],
-        expected=expected, limit=asked or gaussians_that_fit(device, options),
-        least_blocks=min(params.get("workers", 1), max(1, expected // least)))
+    expected, given = expected_gaussians(scene, options), given_options(ctx, PartitionOptions)
+    return PartitionOptions(**{
+        **given, "expected": expected,
+        "block_gaussians": given.get("block_gaussians") or max(
+            LEAST_GAUSSIANS, gaussians_that_fit(device, options)),
+        "least_blocks": min(ctx.params.get("workers", 1), max(1, expected // LEAST_GAUSSIANS))})
 
 
 def _beside(scene):

@@ -1,21 +1,17 @@
-"""The flags of `clsplat train`, derived from the table of options."""
+"""The flags of commands, derived from dataclasses of options."""
 
-import dataclasses
 import math
-from typing import get_args
 
 import click
 from click.core import ParameterSource
 
-from clsplat import extensions
 from clsplat.cli.sections import SectionedOption
-from clsplat.options import AUTO, TrainOptions
+from clsplat.errors import InputError
+from clsplat.options import check_flag, flag_name, kind_of, options_of, parsed, wanted
+from clsplat.train_options import TrainOptions
 
-# what most users choose; --help-all lists the others
-MAIN = {"iterations", "time_budget", "seed", "eval_every", "downscale", "max_resolution", "images",
-        "test_every", "init", "schedule", "preset", "exposure", "sh_degree", "max_gaussians",
-        "device"}
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
+NAMES = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
 
 
 class GivenPath(click.Path):
@@ -37,88 +33,73 @@ class FiniteRange(click.FloatRange):
         return number
 
 
-class Numbers(click.ParamType):
-    """Numbers of one kind, separated by commas."""
+class Value(click.ParamType):
+    """A value of an option as its text says it, or one of the option's words."""
 
-    name = "LIST"
+    def __init__(self, option):
+        self.option, self.choices = option, option.metadata["choices"]
+        kind, count = kind_of(option)
+        self.name = ("LIST" if count is None else
+                     option.metadata["separator"].join("NM") if count else NAMES[kind])
 
-    def __init__(self, kind):
-        self.kind = kind
+    def get_metavar(self, param, ctx):
+        shown = (*self.option.metadata["words"], *(self.choices or (self.name,)))
+        return f"[{'|'.join(shown)}]" if len(shown) > 1 else self.name
 
-    def convert(self, value, param, ctx):
-        try:
-            return tuple(self.kind(word) for word in value.split(","))
-        except ValueError:
-            self.fail(f"{value!r} is not a list of numbers such as 4,2,1", param, ctx)
-
-
-class NumberOrAuto(click.ParamType):
-    """A number of one kind, or `auto`."""
-
-    def __init__(self, kind):
-        self.kind, self.name = kind, f"{kind.__name__}|auto"
+    def shell_complete(self, ctx, param, incomplete):
+        return [click.shell_completion.CompletionItem(word)
+                for word in (*self.option.metadata["words"], *self.choices)
+                if word.startswith(incomplete)]
 
     def convert(self, value, param, ctx):
-        if value == AUTO:
+        if not isinstance(value, str):
             return value
         try:
-            return self.kind(value)
+            return parsed(self.option, value)
         except ValueError:
-            self.fail(f"{value!r} is neither auto nor a number.", param, ctx)
+            raise InputError(f"{flag_name(self.option.name)} {value}: wants {wanted(self.option)}"
+                             ) from None
 
 
-class ExtensibleChoice(click.Choice):
-    """A choice to which other packages add by entry points, which are asked only if need be."""
-
-    def __init__(self, choices, group):
-        super().__init__(choices)
-        self.group = group
-
-    def convert(self, value, param, ctx):
-        if value not in self.choices and value in extensions.names(self.group):
-            return value
-        return super().convert(value, param, ctx)
+def flags_of(kind):
+    """Decorator: one flag for each option of a dataclass, in order, under its group's heading."""
+    def decorate(command):
+        for option in reversed(options_of(kind)):
+            command = _flag(option)(command)
+        return command
+    return decorate
 
 
-def training_flags(command):
-    """Decorator: one flag for each field of TrainOptions, in order, under its group's heading."""
-    for option in reversed(dataclasses.fields(TrainOptions)):
-        command = _flag(option)(command)
-    return command
+training_flags = flags_of(TrainOptions)
 
 
-def given_options(ctx):
-    """{option: value} of the training flags that the user wrote; defaults are left out."""
-    return {option.name: ctx.params[option.name] for option in dataclasses.fields(TrainOptions)
+def given_options(ctx, kind=TrainOptions):
+    """{option: value} of the flags of a dataclass that the user wrote; defaults are left out."""
+    return {option.name: ctx.params[option.name] for option in options_of(kind)
             if ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
-
-
-def flag_name(name):
-    """An option's name as a flag, with hyphens."""
-    return "--" + name.replace("_", "-")
 
 
 def _flag(option):
     meta, default, name = option.metadata, option.default, flag_name(option.name)
-    settings = {"help": meta["help"], "default": default,
-                "show_default": default != ""}
-    if isinstance(default, bool):
+    kind, count = kind_of(option)
+    word = next((word for word, value in meta["words"].items() if value == default), None)
+    settings = {"help": meta["help"], "default": default if word is None else word,
+                "show_default": True}
+    if kind is bool:
         name = f"{name}/--no-{name[2:]}"
-    elif meta["extensions"]:
-        settings["type"] = ExtensibleChoice(meta["choices"], meta["extensions"])
-    elif meta["choices"]:
-        settings["type"] = click.Choice(meta["choices"])
-    elif default == ():
-        settings.update(type=Numbers(get_args(option.type)[0]), multiple=True, show_default=False,
-                        callback=lambda ctx, param, lists: sum(lists, ()))
-    elif meta["auto"]:
-        settings["type"] = NumberOrAuto(option.type)
-    elif isinstance(default, tuple):
-        settings.update(type=type(default[0]), nargs=len(default))
+    elif count is None:  # one list, or several that are joined
+        settings.update(type=Value(option), multiple=True, default=(), show_default=word)
+    elif count and not meta["separator"]:
+        settings.update(type=kind, nargs=count, default=default)
     else:
-        settings["type"] = type(default)
-    if option.name == "device":
-        settings["envvar"] = DEVICE
+        settings["type"] = Value(option)
+
+    def check(ctx, param, value):
+        if ctx.get_parameter_source(param.name) is ParameterSource.DEFAULT:
+            return option.default
+        return check_flag(option, sum(value, ()) if count is None else value)
+
     names = [name, option.name] if meta["short"] is None else [meta["short"], name, option.name]
-    return click.option(*names, cls=SectionedOption, section=meta["group"],
-                        main=option.name in MAIN, **settings)
+    return click.option(*names, cls=SectionedOption, section=meta["group"], main=meta["main"],
+                        callback=check, envvar=DEVICE if option.name == "device" else None,
+                        **settings)

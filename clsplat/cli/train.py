@@ -7,13 +7,12 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import flag_name, given_options, training_flags
+from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.errors import InputError
-from clsplat.options import TrainOptions, checked, from_toml, resolve
+from clsplat.options import differences, flag_name, options_of
+from clsplat.train_options import RunOptions, TrainOptions, checked, from_toml, resolve
 
-# what a resumed run may change without its result depending on when it was stopped
-RESUME_MAY_CHANGE = ("stop_at", "checkpoint_every", "device")
 LEVELS = ("debug", "info", "warning", "error")
 FOLDER = {"cls": SectionedOption, "section": "Run folder"}
 
@@ -100,15 +99,14 @@ def resumed_options(record, flags):
 
     A stop of the first part does not stop the second. Raises InputError for other flags.
     """
-    known = {option.name for option in dataclasses.fields(TrainOptions)}
+    known = {option.name for option in options_of(TrainOptions)}
     options = resolve({name: checked("options.json", name, value) for name, value in record.items()
                        if name in known}, {})
-    for name in flags:
-        if name not in RESUME_MAY_CHANGE and flags[name] != getattr(options, name):
-            raise InputError(
-                f"{flag_name(name)}: cannot change at --resume, the run has "
-                f"{getattr(options, name)!r}; leave it out, or start a new run")
-    return resolve({**dataclasses.asdict(options), "stop_at": 0}, flags)
+    wanted = dataclasses.replace(options, **{"stop_at": RunOptions.stop_at, **flags})
+    for name, there, _ in differences(dataclasses.asdict(options), wanted):
+        raise InputError(f"{flag_name(name)}: cannot change at --resume, the run has {there!r}; "
+                         "leave it out, or start a new run")
+    return wanted
 
 
 def _progress(options):

@@ -61,7 +61,8 @@ def find_model(folder):
     if others:
         return max(others, key=registered)
     raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make "
-                     "one with COLMAP or pycolmap (recipe: docs/photos.md), or give another folder")
+                     "one with COLMAP or pycolmap (recipe: docs/guide/photos.md), or give another "
+                     "folder")
 
 
 def model_notes(folder, model):

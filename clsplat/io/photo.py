@@ -1,6 +1,6 @@
 """One photo that is open: what its header says, and its pixels a few rows at a time.
 
-docs/photos.md has the table of what is read.
+docs/guide/photos.md has the table of what is read.
 """
 
 from contextlib import contextmanager

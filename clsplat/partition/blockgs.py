@@ -13,7 +13,8 @@ from clsplat.partition.tracks import seen_by_tracks
 
 if TYPE_CHECKING:
     from clsplat.partition.input import PartitionInput
-    from clsplat.partition.make import DropTest, PartitionOptions
+    from clsplat.partition.make import DropTest
+    from clsplat.partition.options import PartitionOptions
 
 
 def blockgs(data: PartitionInput, grid: tuple[int, int], options: PartitionOptions,

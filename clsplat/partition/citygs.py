@@ -17,7 +17,8 @@ from clsplat.partition.tracks import seen_by_tracks
 if TYPE_CHECKING:
     from clsplat.camera import Camera
     from clsplat.partition.input import PartitionInput
-    from clsplat.partition.make import DropTest, PartitionOptions
+    from clsplat.partition.make import DropTest
+    from clsplat.partition.options import PartitionOptions
     from clsplat.partition.region import Space
 
 TESTED_GAUSSIANS = 25_000  # a cell with fewer, and fewer than an equal share, is enlarged to test

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from clsplat.scene import Scene
 
 CONTENT_QUANTILES = (0.01, 0.99)  # content beyond these counts as outliers
-LARGEST_BOUND = 1e15  # world units, as for points: squares stay far within float32
 LEAST_HALF_SIDE = 0.02  # of the longest half side of an area of interest
 
 
@@ -71,7 +70,7 @@ class PartitionInput:
 
         Raises
         ------
-        InputError : no view sees any point, or `up` or `bounds` are not valid.
+        InputError : no view sees any point, or the bounds contain none.
         """
         indices = np.arange(len(scene.views)) if views is None else np.asarray(views)
         chosen = [scene.views[index] for index in indices]
@@ -88,11 +87,12 @@ class PartitionInput:
             raise InputError(f"{scene.name}: there is nothing to divide among blocks, since no "
                              "training view sees a point; reconstruct the scene again, or train a "
                              "coarse model first")
-        up_world = up_axis(rotations, points) if up is None else check_up(up)
+        up_world = up_axis(rotations, points) if up is None else np.array(up) / np.linalg.norm(up)
         if bounds is None:
             area, rotation = None, ground_axes(up_world, content, weights)
         else:
-            area, rotation = check_bounds(bounds), np.stack([*map_axes(up_world), up_world])
+            area = np.array(bounds[:2], np.float64), np.array(bounds[2:], np.float64)
+            rotation = np.stack([*map_axes(up_world), up_world])
         result = cls(scene, indices, cameras, content, weights, points, point, view, rotation, area)
         if area is not None and not result.inside().any():
             low, high = result.content_box()
@@ -145,25 +145,6 @@ class PartitionInput:
 def world_of(scene: Scene, points: ArrayLike) -> NDArray[np.float64]:
     """The original world coordinates [N, 3] of points in the local frame of a scene."""
     return scene.offset + scene.unit * np.asarray(points, np.float64).reshape(-1, 3)
-
-
-def check_up(up: Sequence[float]) -> NDArray[np.float64]:
-    """The unit vector [3] along `up`; InputError where it does not have a direction."""
-    vector = np.array(up, np.float64)
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(vector)
-    if vector.shape != (3,) or not 0 < length < np.inf:
-        raise InputError("--up: expects three numbers that are not all 0, such as 0 0 1")
-    return vector / length
-
-
-def check_bounds(bounds: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The low [2] and high [2] corner of X0, Y0, X1, Y1; InputError where they enclose no area."""
-    low, high = np.array(bounds, np.float64).reshape(2, 2)
-    if not ((np.abs(bounds) <= LARGEST_BOUND).all() and (low < high).all()):
-        raise InputError("--bounds: expects X0 Y0 X1 Y1 with X0 below X1 and Y0 below Y1, on the "
-                         "map that `clsplat partition` draws")
-    return low, high
 
 
 def _text(low: NDArray[np.float64], high: NDArray[np.float64]) -> str:

@@ -56,7 +56,7 @@ class Partition:
 
     Attributes
     ----------
-    method : the name of the method that made it, a key of METHODS.
+    method : the name of the method that made it.
     regions : the cell of each block.
     views : [K] for each block; indices into scene.views, ascending.
     dropped : for each view that no block is assigned, by its index, the reason.

@@ -14,7 +14,7 @@ from clsplat.partition.partition import Cells
 
 if TYPE_CHECKING:
     from clsplat.partition.input import PartitionInput
-    from clsplat.partition.make import PartitionOptions
+    from clsplat.partition.options import PartitionOptions
     from clsplat.partition.region import Region
 
 

@@ -15,7 +15,8 @@ from clsplat.partition.region import Region
 if TYPE_CHECKING:
     from clsplat.camera import Camera
     from clsplat.partition.input import PartitionInput
-    from clsplat.partition.make import DropTest, PartitionOptions
+    from clsplat.partition.make import DropTest
+    from clsplat.partition.options import PartitionOptions
     from clsplat.partition.region import Space
 
 LEAST_FILLED = 0.25  # share of the image above which a cell that fills it is assigned the view

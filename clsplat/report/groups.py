@@ -1,6 +1,5 @@
 """Which runs belong together, what tells the groups apart, and whether comparing them is fair."""
 
-import dataclasses
 import json
 import os
 from dataclasses import dataclass
@@ -9,17 +8,14 @@ from pathlib import Path
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.run import find_runs
-from clsplat.options import TrainOptions
+from clsplat.options import options_of
+from clsplat.train_options import TrainOptions, serves
 
-# options that change neither the model nor the time it takes; opencl_device and kernel_form say
-# what `device` and `form` became
-IMMATERIAL = ("seed", "stop_at", "checkpoint_every", "eval_at", "eval_every", "device", "form")
 FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
-KEYS = (*sorted((option.name for option in dataclasses.fields(TrainOptions)
-                 if option.name not in IMMATERIAL), key=lambda name: name != "schedule"), *FACTS)
-# schedules that use an option; options that are not here serve all of them
-ONLY = {option.name: option.metadata["only"] for option in dataclasses.fields(TrainOptions)
-        if option.metadata["only"]}
+# runs of a group differ by seed, and kernel_form says what `form` became
+OPTIONS = {option.name: option for option in options_of(TrainOptions)
+           if option.metadata["affects"] == "model" and option.name not in ("seed", "form")}
+KEYS = (*sorted(OPTIONS, key=lambda name: name != "schedule"), *FACTS)
 TITLES = {"fingerprint": "scene", "opencl_device": "OpenCL device"}
 
 
@@ -35,7 +31,12 @@ class Trained:
 
     def uses(self, key):
         """Whether one of KEYS means something to the run's schedule."""
-        return self.options.get("schedule") in ONLY.get(key, (self.options.get("schedule"),))
+        if key not in OPTIONS:
+            return True
+        try:
+            return serves(OPTIONS[key], str(self.options.get("schedule")))
+        except InputError:  # a schedule of a package that is not there
+            return OPTIONS[key].metadata["part"] is None
 
     def text(self, key):
         """What the run has of one of KEYS, in words."""

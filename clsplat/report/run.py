@@ -1,13 +1,12 @@
 """The page of one run: pictures, scores, growth, loss, why the level changed, and frequency."""
 
-import dataclasses
-
-from clsplat.options import TrainOptions
+from clsplat.options import options_of
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import frequency_figure, score_figure, step_figure
 from clsplat.report.groups import scene_name
 from clsplat.report.page import Table, folded, headed, html_of, page
 from clsplat.report.pictures import pictures_html, with_pictures
+from clsplat.train_options import TrainOptions
 
 FACTS = ("scene", "scene_absolute", "fingerprint", "extent", "offset", "opencl_device",
          "kernel_form", "version", "commit")
@@ -114,7 +113,7 @@ def level_table(records):
 
 def option_table(options):
     """Facts first, then options in their order, then what else was recorded."""
-    known = (*FACTS, *(option.name for option in dataclasses.fields(TrainOptions)))
+    known = (*FACTS, *(option.name for option in options_of(TrainOptions)))
     names = [name for name in known if name in options]
     names += [name for name in options if name not in known]
     return Table("", ("option", "value"),

@@ -6,9 +6,9 @@ code: a parabola through the last samples is flat beside the steepest moment of 
 because the initial cloud's 1/d says little once growth has refined it many times over.
 """
 
+import math
 from dataclasses import dataclass
-
-import numpy as np
+from statistics import median
 
 MEDIAN_OF = 3  # differences: one outlier among them decides nothing
 WINDOW = 6  # samples of the release's parabola
@@ -31,22 +31,22 @@ def judge(test, samples, rate, inverse_distance):
     initial cloud, 1 / world unit, which only `paper` uses. A sample that is not finite counts as
     none.
     """
-    samples = [sample for sample in samples if np.isfinite(sample[1])]
+    samples = [sample for sample in samples if math.isfinite(sample[1])]
     return {"robust": _robust, "paper": _paper, "release": _release}[test](
         samples, rate, inverse_distance)
 
 
 def _differences(samples):
     """Frequency a step between neighbouring samples."""
-    iterations, values = np.array(samples, np.float64).T
-    return np.diff(values) / np.diff(iterations)
+    return [(after - before) / (end - begin)
+            for (begin, before), (end, after) in zip(samples, samples[1:])]
 
 
 def _robust(samples, rate, _):
     threshold = rate * samples[-1][1] if samples else 0.0
     if len(samples) <= MEDIAN_OF:
         return Verdict(None, threshold, False)
-    slope = float(np.median(_differences(samples)[-MEDIAN_OF:]))
+    slope = median(_differences(samples)[-MEDIAN_OF:])
     return Verdict(slope, threshold, slope < threshold)
 
 
@@ -54,27 +54,37 @@ def _paper(samples, rate, inverse_distance):
     threshold = rate * inverse_distance
     if len(samples) < 2:
         return Verdict(None, threshold, False)
-    slope = float(_differences(samples)[-1])
+    slope = _differences(samples)[-1]
     return Verdict(slope, threshold, slope < threshold)
 
 
 def _release(samples, rate, _):
     if len(samples) < WINDOW:
         return Verdict(None, 0.0, False)
-    iterations, values = np.array(samples, np.float64).T
-    spacing = (iterations[-1] - iterations[0]) / (len(samples) - 1)
+    values = [value for _, value in samples]
+    spacing = (samples[-1][0] - samples[0][0]) / (len(samples) - 1)
     fits = [_end_of_parabola(values[end - WINDOW:end])
             for end in range(WINDOW, len(values) + 1)]
     slope, curvature = fits[-1]
     steepest = max(s for s, _ in fits)
     # of a constant frequency nothing but rounding would decide
-    flat = np.ptp(values[-WINDOW:]) <= 1e-9 * abs(values[-1])
+    latest = values[-WINDOW:]
+    flat = max(latest) - min(latest) <= 1e-9 * abs(values[-1])
     converged = flat or (slope >= 0 and slope < SLOPE_SHARE * steepest
                          and curvature <= CURVATURE_SHARE * steepest)
     return Verdict(slope / spacing, SLOPE_SHARE * steepest / spacing, bool(converged))
 
 
 def _end_of_parabola(values):
-    """(slope, curvature) a sample at the last of evenly spaced values, by least squares."""
-    a, b, _ = np.polyfit(np.arange(len(values)), values, 2)
-    return 2 * a * (len(values) - 1) + b, 2 * a
+    """(slope, curvature) a sample at the last of evenly spaced values, by least squares.
+
+    The parabola is a sum of orthogonal polynomials: 1, t and t^2 - mean(t^2), t = 0 in the middle.
+    """
+    half = (len(values) - 1) / 2
+    places = [number - half for number in range(len(values))]
+    squares = [t * t for t in places]
+    mean = sum(squares) / len(squares)
+    slope = sum(t * y for t, y in zip(places, values)) / sum(squares)
+    bend = (sum((s - mean) * y for s, y in zip(squares, values))
+            / sum((s - mean) ** 2 for s in squares))
+    return slope + 2 * bend * half, 2 * bend

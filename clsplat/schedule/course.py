@@ -11,11 +11,12 @@ taming; other scenes may be off by more. `--max-gaussians` makes the end certain
 
 from dataclasses import dataclass
 
+from clsplat.schedule.sig import VARIANTS
+
 ASKS = 0.4  # share of the gaussians at most that asks for more in a round of growth
 # of a level's training pixels, the share that asks for a gaussian in a round: the power of their
 # detail, until they are sharp, and of it what is left when the position rate has decayed
 ASKED, SHARP, POWER, SETTLES = 0.009, 0.0125, 3, 0.03
-VARIANTS = ("robust", "paper", "release")
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ LEAST_GAIN = 1e-3  # of a spectrum: less is nothing, or rounding
 MOMENTUM, MOST_ADDED = 0.98, 10**6  # of the final number of gaussians
 FIRST_GROWTH = 5  # final number to begin with: initial gaussians times (1 + this)
 AHEAD = 64  # samples of the curve
+GROWS_SHARE = 0.9  # of the run
 MOST_GROWTH = 5  # a round adds at most one gaussian in so many
 
 
@@ -31,7 +32,17 @@ class Dash(Constant):
     """Images from small to large, until `densify_until`; the position rate decays only from where
     the factor falls below 2. Rounds of growth are those of 3DGS, but none prunes large ones."""
 
+    defaults = {"reset_every": 3000, "exposure": "off"}
+    parts = frozenset({"levels"})
     selection = "highest"
+
+    @classmethod
+    def grows_until(cls, options):
+        return int(GROWS_SHARE * options.iterations)
+
+    @classmethod
+    def planned_levels(cls, options, size):
+        return None, "found in the photos' spectra, where training begins"
 
     def __init__(self, options, subject):
         super().__init__(options, subject)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:  # --help must not wait for numpy
+    import numpy as np
+    from numpy.typing import NDArray
 
-from clsplat.options import MOST_STEPS, TrainOptions
+    from clsplat.train_options import TrainOptions
+
+EVERY = 100  # steps between rounds of growth, where nobody says otherwise
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,9 @@ class Schedule:
     ----------
     levels : all down-sampling factors, in the order they will come.
     defaults : options that the schedule sets unless the user does, by name.
+    parts : the parts of a training that it uses: "levels" (it changes the resolution), "spheres",
+        "reprojection", and the `part` of its own options. It refuses options of other parts.
+    Options : a frozen dataclass of its own options (options.py), or None.
     selection : how growth chooses, "threshold", "highest" or "score" (densify/select.py).
     observe_every : steps between calls of `observe`.
     latest : what the last `observe` found, for the record.
@@ -74,12 +79,40 @@ class Schedule:
 
     levels: tuple[float, ...] = (1.0,)
     defaults: ClassVar[dict[str, Any]] = {}
+    parts: ClassVar[frozenset[str]] = frozenset()
+    Options: ClassVar[type | None] = None
     selection = "threshold"
     observe_every = 100
     latest: Any = None
 
     def __init__(self, options: TrainOptions, subject: Subject) -> None:
         self.options, self.subject = options, subject
+
+    @classmethod
+    def grows_until(cls, options: TrainOptions) -> int:
+        """The last step that may grow where `densify_until` is auto: half of the run."""
+        return options.iterations // 2
+
+    @classmethod
+    def grows_every(cls, options: TrainOptions) -> int:
+        """Steps between rounds of growth where `densify_every` is auto; 0: `plan` decides."""
+        return EVERY
+
+    @classmethod
+    def planned_levels(cls, options: TrainOptions, size: tuple[int, int]
+                       ) -> tuple[tuple[float, ...] | None, str]:
+        """(levels or None where only training finds them, a sentence that says so).
+
+        Parameters
+        ----------
+        size : width and height of the smallest training image, pixels.
+        """
+        return cls.levels, f"{listed(cls.levels)}: {sizes_text(cls.levels, size)}"
+
+    @classmethod
+    def options_of_block(cls, options: TrainOptions) -> dict[str, Any]:
+        """What a block of a city changes, which begins with the gaussians of a coarse run."""
+        return {}
 
     def plan(self, iteration: int) -> Plan:
         """The Plan of a step; iteration counts from 1."""
@@ -131,43 +164,12 @@ class Schedule:
         return min(1.0, (iteration - 1) / self.options.iterations)
 
 
-STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densify_every",
-               "reset_every")
-GROWS_UNTIL = {"sig": 1.0, "dash": 0.9}  # share of the run; half of it for the others
-EVERY = 100  # steps between rounds of growth
-TAMING_ROUNDS = 60  # ... but one in 500 of 30,000 steps, so many a run, under `taming`
+def listed(levels: tuple[float, ...]) -> str:
+    """Such as 4 2 1."""
+    return " ".join(f"{level:g}" for level in levels)
 
 
-def scaled_steps(options: TrainOptions) -> TrainOptions:
-    """TrainOptions with every step count times `steps_scale`, `densify_until` and `densify_every`
-    filled in."""
-    steps = options.iterations
-    by_rounds = options.schedule == "sig" and options.rounds > 0
-    share = 0.5 if options.schedule == "sig" and not by_rounds else GROWS_UNTIL.get(
-        options.schedule, 0.5)
-    until = options.densify_until or int(steps * share)
-    every = options.densify_every or (
-        0 if by_rounds else max(EVERY, steps // TAMING_ROUNDS) if options.schedule == "taming"
-        else EVERY)
-    scaled: dict[str, Any] = {name: getattr(options, name) for name in STEP_COUNTS} | {
-        "densify_until": until, "densify_every": every}
-    scaled = {name: max(1, round(value * options.steps_scale)) if value else 0
-              for name, value in scaled.items()}
-    return dataclasses.replace(options, **scaled, steps_scale=1.0)
-
-
-WHOLE = 7000  # steps from which on step counts are as given
-
-
-def laid_over(options: TrainOptions, iterations: int) -> TrainOptions:
-    """TrainOptions, as of `scaled_steps`, for a run of another length: the end of growth keeps its
-    share of it, and step counts shrink with a run of fewer than WHOLE steps. No run has more than
-    MOST_STEPS."""
-    iterations = min(iterations, MOST_STEPS)
-    shrink = min(1.0, iterations / min(WHOLE, options.iterations))
-    counts: dict[str, Any] = {
-        name: max(1, round(getattr(options, name) * shrink)) if getattr(options, name) else 0
-        for name in STEP_COUNTS}
-    until = round(options.densify_until * iterations / options.iterations)
-    return dataclasses.replace(options, **counts | {"iterations": iterations,
-                                                    "densify_until": until})
+def sizes_text(levels: tuple[float, ...], size: tuple[int, int]) -> str:
+    """Levels' image sizes in words; size: width and height of the finest, pixels."""
+    sizes = [f"{int(size[0] / level)} x {int(size[1] / level)}" for level in levels]
+    return f"{sizes[0]} to {sizes[-1]} pixels" if len(sizes) > 1 else f"{sizes[0]} pixels"

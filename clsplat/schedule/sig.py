@@ -10,10 +10,12 @@ The tests `paper` and `release` are unguarded, as published.
 """
 
 import math
+from dataclasses import dataclass
 
 from clsplat.errors import InputError
+from clsplat.options import AUTO, option
 from clsplat.schedule.convergence import judge
-from clsplat.schedule.plan import Plan, Schedule
+from clsplat.schedule.plan import Plan, Schedule, listed, sizes_text
 
 LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
 SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns at once
@@ -27,8 +29,90 @@ MOST_GROWTH = 5  # a round adds at most one gaussian in so many (as DashGaussian
 REPROJECT_DECAY = 0.1  # of the reprojection weight, at the end of the run
 
 
+# what the authors' paper and their released code choose
+PAPER = {
+    "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
+    "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
+    "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
+    "sphere_reach": 15.0, "reproject": "on", "exposure": "off"}
+RELEASE = {
+    "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
+    "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "level_reset": False,
+    "pixels_per_gaussian": 0.0, "prune_size": 0.05, "opacity_rate": 0.02,
+    "grow_threshold": 1.25e-4, "sphere_neighbours": 8, "sphere_reach": 15.0, "sphere_shrink": 0.8,
+    "sphere_rule": "release", "exposure": "off", "optimizer": "sparse", "ssim_weight": 0.33}
+VARIANTS = ("robust", "paper", "release")
+
+
+def check_levels(levels):
+    """ValueError for factors that do not fall to 1."""
+    if levels[-1:] != (1.0,) or any(a <= b for a, b in zip(levels, levels[1:])):
+        raise ValueError
+
+
+@dataclass(frozen=True)
+class SigOptions:
+    """When the next level begins, and how much each grows."""
+
+    preset: str = option("ours", "Schedule", "choices of the SIG paper, of its released code, or "
+                         "ours", main=True, choices=("ours", "paper", "release"), part="sig",
+                         sets={"paper": PAPER, "release": RELEASE})
+    levels: tuple[float, ...] = option(
+        (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
+        "auto: 5,4,3,2,1 without those whose images are too small to matter", words={AUTO: ()},
+        minimum=1.0, wish="factors that fall and end at 1, such as 4,2,1", check=check_levels,
+        part="sig")
+    frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
+                            choices=VARIANTS, part="sig")
+    convergence: str = option("robust", "Levels", "how it is tested", choices=VARIANTS, part="sig",
+                              sets={"paper": {"convergence_rate": 5e-5}})
+    convergence_rate: float = option(
+        1e-4, "Levels", "a level has converged when the scene frequency grows by less than this "
+        "share of itself a step (--convergence paper: of the points' mean 1 / distance)",
+        minimum=0.0, part="sig")
+    convergence_hits: int = option(2, "Levels", "tests in a row that must find convergence",
+                                   minimum=1, part="sig")
+    level_share: float = option(0.7, "Levels", "share of the run that the coarser levels may take "
+                                "together; all: they have no deadlines", words={"all": 1.0},
+                                minimum=0.0, maximum=1.0, part="sig")
+    rounds: int = option(12, "Levels", "largest number of rounds of growth at each level; all: "
+                         "rounds at fixed intervals, as --schedule constant has them",
+                         words={"all": 0}, minimum=1, part="sig")
+    level_reset: bool = option(True, "Levels", "reset opacities at the start of each level, so "
+                               "that gaussians which the sharper images do not need are pruned",
+                               part="sig")
+    pixels_per_gaussian: float = option(
+        40.0, "Levels", "the model grows only while each gaussian has at least this many training "
+        "pixels, at the level's size", minimum=0.0, part="sig")
+
+
 class Sig(Schedule):
     """Levels from coarse to fine; `observe` decides when the next begins."""
+
+    parts = frozenset({"sig", "levels", "spheres", "reprojection"})
+    Options = SigOptions
+
+    @classmethod
+    def grows_until(cls, options):
+        """To the end, as each level has its own rounds."""
+        return options.iterations if options.rounds else super().grows_until(options)
+
+    @classmethod
+    def grows_every(cls, options):
+        """By the length of a level (`every`)."""
+        return 0 if options.rounds else super().grows_every(options)
+
+    @classmethod
+    def planned_levels(cls, options, size):
+        levels = chosen_levels(options.levels, size)
+        sizes = sizes_text(levels, size)
+        return levels, (f"{listed(levels)}: asked for; {sizes}" if options.levels else
+                        f"{listed(levels)}: {sizes}; sides below {SMALLEST_SIDE} are left out")
+
+    @classmethod
+    def options_of_block(cls, options):
+        """The coarse run, at half size, has been through the other levels."""
+        return {} if options.levels else {"levels": (1.0,)}
 
     def __init__(self, options, subject):
         super().__init__(options, subject)
@@ -119,7 +203,7 @@ class Sig(Schedule):
 
     def decay(self, iteration):
         """The position rate falls at the finest level only: what has settled at a coarse one must
-        still be able to move when finer images show where it belongs (measured: docs/results.md).
+        still be able to move when finer images show where it belongs (docs/notebook/results.md).
         """
         left = self.options.iterations - self.began
         return min(1.0, (iteration - 1 - self.began) / max(1, left)) if self.last else 0.0

@@ -1,14 +1,35 @@
 """The schedule of Taming 3DGS (Mallick et al. 2024): 3DGS whose growth follows a budget."""
 
+from dataclasses import dataclass
+
+from clsplat.options import option
 from clsplat.schedule.constant import Constant
+from clsplat.schedule.plan import EVERY
+
+ROUNDS = 60  # of growth a run: one in 500 of 30,000 steps
+
+
+@dataclass(frozen=True)
+class TamingOptions:
+    """The budget."""
+
+    taming_budget: float = option(15.0, "Growth", "number of gaussians at the end, as a multiple "
+                                  "of those at the start", minimum=1.0, part="taming")
 
 
 class Taming(Constant):
     """Full resolution throughout; the number of gaussians rises to `taming_budget` times the
     initial one, fast at first, along a parabola that is flat at `densify_until`."""
 
+    defaults = {"reset_every": 3000, "exposure": "off", "prune_size": 0.1}
+    parts = frozenset({"taming"})
+    Options = TamingOptions
     selection = "score"
     rounds_sparing = 27  # the first ones, which prune only half of what 3DGS would
+
+    @classmethod
+    def grows_every(cls, options):
+        return max(EVERY, options.iterations // ROUNDS)
 
     def target(self, iteration, count, above):
         o, start = self.options, self.subject.count

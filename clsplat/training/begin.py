@@ -9,6 +9,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.loss.exposure import IDENTITY
+from clsplat.schedule import schedule_of
 
 FEWEST = 2  # gaussians: the distance between them sizes what grows
 
@@ -39,7 +40,7 @@ def initial_gaussians(scene, options):
             raise InputError(f"{options.init}: has {given.count} gaussians, and a training starts "
                              f"from at least {FEWEST}; give another PLY to --init, or leave it out")
         gaussians = given.with_sh_degree(options.sh_degree)
-    constrained = options.sphere and options.schedule == "sig"
+    constrained = options.sphere and "spheres" in schedule_of(options.schedule).parts
     if constrained and "anchors" not in gaussians.rows:
         gaussians = with_spheres(gaussians, options.sphere_neighbours)
     if not constrained:  # what spheres a file has hold nothing back

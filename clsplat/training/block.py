@@ -1,18 +1,16 @@
 """Trains one block of a larger scene, from the folder that says all about it."""
 
-import dataclasses
-import json
-
 from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.options import checked, resolve
+from clsplat.options import differences
+from clsplat.train_options import checked, resolve
 from clsplat.training.loop import resume, train
 
 # what the coarse run has decided for all blocks, or their tones and degrees would not meet
 DECIDED = ("exposure", "sh_degree")
-MAY_DIFFER = ("init", "device", "checkpoint_every", "stop_at")  # from what a run began with
+MOVES = "init"  # a path in the block's folder
 
 
 def decided_by(coarse):
@@ -67,8 +65,7 @@ def train_block(block, options, progress=None, patience=0.0):
 
 
 def _check_same(run, options):
-    record = run.read_options()
-    for name, value in json.loads(json.dumps(dataclasses.asdict(options))).items():
-        if name not in MAY_DIFFER and record.get(name) != value:
-            raise InputError(f"{run.path}: was begun with {name} {record.get(name)}, and "
-                             f"block.json has {value}; put that back, or remove the run")
+    for name, there, here in differences(run.read_options(), options):
+        if name != MOVES:
+            raise InputError(f"{run.path}: was begun with {name} {there}, and block.json has "
+                             f"{here}; put that back, or remove the run")

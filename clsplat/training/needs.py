@@ -10,9 +10,8 @@ from clsplat.covisibility.source_views import choose_source_views, view_spread
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
 from clsplat.options import AUTO
-from clsplat.schedule import SCHEDULES, Subject, schedule_of
+from clsplat.schedule import Subject, schedule_of
 from clsplat.schedule.course import course, largest
-from clsplat.schedule.sig import SMALLEST_SIDE, chosen_levels
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM
 from clsplat.training.photos import at_level, decoded
 
@@ -92,25 +91,13 @@ def needed_degree(cap):
     return HIGHEST_DEGREE
 
 
-def _asked(value, shown=None, more=""):
-    return Part(value, f"{value if shown is None else shown}: asked for{more}", asked=True)
+def _asked(value):
+    return Part(value, f"{value}: asked for", asked=True)
 
 
 def _levels(views, options):
-    """Those that the schedule will take; dash finds its own in the photos' spectra."""
-    width, height = smallest_size(views)
-    if options.schedule == "dash":
-        return Part(None, "found in the photos' spectra, where training begins")
-    if options.schedule not in SCHEDULES:
-        return Part(None, f"decided by the schedule {options.schedule}")
-    if options.schedule != "sig":
-        return Part((1.0,), f"1: {options.schedule} trains at full size, {width} x {height}")
-    levels = chosen_levels(options.levels, (width, height))
-    shown = " ".join(f"{level:g}" for level in levels)
-    sizes = f"{int(width / levels[0])} x {int(height / levels[0])} to {width} x {height} pixels"
-    if options.levels:
-        return _asked(levels, shown, f"; {sizes}")
-    return Part(levels, f"{shown}: {sizes}; sides below {SMALLEST_SIDE} are left out")
+    """Those that the schedule will take."""
+    return Part(*schedule_of(options.schedule).planned_levels(options, smallest_size(views)))
 
 
 def _degree(spread, options):

@@ -17,7 +17,7 @@ from clsplat.distribute import guarded, local, run
 from clsplat.errors import InputError
 from clsplat.io.lock import Held
 from clsplat.io.scenes import read_scene
-from clsplat.partition import PartitionOptions
+from clsplat.partition.options import PartitionOptions
 from clsplat.training import loop
 from clsplat.training.silent import WARNING, Silent
 from tests.city.test_merge import (  # noqa: F401  (fixtures)
@@ -30,10 +30,10 @@ from tests.data.tiny_training import CITY, trained
 
 ROOT = Path(__file__).parents[2]
 CITY_FLAGS = [
-    ("--grid 0x0", "--grid 0x0: expects at least 1 block along each side"),
+    ("--grid 0x0", "--grid 0x0: wants 1 or more each way"),
     ("--grid 2", "--grid 2: wants blocks along both sides"),
     ("--grid 1x1x1", "--grid 1x1x1: wants blocks along both sides"),
-    ("--grid -1x-1", "--grid -1x-1: expects at least 1"),
+    ("--grid -1x-1", "--grid -1x-1: wants 1 or more"),
     ("--grid 1e3x1", "--grid 1e3x1: wants blocks"),
     ("--grid 100000x100000", "makes 10,000,000,000 blocks, more than 10,000"),
     ("--grid 50x50", "makes 2,500 blocks, but the scene will have about 4,400 gaussians, enough"),
@@ -44,20 +44,20 @@ CITY_FLAGS = [
     ("--against /dev/zero", "--against /dev/zero: no such file"),
     ("--against .", "--against .: has no point_cloud.ply"),
     (f"--against {__file__}", "not a PLY"),
-    ("--margin nan", "--margin nan: expects 0 to 10"),
-    ("--margin -5", "--margin -5.0: expects 0 to 10"),
-    ("--margin inf", "--margin inf: expects 0 to 10"),
-    ("--threshold nan", "--threshold nan: expects 0 to 2"),
-    ("--threshold -1", "--threshold -1.0: expects 0 to 2"),
-    ("--least-views -1", "--least-views -1: expects at least 0"),
+    ("--margin nan", "--margin nan: wants 0 to 10"),
+    ("--margin -5", "--margin -5.0: wants 0 to 10"),
+    ("--margin inf", "--margin inf: wants 0 to 10"),
+    ("--threshold nan", "--threshold nan: wants 0 to 2"),
+    ("--threshold -1", "--threshold -1.0: wants 0 to 2"),
+    ("--least-views -1", "--least-views -1: wants at least 0"),
     ("--block-gaussians 1", "--block-gaussians 1: wants at least 100"),
     ("--block-gaussians -7", "--block-gaussians -7: wants at least 100"),
-    ("--up 0 0 0", "--up: expects three numbers"),
-    ("--up nan 0 1", "--up: expects three numbers"),
-    ("--up 1e300 1e300 0", "--up: expects three numbers"),
-    ("--bounds 0 0 0 0", "--bounds: expects X0 Y0"),
-    ("--bounds 0 0 1e300 1e300", "--bounds: expects X0 Y0"),
-    ("--bounds nan 0 1 1", "--bounds: expects X0 Y0"),
+    ("--up 0 0 0", "--up: wants three numbers"),
+    ("--up nan 0 1", "--up: wants three numbers"),
+    ("--up 1e300 1e300 0", "--up: wants three numbers"),
+    ("--bounds 0 0 0 0", "--bounds: wants X0 Y0"),
+    ("--bounds 0 0 1e300 1e300", "--bounds: wants X0 Y0"),
+    ("--bounds nan 0 1 1", "--bounds: wants X0 Y0"),
     ("--method quadtree", "--method"),
     ("--device 0,", "--device 0,: wants names"),
     ("--device 0,1", "names 2 devices for --workers 1"),
@@ -94,7 +94,7 @@ def test_a_city_option_is_refused_before_anything_is_made(tmp_path, capsys, monk
     ("--photos 0", "--photos 0: wants whole numbers from 1"),
     ("--photos 10,-1", "--photos 10,-1: wants"), ("--photos x", "--photos x: wants"),
     ("--photos 1,,2", "wants"), ("--photos " + "9" * 400, "wants whole numbers from 1"),
-    ("--margin nan", "--margin nan: expects 0 to 10"), ("--margin -1", "--margin -1.0: expects")])
+    ("--margin nan", "--margin nan: wants 0 to 10"), ("--margin -1", "--margin -1.0: wants")])
 def test_plan_refuses_before_it_takes_steps(capsys, monkeypatch, flags, said):
     monkeypatch.setattr("clsplat.estimate.forecast.Planned", None)
     assert said in refused(capsys, "plan", CITY, *flags.split(" "))
@@ -123,7 +123,7 @@ def test_a_city_of_the_root_must_be_told_where_to_go():
         _beside(Path("/"))
 
 
-@pytest.mark.parametrize("changes", [{"limit": 100, "expected": 10**9},
+@pytest.mark.parametrize("changes", [{"block_gaussians": 100, "expected": 10**9},
                                      {"least_blocks": 10**6}])
 def test_a_chosen_grid_has_an_end(changes):
     with pytest.raises(InputError, match="blocks, more than 10,000; allow more gaussians in a"):

@@ -15,8 +15,9 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io import run as run_module
 from clsplat.io.run import RunFolder
-from clsplat.options import MOST_STEPS, TrainOptions, checked, from_toml, resolve
+from clsplat.options import MOST_STEPS
 from clsplat.schedule import laid_over
+from clsplat.train_options import TrainOptions, checked, from_toml, resolve
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
 NUMBERS = (0, 1, -1, 2, 1000, 1025, MOST_STEPS, MOST_STEPS + 1, 2**31, 2**32, 2**63 - 1, 2**63,
@@ -71,6 +72,8 @@ def test_a_limit_is_taken_and_what_is_beyond_refused(name, run):
               low - 1 if kind is int else math.nextafter(low, -math.inf))
 
     def shaped(value):
+        if name == "levels":
+            return [value, 1.0] if value > 1 else [value]
         length = {"background": 3}.get(name)
         return [value] * (length or 1) if get_args(field.type) else value
 
@@ -79,6 +82,8 @@ def test_a_limit_is_taken_and_what_is_beyond_refused(name, run):
         run.write_options({"scene": run.path, **dataclasses.asdict(TrainOptions(**{name: taken}))})
         assert checked("read", name, run.read_options()[name]) == taken
     for value in beyond:
+        if value in field.metadata["words"].values():
+            continue  # what a word stands for
         with pytest.raises(InputError, match=f"here: option '{name.replace('_', '-')}' wants "):
             checked("here", name, shaped(value))
 
@@ -100,7 +105,7 @@ def test_a_run_of_large_numbers_is_read_by_eval(run, given):
     ({"steps_scale": 1e308}, "option 'steps-scale' wants at most 10000, got 1e+308"),
     ({"iterations": 10**6, "steps_scale": 100.0}, "--steps-scale 100: makes 1,000,000 steps more "
                                                   "than 10,000,000; give a smaller one"),
-    ({"time_budget": "1e300"}, "--time-budget 1e300: is longer than a year; give less time"),
+    ({"time_budget": "1e300"}, "option 'time-budget' wants at most a year"),
     ({"init": "a\x00b"}, "option 'init' wants text in Unicode"),
     ({"init": "\udcff.ply"}, "option 'init' wants text in Unicode"),
     ({"device": "x" * 5000}, "option 'device' wants at most 4096 characters"),

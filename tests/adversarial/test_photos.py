@@ -1,6 +1,6 @@
 """Photos as other programs write them, and as nobody should: read right, or refused in one line.
 
-docs/photos.md promises what is asserted here. `PICTURE` is what every readable case shows.
+docs/guide/photos.md promises what is asserted here. `PICTURE` is what every readable case shows.
 """
 
 import os

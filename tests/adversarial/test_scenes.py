@@ -136,7 +136,7 @@ SCENES = {
     "points is a device": (lambda f: [(f / "sparse/0/points3D.bin").unlink(), (
         f / "sparse/0/points3D.bin").symlink_to("/dev/zero")], ("points3D.bin",)),
     "model is a file": (lambda f: [shutil.rmtree(f / "sparse"), (f / "sparse").write_text("")],
-                        ("no COLMAP model", "docs/photos.md")),
+                        ("no COLMAP model", "docs/guide/photos.md")),
     "only a Git LFS pointer": (lambda f: (f / "sparse/0/images.bin").write_text(
         "version https://git-lfs.github.com/spec/v1\n"), ("images.bin", "copy the model again")),
     "half the model is text": (lambda f: (f / "sparse/0/images.bin").rename(

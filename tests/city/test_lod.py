@@ -13,7 +13,7 @@ from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.partition import Partition
+from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from tests.data.tiny_training import CITY
 from tests.reference.frequency import scene_frequency

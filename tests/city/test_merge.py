@@ -12,7 +12,7 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.partition import Partition
+from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from clsplat.report.city import share_table
 from tests.data.tiny_training import CITY

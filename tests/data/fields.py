@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from clsplat.camera import Camera
-from clsplat.partition import PartitionOptions, make_partition
+from clsplat.partition.make import make_partition
+from clsplat.partition.options import PartitionOptions
 from clsplat.scene import Scene, View
 
 LAX = {"least_views": 0, "least_gaussians": 0}  # nothing is starved

@@ -21,11 +21,11 @@ from clsplat.estimate.trial_steps import Rehearsal, strewn
 from clsplat.gaussians import Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
-from clsplat.options import resolve
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
-from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule import OURS, Subject, scaled_steps, schedule_of
 from clsplat.schedule.course import Stretch, course, largest
+from clsplat.train_options import resolve
 from clsplat.training.needs import find_needs
 from clsplat.training.photos import size_note
 from tests.data.tiny_training import CITY, options_of, records, trained
@@ -58,7 +58,7 @@ def own_device(float_device, monkeypatch):
 def course_of(count, pixels, size=(512, 382), **options):
     options = scaled_steps(resolve({}, options))
     subject = Subject(size, count, 20.0, tuple, pixels)
-    return course(SCHEDULES[options.schedule](options, subject))
+    return course(schedule_of(options.schedule)(options, subject))
 
 
 @pytest.mark.parametrize("count, views, size, steps, ended", [
@@ -78,7 +78,7 @@ def test_taming_ends_at_its_budget():
 
 
 def test_a_limit_is_kept():
-    for schedule in SCHEDULES:
+    for schedule in OURS:
         stretches = course_of(4400, 10**7, schedule=schedule, iterations=7000, max_gaussians=9000)
         assert 8900 < largest(stretches) <= 9000
 
@@ -88,7 +88,7 @@ def test_demand_is_that_of_fine_detail():
     positions have settled."""
     def counts(detail=None, **limits):
         options = scaled_steps(resolve({}, {"schedule": "constant", "iterations": 30000, **limits}))
-        schedule = SCHEDULES["constant"](options, Subject((512, 382), 1000, 20.0, tuple, 10**6))
+        schedule = schedule_of("constant")(options, Subject((512, 382), 1000, 20.0, tuple, 10**6))
         return [s.gaussians for s in course(schedule, detail)]
 
     sharp = counts()

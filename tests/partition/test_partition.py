@@ -11,15 +11,12 @@ from scipy.spatial.transform import Rotation
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.scenes import read_scene
-from clsplat.partition import (
-    METHODS,
-    Partition,
-    PartitionOptions,
-    geojson,
-    make_partition,
-)
 from clsplat.partition.frame import up_axis
 from clsplat.partition.input import PartitionInput
+from clsplat.partition.make import METHODS, make_partition
+from clsplat.partition.options import PartitionOptions
+from clsplat.partition.outline import geojson
+from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from tests.data.fields import cut, field, moved, shuffled, world
 from tests.data.tiny_training import CITY
@@ -37,7 +34,7 @@ def same(a, b):
 def test_every_place_has_one_owner(method, seed):
     rng = np.random.default_rng(seed)
     scene = field(seed, cameras=30, points=900)
-    partition = cut(scene, method, tuple(rng.integers(1, 5, 2)))
+    partition = cut(scene, method, tuple(rng.integers(1, 5, 2).tolist()))
     space = partition.space
     borders = [np.where(np.isinf(end), 0.5, end) for region in partition.regions
                for end in (region.low, region.high)]
@@ -139,18 +136,18 @@ def test_a_starved_block_is_refused_or_joined(method):
 
 def test_a_chosen_grid_joins_starved_blocks():
     scene = field(cameras=24)
-    partition = cut(scene, "vastgs", None, limit=100, expected=2000, least_views=6)
+    partition = cut(scene, "vastgs", None, block_gaussians=100, expected=2000, least_views=6)
     assert 1 < len(partition.regions) < 20 and partition.notes
 
 
 @pytest.mark.parametrize("changes, cause", [
-    ({"method": "quadtree"}, "--method quadtree: expects one of citygs"),
+    ({"method": "quadtree"}, "--method quadtree: wants one of citygs"),
     ({"grid": (0, 2)}, "--grid 0x2"),
     ({"up": (0, 0, 0)}, "--up"),
     ({"up": (0, 1)}, "--up"),
     ({"up": (0, np.nan, 1)}, "--up"),
-    ({"bounds": (1, 0, 1, 5)}, "--bounds: expects X0 Y0"),
-    ({"bounds": (0, 0, np.inf, 5)}, "--bounds: expects X0 Y0"),
+    ({"bounds": (1, 0, 1, 5)}, "--bounds 1 0 1 5: wants X0 Y0"),
+    ({"bounds": (0, 0, np.inf, 5)}, "--bounds 0 0 inf 5: wants a finite number"),
     ({"bounds": (500, 500, 600, 600)}, r"field: no points within the bounds 500 500 600 600"),
 ])
 def test_bad_input_is_one_line(changes, cause):
@@ -181,11 +178,12 @@ def test_bounds_are_along_the_map(method):
 
 def test_the_chosen_grid_counts_margins():
     scene = field()
-    sizes = [len(cut(scene, "blockgs", None, limit=100, expected=400, margin=margin).regions)
+    sizes = [len(cut(scene, "blockgs", None, block_gaussians=100, expected=400,
+                     margin=margin).regions)
              for margin in (0.0, 0.2)]
     assert sizes == [4, 8]
     assert len(cut(scene, "blockgs", None).regions) == 1
-    needed = dict(limit=100, expected=400, margin=0.0)
+    needed = dict(block_gaussians=100, expected=400, margin=0.0)
     for least, blocks in ((2, 4), (6, 6)):  # one for each worker, or as many as are needed
         assert len(cut(scene, "blockgs", None, least_blocks=least, **needed).regions) == blocks
         assert len(cut(scene, "blockgs", None, least_blocks=least).regions) == least

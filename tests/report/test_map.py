@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 
-from clsplat.partition import METHODS
+from clsplat.partition.make import METHODS
 from clsplat.partition.outline import centroid
 from clsplat.report.map import partition_map, write_map
 from tests.data.fields import cut, field, moved, world

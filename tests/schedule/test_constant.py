@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
-from clsplat.options import resolve
-from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule import Subject, scaled_steps, schedule_of
 from clsplat.schedule.constant import Constant
+from clsplat.train_options import resolve
 
 SUBJECT = Subject((640, 480), 1000, 1.0, photos=None, pixels=10**8)
 
@@ -26,7 +26,7 @@ DEFAULTS = options_of(iterations=7000)
 
 
 def test_it_is_known_by_name():
-    assert SCHEDULES["constant"] is Constant
+    assert schedule_of("constant") is Constant
 
 
 def test_rounds_of_growth():

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.options import TrainOptions
-from clsplat.schedule import SCHEDULES, scaled_steps
+from clsplat.schedule import scaled_steps, schedule_of
 from clsplat.schedule.sig import (
     EVERY,
     GROWS_SHARE,
@@ -19,6 +18,7 @@ from clsplat.schedule.sig import (
     Sig,
     chosen_levels,
 )
+from clsplat.train_options import TrainOptions
 from tests.schedule.driven_sig import (
     PRESETS,
     SUBJECT,
@@ -36,7 +36,7 @@ RECORD = {"level", "reason", "since", "rounds", "frequency", "slope", "threshold
 
 
 def test_it_is_known_by_name():
-    assert SCHEDULES["sig"] is Sig
+    assert schedule_of("sig") is Sig
 
 
 # --- which levels there are
@@ -272,7 +272,7 @@ def test_growth_stops_for_good_at_the_finest_level():
 def test_without_rounds_growth_is_that_of_constant():
     changes = {"densify_from": 500, "densify_until": 2600, "densify_every": 100}
     schedule = sig(rounds=0, **changes)
-    constant = SCHEDULES["constant"](
+    constant = schedule_of("constant")(
         scaled_steps(TrainOptions(iterations=6000, schedule="constant", **changes)), SUBJECT)
     for iteration, plan, _ in drive(schedule, rising):
         expected = constant.plan(iteration)

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from clsplat.options import TrainOptions
-from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule import Subject, registry, scaled_steps
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.taming import Taming
+from clsplat.train_options import TrainOptions
 
 START, BUDGET = 1000, 5.0
 OPTIONS = scaled_steps(TrainOptions(
@@ -27,7 +27,7 @@ def targets(schedule, count=0):
 
 
 def test_it_is_known_by_name_and_grows_by_score():
-    assert SCHEDULES["taming"] is Taming and Taming.selection == "score"
+    assert registry.schedule_of("taming") is Taming and Taming.selection == "score"
 
 
 def test_from_the_start_to_the_budget():

@@ -79,7 +79,7 @@ def noise_cut(name):
 # name -> (spoils a scene folder, words of the line)
 SCENES = {
     "no model": (lambda f: shutil.rmtree(f / "sparse"),
-                 ("town", "no COLMAP model", "docs/photos.md")),
+                 ("town", "no COLMAP model", "docs/guide/photos.md")),
     "no photos": (lambda f: shutil.rmtree(f / "images"), ("photo_0.png", "4 of 4")),
     "single photo": (single_photo, ("town", "single photo", "at least two")),
     "photo missing": (lambda f: (f / "images/photo_2.png").unlink(), ("photo_2.png", "1 of 4")),

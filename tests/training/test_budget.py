@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.options import resolve
-from clsplat.schedule import SCHEDULES, Subject, scaled_steps
+from clsplat.schedule import Subject, scaled_steps, schedule_of
 from clsplat.schedule.plan import Plan
+from clsplat.train_options import resolve
 from clsplat.training import checkpoint
 from clsplat.training.budget import (
     RECOVERY,
@@ -48,7 +48,7 @@ class Simulated:
 
     def __init__(self, seconds, clock, **options):
         self.options = scaled_steps(resolve({}, {"time_budget": f"{seconds}s", **options}))
-        self.schedule = SCHEDULES[self.options.schedule](
+        self.schedule = schedule_of(self.options.schedule)(
             self.options, Subject(
                 size=(1600, 1200), count=COUNT, inverse_distance=20.0, photos=None,
                 pixels=100 * 1600 * 1200))

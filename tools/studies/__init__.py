@@ -1,1 +1,1 @@
-"""The experiments behind the defaults; not shipped. Each writes, or checks, a page of docs/."""
+"""The experiments behind the defaults; not shipped. Each writes a page of docs/notebook."""

@@ -16,6 +16,7 @@ import argparse
 import dataclasses
 import itertools
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +28,9 @@ from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import Rehearsal, spread_out, strewn
 from clsplat.io.atomic import replacing
 from clsplat.io.scenes import read_scene
-from clsplat.options import resolve
 from clsplat.report.page import Table
 from clsplat.schedule import scaled_steps
+from clsplat.train_options import resolve
 from clsplat.training.needs import find_needs
 from clsplat.training.photos import decode
 from tools.studies.evidence import markdown, outermost
@@ -69,8 +70,9 @@ def main(argv):
             file.writelines((json.dumps(record) + "\n").encode() for record in records)
     tables = [table(name, [r for r in records if r["scene"] == name]) for name, _ in scenes]
     with replacing(given.out / "leave_out.md") as file:
-        file.write(("# What parts of a step cost\n\n" + "\n\n".join(map(markdown, tables)) + "\n"
-                    ).encode())
+        said = f"Made by `python -m tools.studies.leave_out {shlex.join(argv)}`; do not edit."
+        file.write("\n\n".join(["# What parts of a step cost", said, *map(markdown, tables), ""]
+                              ).encode())
     print(f"{given.out / 'leave_out.md'}")
 
 

@@ -4,7 +4,6 @@ A run is folder OUT/SCENE/NAME.SEED. One that finished with equal options serves
 whatever name, so that tools may share OUT; one that Ctrl-C stopped goes on.
 """
 
-import dataclasses
 import os
 import re
 import subprocess
@@ -14,14 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 
-from clsplat.cli.campaign import MAY_DIFFER
 from clsplat.cli.flags import given_options
 from clsplat.cli.train import train
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.run import OPTIONS, RunFolder
-from clsplat.options import from_toml, resolve
+from clsplat.options import differences
 from clsplat.report.groups import Trained
+from clsplat.train_options import from_toml, resolve
 
 
 class Scene:
@@ -106,14 +105,12 @@ def held(run):
 
 def _difference(record, run):
     """In which option, in words, a run's record differs from a Wanted; None if it can serve."""
-    values = {**dataclasses.asdict(run.options),
-              "scene_absolute": str(Path(run.scene.path).resolve())}
-    for name, value in values.items():
-        there = record.get(name)
-        there = tuple(there) if isinstance(there, list) else there
-        serves = set(value) <= set(there or ()) if name == "eval_at" else there == value
-        if not serves and name not in MAY_DIFFER:
-            return f"{name} {there}, not {value}"
+    scene = str(Path(run.scene.path).resolve())
+    if record.get("scene_absolute") != scene:
+        return f"scene_absolute {record.get('scene_absolute')}, not {scene}"
+    for name, there, here in differences(record, run.options):
+        if name != "eval_at" or not set(here) <= set(there or ()):
+            return f"{name} {there}, not {here}"
     return None
 
 

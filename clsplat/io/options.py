@@ -1,0 +1,22 @@
+"""Options of how a scene is read."""
+
+from dataclasses import dataclass
+
+from clsplat.options import option
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """Which photos are used, at which size, and what the training begins with."""
+
+    downscale: float = option(1.0, "Scene", "divide the width and height of the photos by this",
+                              short="-r", main=True, minimum=1.0)
+    max_resolution: int = option(1600, "Scene", "reduce photos whose longer side has more pixels "
+                                 "than this", main=True, words={"none": 0}, minimum=1)
+    images: str = option("", "Scene", "folder of the photos, relative to SCENE, such as images_4; "
+                         "auto: images, else the largest folder images_N", main=True,
+                         words={"auto": ""})
+    test_every: int = option(8, "Scene", "hold out every N-th view, in the order of names, for "
+                             "evaluation", main=True, words={"none": 0}, minimum=1)
+    init: str = option("sfm", "Scene", "initial gaussians: sfm (the sparse points), random, or a "
+                       "PLY file", main=True)

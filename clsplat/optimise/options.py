@@ -1,0 +1,21 @@
+"""Options of the optimiser."""
+
+from dataclasses import dataclass
+
+from clsplat.options import option
+
+
+@dataclass(frozen=True)
+class OptimiseOptions:
+    """How gradients move the gaussians."""
+
+    batch: int = option(1, "Optimisation", "photos a step; their mean gradient moves the gaussians "
+                        "once, and a step takes as many times longer", minimum=1, most=1024)
+    optimizer: str = option("dense", "Optimisation", "dense: Adam updates every gaussian at each "
+                            "step; sparse: only those that the view sees",
+                            choices=("dense", "sparse"))
+    engine: str = option("auto", "Optimisation", "where Adam's moments are kept: device, or numpy "
+                         "in host memory; auto: on the device where they fit",
+                         choices=("auto", "device", "numpy"))
+    opacity_rate: float = option(0.025, "Optimisation", "learning rate of the opacity logits",
+                                 minimum=0.0)

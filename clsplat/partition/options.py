@@ -1,0 +1,102 @@
+"""Options of how a scene is cut into blocks."""
+
+import math
+from dataclasses import dataclass
+
+from clsplat.errors import InputError
+from clsplat.options import AUTO, MOST, check_flag, option, options_of
+
+METHODS = ("citygs", "blockgs", "vastgs")
+LEAST_GAUSSIANS = 100  # a block with fewer is starved
+MOST_BLOCKS = 10_000
+
+
+def check_up(up: tuple[float, ...]) -> None:
+    """Raise ValueError if the vector does not have a direction."""
+    if not sum(part * part for part in up) > 0:
+        raise ValueError
+
+
+def check_bounds(bounds: tuple[float, ...]) -> None:
+    """Raise ValueError if the bounds do not enclose an area."""
+    if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
+        raise ValueError
+
+
+@dataclass(frozen=True)
+class PartitionOptions:
+    """How a scene is cut into blocks.
+
+    Attributes
+    ----------
+    expected : gaussians of the whole scene at the end of training; 0 if that is not known.
+    least_blocks : the least number of blocks of a chosen grid.
+    least_gaussians : a block with fewer gaussians is starved.
+
+    Raises
+    ------
+    InputError : no scene can be cut with these options.
+    """
+
+    method: str = option("citygs", "Blocks", "citygs: a regular grid, each block with the views "
+                         "that change without it; blockgs: halves of equal content, with the views "
+                         "that see it; vastgs: cells with equally many cameras", choices=METHODS)
+    grid: tuple[int, int] | None = option(
+        None, "Blocks", "number of blocks along both sides of the ground, such as 3x3; auto: as "
+        "many as --block-gaussians asks for", words={AUTO: None}, separator="x", minimum=1,
+        wish="blocks along both sides, 1 or more each way, such as 3x3")
+    block_gaussians: int = option(  # the grid that it chose is kept
+        0, "Blocks", "gaussians that a block may end with; auto: as many as fit the device",
+        affects="nothing", words={AUTO: 0}, minimum=LEAST_GAUSSIANS)
+    margin: float = option(0.3, "Blocks", "width of the strip around a block that it also trains, "
+                           "as a share of the block's sides", minimum=0.0, maximum=10.0)
+    up: tuple[float, float, float] | None = option(
+        None, "Blocks", "the direction that points up; default: estimated from the cameras",
+        wish="three numbers that are not all 0, such as 0 0 1", minimum=-MOST[float],
+        check=check_up)
+    bounds: tuple[float, float, float, float] | None = option(
+        None, "Blocks", "X0 Y0 X1 Y1: the area of interest on the map; default: estimated from "
+        "the points", wish="X0 Y0 X1 Y1 with X0 below X1 and Y0 below Y1, on the map that `clsplat "
+        "partition` draws", minimum=-MOST[float], check=check_bounds)
+    starved: str = option("refuse", "Blocks", "what becomes of a block of --grid that has too few "
+                          "views: refuse the grid, or join the block to a neighbour",
+                          choices=("refuse", "join"))
+    threshold: float = option(0.003, "Blocks", "citygs assigns a view to a block if the view "
+                              "without the block changes by more than this, as 1 - SSIM",
+                              minimum=0.0, maximum=2.0)
+    least_views: int = option(8, "Blocks", "number of views below which a block has too few",
+                              minimum=0)
+    expected: int = 0
+    least_blocks: int = 1
+    least_gaussians: int = LEAST_GAUSSIANS
+
+    def __post_init__(self) -> None:
+        for known in options_of(type(self)):
+            value = getattr(self, known.name)
+            if value is not known.default:
+                object.__setattr__(self, known.name, check_flag(known, value))
+        if self.grid is None and self.needed > MOST_BLOCKS:
+            raise InputError(f"--block-gaussians {self.block_gaussians}: makes {self.needed:,} "
+                             f"blocks, more than {MOST_BLOCKS:,}; allow more gaussians in a block")
+        if self.grid is not None:
+            self._check_grid(math.prod(self.grid), f"--grid {self.grid[0]}x{self.grid[1]}")
+
+    def _check_grid(self, count: int, name: str) -> None:
+        """Raise InputError for more blocks than the scene will have gaussians for."""
+        if count > MOST_BLOCKS:
+            raise InputError(f"{name}: makes {count:,} blocks, more than {MOST_BLOCKS:,}; use a "
+                             "smaller --grid")
+        most = max(1, self.expected // max(1, self.least_gaussians))
+        if self.expected and count > most:
+            raise InputError(
+                f"{name}: makes {count:,} blocks, but the scene will have about "
+                f"{self.expected:,} gaussians, enough for {most:,} blocks of at least "
+                f"{self.least_gaussians}; use a smaller --grid")
+
+    @property
+    def needed(self) -> int:
+        """The least number of blocks of a chosen grid."""
+        if not self.block_gaussians:
+            return self.least_blocks
+        shared = (1 + 2 * self.margin) ** 2  # gaussians in margins belong to several blocks
+        return max(math.ceil(self.expected * shared / self.block_gaussians), self.least_blocks)

@@ -1,0 +1,23 @@
+"""Options of how gaussians become an image."""
+
+from dataclasses import dataclass
+
+from clsplat.options import AUTO, option
+
+
+@dataclass(frozen=True)
+class RenderingOptions:
+    """How gaussians become an image."""
+
+    sh_degree: int = option(3, "Rendering", "highest degree of the spherical harmonics; auto: the "
+                            "lowest that the viewing angles of this scene can tell apart",
+                            main=True, words={AUTO: AUTO}, minimum=0, maximum=3)
+    sh_every: int = option(1000, "Rendering", "steps after which the next degree of the spherical "
+                           "harmonics begins to train", minimum=1)
+    antialiased: bool = option(False, "Rendering", "scale opacities by the area that the low-pass "
+                               "filter adds to a splat")
+    near: float = option(0.0, "Rendering", "distance of the near plane, world units; auto: 1/500 "
+                         "of the scene extent", words={AUTO: 0.0}, minimum=0.0)
+    background: tuple[float, float, float] = option(
+        (0.0, 0.0, 0.0), "Rendering", "background colour: red, green and blue from 0 to 1",
+        minimum=0.0, maximum=1.0, wish="three numbers from 0 to 1")

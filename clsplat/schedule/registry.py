@@ -1,0 +1,44 @@
+"""The schedules by name: our own, and those that other packages register as entry points."""
+
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+
+from clsplat.errors import InputError
+from clsplat.options import option
+from clsplat.schedule.plan import Schedule
+
+GROUP = "clsplat.schedules"  # of entry points: NAME = MODULE:SUBCLASS_OF_SCHEDULE
+OURS = {name: EntryPoint(name, f"clsplat.schedule.{name}:{name.title()}", GROUP)
+        for name in ("sig", "constant", "dash", "taming")}
+
+
+def others() -> dict[str, EntryPoint]:
+    """The schedules that packages of this environment register."""
+    return {entry.name: entry for entry in sorted(entry_points(group=GROUP))
+            if entry.name not in OURS}
+
+
+def schedule_of(name: str) -> type[Schedule]:
+    """The class of a schedule; InputError where no package registers it, or it does not load."""
+    entry = OURS.get(name) or others().get(name)
+    if entry is None:
+        raise InputError(f"{name}: no package registers it in {GROUP}; install the one that does "
+                         "in this environment")
+    try:
+        found = entry.load()
+    except Exception as error:  # noqa: BLE001  (whatever the code of others raises)
+        raise InputError(f"{name}: {entry.value} does not load ({type(error).__name__}: {error}); "
+                         "correct the package that registers it") from error
+    if not (isinstance(found, type) and issubclass(found, Schedule)):
+        raise InputError(f"{name}: what is registered by this name is not a subclass of "
+                         "clsplat.Schedule; correct the package that registers it")
+    return found
+
+
+@dataclass(frozen=True)
+class ScheduleOptions:
+    """Which schedule a training follows; its own options are in its file."""
+
+    schedule: str = option("sig", "Schedule", "how resolution and growth are decided: sig follows "
+                           "the scene frequency; constant is 3DGS; dash is DashGaussian; taming is "
+                           "Taming 3DGS", main=True, choices=tuple(OURS), more=others)

@@ -1,0 +1,157 @@
+"""The options of a training: the groups of its concerns, composed and resolved."""
+
+import dataclasses
+import math
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from clsplat import options as mechanism
+from clsplat.densify.options import GrowthOptions, SphereOptions
+from clsplat.errors import InputError
+from clsplat.io.options import SceneOptions
+from clsplat.loss.options import ExposureOptions, ImageLossOptions, ReprojectOptions
+from clsplat.optimise.options import OptimiseOptions
+from clsplat.options import AUTO, MOST_STEPS, flag_name, option, options_of
+from clsplat.rendering.options import RenderingOptions
+from clsplat.schedule.registry import OURS, ScheduleOptions, others, schedule_of
+from clsplat.schedule.sig import SigOptions
+from clsplat.schedule.taming import TamingOptions
+
+MOST_SECONDS = 366 * 24 * 3600.0  # of a time budget
+UNITS = {"s": 1, "m": 60, "h": 3600}
+
+
+def seconds_of(text: str) -> float:
+    """The seconds of `--time-budget`: a number, or one with the unit s, m or h; ValueError for
+    anything else."""
+    try:
+        unit = UNITS[text[-1]] if text[-1] in UNITS else None
+        seconds = float(text if unit is None else text[:-1]) * (unit or 1)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds < math.inf:
+        raise ValueError
+    if seconds > MOST_SECONDS:
+        raise ValueError("at most a year")
+    return seconds
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How long a run is, and what it writes on the way."""
+
+    iterations: int = option(30000, "Run", "training steps", short="-n", main=True, minimum=1,
+                             most=MOST_STEPS)
+    steps_scale: float = option(1.0, "Run", "multiply the number of steps, and every step count "
+                                "of the schedule, by this", minimum=1e-4, most=1e4)
+    seed: int = option(0, "Run", "seed of all random choices; the same seed and device give the "
+                       "same bytes", main=True, minimum=0)
+    stop_at: int = option(0, "Run", "stop after this step, as if interrupted; the schedule stays "
+                          "that of -n", affects="nothing", words={"none": 0}, minimum=1)
+    time_budget: str = option("", "Run", "time for the whole run, such as 90s, 10m or 2h, in "
+                              "place of -n; the schedule is fitted to it", main=True,
+                              words={"none": ""}, check=seconds_of,
+                              wish="a number of seconds, or one with s, m or h such as 10m")
+    checkpoint_every: int = option(1000, "Run", "steps between checkpoints; end: one, at the end",
+                                   affects="nothing", words={"end": 0}, minimum=1)
+    eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps, such as "
+                                      "500,2000", affects="time", words={"none": ()}, minimum=1,
+                                      wish="a list of steps, each at least 1")
+    eval_every: int = option(AUTO, "Run", "steps between evaluations on the held-out views; auto: "
+                             "eight evaluations, fewer where they are slow; end: one, at the end",
+                             affects="time", main=True, words={AUTO: AUTO, "end": 0}, minimum=1)
+    snapshots: bool = option(False, "Run", "keep the model at the end of each level, for `clsplat "
+                             "render --lod`", affects="time", part="levels")
+    coarse: bool = option(False, "Run", "train the coarse model of a city: photos at half size, "
+                          "unless -r says otherwise", sets={True: {
+                              "downscale": 2.0,
+                              "max_resolution": SceneOptions.max_resolution // 2}})
+
+
+@dataclass(frozen=True)
+class DeviceOptions:
+    """Where a run is trained. It may go on elsewhere; its record says what the device was."""
+
+    device: str = option("auto", "Device", "auto, cpu, gpu, a number of `clsplat devices`, or part "
+                         "of a name", affects="nothing", main=True)
+    form: str = option("auto", "Device", "form of the kernels: item suits CPUs, group suits GPUs; "
+                       "they agree to rounding", choices=("auto", "item", "group"))
+
+
+@dataclass(frozen=True)
+class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, SphereOptions, SigOptions,
+                   OptimiseOptions, ReprojectOptions, ExposureOptions, ImageLossOptions,
+                   RenderingOptions, ScheduleOptions, SceneOptions, RunOptions):
+    """Everything that decides a training; defaults are those of Kerbl et al. (2023).
+
+    The help lists the groups from the last base to the first.
+    """
+
+
+def _with_others(kind: type[TrainOptions]) -> type[TrainOptions]:
+    """The same with the options of schedules that other packages register. One that does not load
+    is left to `schedule_of`, which says so when it is asked for."""
+    bases: list[type] = []
+    for name in others():
+        try:
+            own = schedule_of(name).Options
+        except InputError:
+            continue
+        if own is not None and own not in (*bases, *kind.__mro__):
+            bases.append(own)
+    return dataclasses.make_dataclass(kind.__name__, [], bases=(kind, *bases), frozen=True) \
+        if bases else kind
+
+
+TrainOptions = _with_others(TrainOptions)  # type: ignore[misc]
+
+
+def checked(source: str, key: str, value: Any) -> Any:
+    """`options.checked` of an option of a training."""
+    return mechanism.checked(TrainOptions, source, key, value)
+
+
+def from_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """`options.from_toml` for the options of a training."""
+    return mechanism.from_toml(TrainOptions, path)
+
+
+def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOptions:
+    """TrainOptions from a TOML file's values overridden by the command line's.
+
+    Unless given, an option has the value that the given schedule, preset, size and the like set.
+    Raises InputError for options that contradict each other.
+    """
+    given = {k: checked("command line", k, v) for k, v in {**file_values, **flag_values}.items()}
+    chosen = TrainOptions(**given)
+    name = chosen.schedule
+    values = {key: checked(f"defaults of the schedule {name}", key, value)
+              for key, value in schedule_of(name).defaults.items()}
+    for known in options_of(TrainOptions):
+        values |= known.metadata["sets"].get(getattr(chosen, known.name), {})
+    options = TrainOptions(**{**values, **given})
+    _check_agreement(options, given)
+    return options
+
+
+def serves(known: mechanism.Option, schedule: str) -> bool:
+    """Whether an option means something to a schedule."""
+    part = known.metadata["part"]
+    return part is None or part in schedule_of(schedule).parts
+
+
+def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
+    for known in options_of(TrainOptions):
+        if given.get(known.name, known.default) != known.default and not serves(
+                known, options.schedule):
+            serving = [name for name in (*OURS, *others()) if serves(known, name)]
+            raise InputError(
+                f"{flag_name(known.name)}: means nothing to --schedule {options.schedule}; leave "
+                f"it out, or use --schedule {' or '.join(serving)}")
+    if options.iterations * options.steps_scale > MOST_STEPS:
+        raise InputError(f"--steps-scale {options.steps_scale:g}: makes {options.iterations:,} "
+                         f"steps more than {MOST_STEPS:,}; give a smaller one")
+    if options.time_budget and options.iterations != RunOptions.iterations:
+        raise InputError("--time-budget: decides the number of steps, as -n does; leave one of "
+                         "them out")

@@ -1,0 +1,84 @@
+"""Every page of docs/ is reachable, and what it lists is what there is; `.ci/run` builds them."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+import clsplat
+from tests.data.tiny_training import CITY
+from tests.test_layout import ROOT
+from tests.test_sentences import package_text
+
+DOCS = ROOT / "docs"
+SETTINGS = (DOCS / "mkdocs.yml").read_text("utf-8")
+SHOWN = re.compile(r'(?m)^--8<-- "(.*)"$')
+
+
+def page(name):
+    return (DOCS / "guide" / name).read_text("utf-8")
+
+
+def test_every_page_is_in_the_navigation():
+    listed = re.findall(r"(?m)^ +- [^:\n]+: (\S+\.md)$", SETTINGS.partition("\nnav:\n")[2])
+    there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    assert len(listed) == len(set(listed)) and set(listed) == there
+
+
+def test_every_page_of_the_guide_says_what_the_reader_can_do_after_it():
+    for path in (DOCS / "guide").glob("*.md"):
+        assert re.match(r"# .+\n\nAfter this page you ", path.read_text("utf-8")), path
+        assert f"(guide/{path.name})" in (DOCS / "index.md").read_text("utf-8"), path
+
+
+def test_every_picture_is_shown():
+    text = "".join(path.read_text("utf-8") for path in (DOCS / "notebook").glob("*.md"))
+    for path in DOCS.rglob("*.png"):
+        assert f"]({path.name})" in text, path
+
+
+def test_the_reference_is_of_the_public_names():
+    named = re.findall(r"(?m)^::: clsplat\.(\w+)$", page("api.md"))
+    assert sorted(named) == sorted(clsplat.__all__)
+
+
+def test_examples_shown_are_the_files_that_tests_run():
+    blocks = re.findall(r"(?ms)^```python\n(.*?)^```", page("python.md"))
+    shown = [SHOWN.fullmatch(block.strip())[1] for block in blocks]
+    assert sorted(shown) == sorted(path.name for path in (DOCS / "examples").glob("*.py"))
+    tests = "".join(path.read_text("utf-8") for path in ROOT.glob("tests/*/test_*.py"))
+    assert all(f'"{name}"' in tests for name in shown)
+
+
+def test_blocks_of_python_are_python():
+    for path in DOCS.rglob("*.md"):
+        for block in re.findall(r"(?ms)^```python\n(.*?)^```", path.read_text("utf-8")):
+            compile(SHOWN.sub("", block), str(path), "exec")
+
+
+def test_files_md_names_every_key_of_the_metrics(item_device, tmp_path):
+    run = clsplat.train(CITY, tmp_path / "run", device=item_device, iterations=60, downscale=8,
+                        densify_from=10, densify_every=20, schedule="constant")
+    said = set(re.findall(r"`(\w+)`", page("files.md").partition("## metrics.jsonl")[2]))
+    events = {record["event"] for record in run.metrics}
+    assert {"plan", "step", "grow", "eval"} <= events <= said
+    assert {key for record in run.metrics for key in record} <= said
+    table = page("files.md").partition("| event | when |")[2].partition("\n\n")[0]
+    for event in re.findall(r"`(\w+)`", " ".join(re.findall(r"(?m)^\|([^|]+)\|", table))):
+        assert re.search(rf'(log\(|"event": )"{event}"', package_text()), event
+
+
+def test_hooks():
+    """What they change of docstrings, and that assets of others are noticed."""
+    pytest.importorskip("griffe", reason="setup.cfg's extra docs is not installed")
+    spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+    hooks = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hooks)
+    assert hooks.numpydoc("One.\n\nParameters\n----------\na, b : what\n    it is.\n\n"
+                          "Returns\n-------\nfloat32[N],\nlong.\n") == (
+        "One.\n\nParameters\n----------\na, b\n    what\n    it is.\n\n"
+        "Returns\n-------\n :\n    float32[N], long.\n\n")
+    assert hooks.FOREIGN.search('<script src="https://cdn.example/x.js">')
+    assert not hooks.FOREIGN.search('<a href="https://example.org"><img src="a.png">')
+    assert Path(hooks.__file__).name in SETTINGS
