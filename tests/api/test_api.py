@@ -251,7 +251,8 @@ def test_a_camera_looks_at_its_target():
 def ran(name, *words):
     return subprocess.run([sys.executable, EXAMPLES / name, *map(str, words)], check=True,
                           capture_output=True, text=True, cwd=ROOT,
-                          env={**os.environ, "PYTHONPATH": str(ROOT)}).stdout
+                          env={**os.environ, "PYTHONPATH": os.pathsep.join(
+                              [str(ROOT), os.environ.get("PYTHONPATH", "")])}).stdout
 
 
 @pytest.mark.slow
