@@ -81,7 +81,12 @@ class Camera:
         return -self.rotation.T @ self.translation
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for an image of width x height pixels (each axis scaled by itself)."""
+        """The same camera for an image of another size; each axis is scaled by itself.
+
+        Parameters
+        ----------
+        width, height : size of the new image, pixels.
+        """
         sx, sy = width / self.width, height / self.height
         whole = None if self.whole is None else _four(np.multiply(self.whole, (sx, sy, sx, sy)))
         return replace(
@@ -90,28 +95,51 @@ class Camera:
             centre=(self.centre[0] * sx, self.centre[1] * sy), whole=whole)
 
     def cropped(self, left: int, top: int, right: int, bottom: int) -> Camera:
-        """The same camera for a part of its image: the columns from left to right, and the rows
-        from top to bottom, pixels."""
+        """The same camera for a part of its image.
+
+        Parameters
+        ----------
+        left, top, right, bottom : borders of the part, pixels; right and bottom are outside it.
+        """
         return replace(
             self, width=right - left, height=bottom - top,
             centre=(self.centre[0] - left, self.centre[1] - top),
             whole=_four(np.array(self.borders) - [left, top, left, top]))
 
     def reduced(self, downscale: float, max_resolution: float = 0) -> Camera:
-        """The same camera for an image `downscale` times smaller, sides rounded down; the longer
-        side of the whole photo then is at most `max_resolution` pixels (0: any)."""
+        """The same camera for a smaller image, whose sides are rounded down.
+
+        Parameters
+        ----------
+        downscale : width and height are divided by this.
+        max_resolution : pixels, the longest side that the whole photo may then have; 0: any.
+        """
         left, top, right, bottom = self.borders
         factor = max(downscale, max(right - left, bottom - top) / (max_resolution or np.inf))
         return self.resized(max(1, int(self.width / factor)), max(1, int(self.height / factor)))
 
     def shifted(self, offset: ArrayLike) -> Camera:
-        """The same camera in a world whose origin was moved to `offset` (float64[3], world)."""
+        """The same camera in a world whose origin was moved.
+
+        Parameters
+        ----------
+        offset : float64[3], world: the new origin.
+        """
         away = np.asarray(offset, np.float64)
         return replace(self, translation=self.translation + self.rotation @ away,
                        offset=self.offset + away)
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Pixel coordinates float64[N, 2] and depths float64[N] of world points [N, 3]."""
+        """Where points appear in the image, and how far away they are.
+
+        Parameters
+        ----------
+        points : float64[N, 3], world.
+
+        Returns
+        -------
+        Pixel coordinates float64[N, 2], and depths float64[N] along the camera's axis.
+        """
         p = np.asarray(points, np.float64) @ self.rotation.T + self.translation
         with np.errstate(divide="ignore", invalid="ignore"):
             pixel = p[:, :2] / p[:, 2:] * self.focal + self.centre

@@ -115,6 +115,7 @@ class Gaussians:
 
     @property
     def count(self) -> int:
+        """How many gaussians there are."""
         return len(self.rows["positions"])
 
     def __getattr__(self, name: str) -> NDArray[np.float32]:
@@ -156,7 +157,12 @@ class Gaussians:
         return cls(rows, sh_degree)
 
     def scaled(self, factor: float) -> Gaussians:
-        """The same gaussians in a frame whose coordinates are `factor` times as large."""
+        """The same gaussians in a frame with larger coordinates.
+
+        Parameters
+        ----------
+        factor : how many times as large the coordinates are.
+        """
         rows = dict(self.rows)
         for name in ("positions", "anchors", "max_offsets"):
             if name in rows:
@@ -179,12 +185,21 @@ class Gaussians:
         return Gaussians({**self.rows, "sh_rest": rest}, degree, self.offset)
 
     def located(self, offset: ArrayLike) -> Gaussians:
-        """The same local coordinates, with their origin at `offset` (float64[3], original)."""
+        """The same local coordinates, with another origin: the gaussians move.
+
+        Parameters
+        ----------
+        offset : float64[3], original coordinates of the origin.
+        """
         return Gaussians(self.rows, self.sh_degree, np.asarray(offset, np.float64))
 
     def moved(self, offset: ArrayLike) -> Gaussians:
-        """The same gaussians in local coordinates whose origin is at `offset` (float64[3],
-        original)."""
+        """The same gaussians in local coordinates with another origin: they stay where they are.
+
+        Parameters
+        ----------
+        offset : float64[3], original coordinates of the origin.
+        """
         away = self.offset - np.asarray(offset, np.float64)
         rows = {name: (values + away).astype(np.float32) if name in ("positions", "anchors")
                 else values for name, values in self.rows.items()}

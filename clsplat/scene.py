@@ -38,7 +38,16 @@ class View:
     source: Path | bytes
 
     def sees(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """bool[N]: which points float64[N, 3] lie in front and within the image, hidden or not."""
+        """Which points lie in front of the camera and within the image, hidden or not.
+
+        Parameters
+        ----------
+        points : float64[N, 3], in the scene's local coordinates.
+
+        Returns
+        -------
+        bool[N].
+        """
         pixels, depths = self.camera.project(points)
         size = self.camera.width, self.camera.height
         inside: NDArray[np.bool_] = (
@@ -115,14 +124,14 @@ class Scene:
 
     @property
     def extent(self) -> float:
-        """World units; see `camera.scene_extent`. The distance of the points where cameras agree.
-        """
+        """The scene's size, world units: 1.1 times the largest distance of a camera from the mean
+        camera position; the distance of the points where all cameras stand at one place."""
         extent = scene_extent([view.camera for view in self.views])
         return extent if self.parallax >= LEAST_PARALLAX else self._distance
 
     @property
     def parallax(self) -> float:
-        """How far apart the cameras are for the distance of the points."""
+        """How far apart the cameras are, in distances of the points from them."""
         return scene_extent([view.camera for view in self.views]) / max(
             self._distance, np.finfo(float).tiny)
 
@@ -134,7 +143,7 @@ class Scene:
 
     @property
     def near_plane(self) -> float:
-        """World units: what is closer to a camera is not drawn."""
+        """The depth, world units, before which nothing is drawn: 1/500 of the extent."""
         return self.extent * NEAR_SHARE
 
     def near(self, asked: float) -> float:
@@ -147,8 +156,17 @@ class Scene:
         return asked / self.unit or self.near_plane
 
     def split(self, test_every: int) -> tuple[tuple[View, ...], tuple[View, ...]]:
-        """(train, test) tuples of views: those of `held_out`, or else every `test_every`-th view by
-        name, from the first, is held out; 0 holds out none."""
+        """The training views and the held-out views.
+
+        Parameters
+        ----------
+        test_every : every so-many-th view by name, from the first, is held out, unless the data set
+            says itself which ones are (`held_out`); 0: none.
+
+        Returns
+        -------
+        A pair of tuples of views, (train, test).
+        """
         if test_every <= 0:
             return self.views, ()
         held_out = self.held_out
@@ -158,8 +176,17 @@ class Scene:
                 tuple(v for v in self.views if v.name in held_out))
 
     def reached(self, positions: ArrayLike, spread: ArrayLike = 0.0) -> NDArray[np.bool_]:
-        """bool[N]: which local positions [N, 3] a block's region reaches, its margin included, with
-        all that lies `spread` float[N] local units to the sides of them."""
+        """Which positions the region of a block reaches, its margin included.
+
+        Parameters
+        ----------
+        positions : float[N, 3], local.
+        spread : float[N] or one number, local units: how far things extend around the positions.
+
+        Returns
+        -------
+        bool[N].
+        """
         if self.region is None:
             raise ValueError("a scene that is no block has no region")
         inside: NDArray[np.bool_] = self.region.reaches(
@@ -168,7 +195,12 @@ class Scene:
         return inside
 
     def part(self, indices: Iterable[int]) -> Scene:
-        """The scene of some views alone, with the points that they see; indices: int[V] of them."""
+        """The scene of some views alone, with the points that they see.
+
+        Parameters
+        ----------
+        indices : int[V], of the views.
+        """
         views = tuple(self.views[i] for i in sorted(indices))
         if self.observations is None:
             seen, known = np.zeros(len(self.points), bool), None
@@ -186,7 +218,12 @@ class Scene:
 
     def cropped(self, windows: dict[str, tuple[int, int, int, int]]) -> Scene:
         """The scene with views that show a part of their photos only, and with the observations in
-        it. windows: {name of a view: (left, top, right, bottom), pixels}; others stay whole."""
+        these parts.
+
+        Parameters
+        ----------
+        windows : name of a view -> (left, top, right, bottom), pixels; other views stay whole.
+        """
         views = tuple(replace(v, camera=v.camera.cropped(*windows[v.name]))
                       if v.name in windows else v for v in self.views)
         known = self.observations
@@ -202,8 +239,13 @@ class Scene:
         return replace(self, views=views, observations=known)
 
     def reduced(self, downscale: float, max_resolution: float = 0) -> Scene:
-        """The scene with images `downscale` times smaller, and no side of a photo longer than
-        `max_resolution` pixels (0: any)."""
+        """The scene with smaller images.
+
+        Parameters
+        ----------
+        downscale : width and height are divided by this.
+        max_resolution : pixels, the longest side that a photo may then have; 0: any.
+        """
         return replace(self, views=tuple(
             replace(v, camera=v.camera.reduced(downscale, max_resolution)) for v in self.views))
 

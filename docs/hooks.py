@@ -11,6 +11,7 @@ import griffe
 
 LOG = logging.getLogger("mkdocs.hooks")
 FOREIGN = re.compile(r"<(?:script|img|iframe|link)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^>]*")
+FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 HEADING = re.compile(r"^(\w+)\n-+\n", re.MULTILINE)
 ITEM = re.compile(r"^(\S[^:\n]*?) : ", re.MULTILINE)
 
@@ -19,6 +20,11 @@ def on_config(config):
     """Pages are all of docs/: guide and notebook."""
     config.docs_dir = str(Path(config.config_file_path).parent)
     return config
+
+
+def on_page_content(html, page, config, files):
+    """No line ends within an option."""
+    return FLAG.sub(r'<span class="flag">\g<0></span>', html)
 
 
 def on_post_page(output, page, config):
