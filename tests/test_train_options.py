@@ -1,6 +1,7 @@
 """What an option affects: who takes two runs for the same, and whether the model's bytes agree."""
 
 import dataclasses
+from contextlib import suppress
 from types import SimpleNamespace
 
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from clsplat.city import stages
 from clsplat.cli import campaign
 from clsplat.cli.train import resumed_options
-from clsplat.errors import InputError
+from clsplat.errors import InputError, Interrupted
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import differences, plain
@@ -18,7 +19,8 @@ from clsplat.partition.options import PartitionOptions
 from clsplat.report.groups import Trained, differing
 from clsplat.train_options import resolve
 from clsplat.training.block import _check_same
-from tests.data.tiny_training import CITY, LEVELLED, model_digest, resumed, trained
+from clsplat.training.loop import train
+from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, resumed, trained
 from tests.test_options import FIELDS, another, serving
 from tools.studies import runs
 
@@ -92,7 +94,9 @@ def digest(scene, item_device, tmp_path_factory):
 @pytest.mark.parametrize("name", [name for name, what in AFFECTS.items() if what != "model"])
 def test_what_does_not_affect_the_model_leaves_its_bytes(name, digest, scene, item_device,
                                                          tmp_path):
-    run = trained(tmp_path / "run", scene, item_device, **{**TINY, name: CHANGES[name]})
+    run = RunFolder.create(tmp_path / "run")
+    with suppress(Interrupted):
+        train(scene, options_of(**{**TINY, name: CHANGES[name]}), item_device, run)
     if name == "stop_at":
         run = resumed(run, scene, item_device, **TINY)
     assert model_digest(run) == digest
