@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from clsplat.evaluation.run import Run as Run
     from clsplat.evaluation.score import Score as Score
     from clsplat.gaussians import Gaussians as Gaussians
+    from clsplat.options import option as option
     from clsplat.scene import Scene as Scene
     from clsplat.scene import View as View
     from clsplat.schedule.plan import Plan as Plan
@@ -34,10 +35,11 @@ _HOMES = {
     "Run": "clsplat.evaluation.run", "Scene": "clsplat.scene", "Schedule": "clsplat.schedule.plan",
     "Score": "clsplat.evaluation.score", "StopTraining": "clsplat.errors", "View": "clsplat.scene",
     "evaluate": "clsplat.api.score", "render": "clsplat.api.renderer",
-    "train": "clsplat.api.train"}
+    "option": "clsplat.options", "train": "clsplat.api.train"}
 
 __all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Plan", "Renderer", "Run",
-           "Scene", "Schedule", "Score", "StopTraining", "View", "evaluate", "render", "train"]
+           "Scene", "Schedule", "Score", "StopTraining", "View", "evaluate", "option", "render",
+           "train"]
 
 
 def __getattr__(name: str) -> object:

@@ -176,21 +176,23 @@ def check_flag(option: Option, value: Any) -> Any:
         return checked_value(option, value)
     except ValueError as error:
         between = option.metadata["separator"] or (" " if kind_of(option)[1] else ",")
-        text = between.join(map(str, value)) if isinstance(value, tuple) else str(value)
+        text = between.join(f"{part:g}" if isinstance(part, float) else str(part)
+                            for part in (value if isinstance(value, tuple) else (value,)))
         raise InputError(f"{flag_name(option.name)} {text[:SHOWN]}: wants "
                          f"{str(error) or wanted(option)}") from None
 
 
 def checked(kind: type, source: str, key: str, value: Any) -> Any:
-    """`checked_value` of the option `key` of a dataclass; InputError names `source`."""
+    """`checked_value` of the option `key` of a dataclass; InputError names `source`, if not ""."""
+    source = source and f"{source}: "
     known = {option.name: option for option in options_of(kind)}
     if key not in known:
-        raise InputError(f"{source}: unknown option {key[:SHOWN]!r}; see `clsplat train "
+        raise InputError(f"{source}unknown option {key[:SHOWN]!r}; see `clsplat train "
                          "--help-all`")
     try:
         return checked_value(known[key], value)
     except ValueError as error:
-        raise InputError(f"{source}: option '{key.replace('_', '-')}' wants "
+        raise InputError(f"{source}option '{key.replace('_', '-')}' wants "
                          f"{str(error) or wanted(known[key])}, got {_shown(value)}") from None
 
 

@@ -14,7 +14,7 @@ from clsplat.loss.options import ExposureOptions, ImageLossOptions, ReprojectOpt
 from clsplat.optimise.options import OptimiseOptions
 from clsplat.options import AUTO, MOST_STEPS, flag_name, option, options_of
 from clsplat.rendering.options import RenderingOptions
-from clsplat.schedule.registry import OURS, ScheduleOptions, others, schedule_of
+from clsplat.schedule.registry import OURS, ScheduleOptions, others_that_load, schedule_of
 from clsplat.schedule.sig import SigOptions
 from clsplat.schedule.taming import TamingOptions
 
@@ -90,17 +90,10 @@ class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, SphereOptions, S
 
 
 def _with_others(kind: type[TrainOptions]) -> type[TrainOptions]:
-    """The same with the options of schedules that other packages register. One that does not load
-    is left to `schedule_of`, which says so when it is asked for."""
-    bases: list[type] = []
-    for name in others():
-        try:
-            own = schedule_of(name).Options
-        except InputError:
-            continue
-        if own is not None and own not in (*bases, *kind.__mro__):
-            bases.append(own)
-    return dataclasses.make_dataclass(kind.__name__, [], bases=(kind, *bases), frozen=True) \
+    """The same with the options of schedules that other packages register."""
+    found = dict.fromkeys(schedule.Options for schedule in others_that_load().values())
+    bases = [own for own in found if own is not None and not issubclass(kind, own)]
+    return dataclasses.make_dataclass(kind.__name__, [], bases=(*bases, kind), frozen=True) \
         if bases else kind
 
 
@@ -123,7 +116,7 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     Unless given, an option has the value that the given schedule, preset, size and the like set.
     Raises InputError for options that contradict each other.
     """
-    given = {k: checked("command line", k, v) for k, v in {**file_values, **flag_values}.items()}
+    given = {k: checked("", k, v) for k, v in {**file_values, **flag_values}.items()}
     chosen = TrainOptions(**given)
     name = chosen.schedule
     values = {key: checked(f"defaults of the schedule {name}", key, value)
@@ -145,7 +138,7 @@ def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
     for known in options_of(TrainOptions):
         if given.get(known.name, known.default) != known.default and not serves(
                 known, options.schedule):
-            serving = [name for name in (*OURS, *others()) if serves(known, name)]
+            serving = [name for name in (*OURS, *others_that_load()) if serves(known, name)]
             raise InputError(
                 f"{flag_name(known.name)}: means nothing to --schedule {options.schedule}; leave "
                 f"it out, or use --schedule {' or '.join(serving)}")

@@ -62,7 +62,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
     device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
-    wanted = partition_options(ctx, data, options, device)
+    wanted = partition_options(given_options(ctx, PartitionOptions), data, options, device, workers)
     if scheduler and not RunFolder(folder.coarse).has_model:
         check_scheduler(scheduler)
     if not folder.has_record:
@@ -116,7 +116,7 @@ def partition_command(ctx, folder, scene, **_):
     ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(there, scene)
     device = choose_device(options.device, form=options.form)
-    wanted = partition_options(ctx, data, options, device)
+    wanted = partition_options(given_options(ctx, PartitionOptions), data, options, device)
     _, counts = cut_into_blocks(there, data, options, wanted, device)
     click.echo(block_table(there, device, counts).text())
     click.echo(f"{there.picture}")
@@ -170,15 +170,16 @@ def _finish(folder, data, options, device, fill, against, quiet):
                "blocks")
 
 
-def partition_options(ctx, scene, options, device):
-    """PartitionOptions of the flags; blocks fit the device unless they say otherwise."""
+def partition_options(given, scene, options, device, workers=1):
+    """PartitionOptions of what is given, as from `given_options`; blocks fit the device unless it
+    says otherwise."""
     from clsplat.city.forecast import expected_gaussians, gaussians_that_fit
-    expected, given = expected_gaussians(scene, options), given_options(ctx, PartitionOptions)
+    expected = expected_gaussians(scene, options)
     return PartitionOptions(**{
         **given, "expected": expected,
         "block_gaussians": given.get("block_gaussians") or max(
             LEAST_GAUSSIANS, gaussians_that_fit(device, options)),
-        "least_blocks": min(ctx.params.get("workers", 1), max(1, expected // LEAST_GAUSSIANS))})
+        "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS))})
 
 
 def _beside(scene):

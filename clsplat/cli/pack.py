@@ -15,7 +15,8 @@ from clsplat.errors import InputError
               help="The file, .npz.")
 @click.option("-r", "--downscale", type=FiniteRange(min=1), default=1.0, show_default=True,
               help="Divide width and height of the photos by this; at 1 they keep their bytes.")
-@click.option("--images", default="", help="Folder of the photos, from SCENE's own (none: images).")
+@click.option("--images", default="", help="Folder of the photos, relative to SCENE; found there "
+              "unless given.")
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 def pack(scene, output, downscale, images, overwrite):
     """Put SCENE and its photos into one file, to be carried to another machine.

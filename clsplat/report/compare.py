@@ -101,7 +101,7 @@ def compare(groups, levels=()):
     missing = [run.name for run in runs if run.name not in lines]
     if missing:
         found.append(f"Not evaluated, so without scores: {', '.join(missing)}. Runs with "
-                     "--test-every 0 hold out no view.")
+                     "--test-every none hold out no view.")
     return {"levels": levels, "equal_seconds": shortest, "warnings": found,
             "equal": {key: runs[0].options.get(key) for key in equal(runs)},
             "different": different, "groups": compared}

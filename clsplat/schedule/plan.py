@@ -90,12 +90,14 @@ class Schedule:
 
     @classmethod
     def grows_until(cls, options: TrainOptions) -> int:
-        """The last step that may grow where `densify_until` is auto: half of the run."""
+        """The last step that may grow, where the `densify_until` of these options is auto: half of
+        the run."""
         return options.iterations // 2
 
     @classmethod
     def grows_every(cls, options: TrainOptions) -> int:
-        """Steps between rounds of growth where `densify_every` is auto; 0: `plan` decides."""
+        """Steps between rounds of growth, where the `densify_every` of these options is auto; 0:
+        `plan` decides."""
         return EVERY
 
     @classmethod
@@ -105,13 +107,15 @@ class Schedule:
 
         Parameters
         ----------
+        options : with scaled steps.
         size : width and height of the smallest training image, pixels.
         """
         return cls.levels, f"{listed(cls.levels)}: {sizes_text(cls.levels, size)}"
 
     @classmethod
     def options_of_block(cls, options: TrainOptions) -> dict[str, Any]:
-        """What a block of a city changes, which begins with the gaussians of a coarse run."""
+        """{option: value} that a block of a city changes of these options, since it begins with the
+        gaussians of a coarse run."""
         return {}
 
     def plan(self, iteration: int) -> Plan:

@@ -1,5 +1,6 @@
 """The schedules by name: our own, and those that other packages register as entry points."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 
@@ -32,6 +33,15 @@ def schedule_of(name: str) -> type[Schedule]:
     if not (isinstance(found, type) and issubclass(found, Schedule)):
         raise InputError(f"{name}: what is registered by this name is not a subclass of "
                          "clsplat.Schedule; correct the package that registers it")
+    return found
+
+
+def others_that_load() -> dict[str, type[Schedule]]:
+    """The classes of `others`; `schedule_of` says what is wrong with the rest."""
+    found = {}
+    for name in others():
+        with suppress(InputError):
+            found[name] = schedule_of(name)
     return found
 
 

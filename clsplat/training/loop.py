@@ -120,7 +120,7 @@ class Training(Clock):
         self.train_views, self.test_views = scene.split(options.test_every)
         if not self.train_views:
             raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
-                             "view; use a larger number, or 0")
+                             "view; use a larger number, or none")
         self.progress.phase("planning")
         self.needs = find_needs(scene, self.train_views, scaled_steps(options), device)
         self.options = options = self.needs.options

@@ -50,7 +50,7 @@ def size_note(views, options):
     largest = max(limited, key=lambda camera: camera.width * camera.height)
     small = largest.reduced(options.downscale, options.max_resolution)
     return (f"photos of {largest.width}x{largest.height} are reduced to {small.width}x"
-            f"{small.height}; --max-resolution 0 keeps their size")
+            f"{small.height}; --max-resolution none keeps their size")
 
 
 def at_level(views, level):

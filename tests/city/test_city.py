@@ -112,13 +112,12 @@ def test_blocks_see_the_parts_of_photos_that_show_them(made):
 
 
 def test_a_chosen_grid_has_a_block_a_worker():
-    params = {"method": "citygs", "grid": None, "up": (), "bounds": (), "margin": 0.1,
-              "threshold": 0.1, "least_views": 3, "starved": "refuse", "block_gaussians": 10**9}
+    given = {"margin": 0.1, "threshold": 0.1, "least_views": 3, "block_gaussians": 10**9}
     scene, options = read_scene(CITY), resolve({}, {})
     for workers, grid in ((1, 1), (2, 2), (6, 6)):
-        wanted = partition_options({**params, "workers": workers}, scene, options, None)
+        wanted = partition_options(given, scene, options, None, workers)
         assert len(make_partition(scene, wanted).regions) == grid
-    assert partition_options(params, scene, options, None).least_blocks == 1
+    assert partition_options(given, scene, options, None).least_blocks == 1
 
 
 def test_again_changes_nothing(copy, monkeypatch):

@@ -366,7 +366,7 @@ def scenes(monkeypatch):
 
 @pytest.mark.parametrize("scene, options, words", [
     ("/data/barn", {}, "another scene"), ("/data/city", {"max_gaussians": 5}, "max_gaussians 5"),
-    ("/data/city", {"eval_at": (7,)}, "eval_at (7,)")])
+    ("/data/city", {"eval_at": (7,)}, "eval_at [7]")])
 def test_a_campaign_leaves_other_runs_alone(tmp_path, wanted, scenes, scene, options, words):
     made_run(tmp_path / "dash.1", "dash", 1, **options)
     trainer = Trainer()

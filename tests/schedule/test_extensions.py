@@ -45,6 +45,18 @@ def test_a_schedule_in_one_file(clsplat, tmp_path):
     assert {r["level"] for r in records if r["iteration"] <= 20 and r["event"] != "plan"} == {2.0}
     assert records[-1]["level"] == 1.0
     assert clsplat("eval", "run", "--no-images").returncode == 0
+    assert options["half_share"] == 0.5
+    whole = " ".join(clsplat("train", "--help-all").stdout.split())
+    assert "--half-share FLOAT share of the run at half size" in whole
+    done = clsplat("train", CITY, "--schedule", "halves", "-n", "8", "-r", "8", "--half-share",
+                   "0.25", "-o", "other", "--snapshots")
+    assert done.returncode == 0, done.stderr
+    records = [json.loads(line) for line in (tmp_path / "other/metrics.jsonl").open()]
+    assert {r["level"] for r in records if r["event"] == "eval"} == {1.0, 2.0}
+    done = clsplat("train", CITY, "--half-share", "0.25", "-o", "third")
+    assert done.returncode == 2 and done.stderr == (
+        "error: --half-share: means nothing to --schedule sig; leave it out, or use --schedule "
+        "halves\n")
     (tmp_path / "others-1.dist-info" / "entry_points.txt").write_text("")
     gone = clsplat("eval", "run", "--no-images")
     assert gone.returncode == 2 and "one of sig, constant, dash, taming" in gone.stderr

@@ -119,7 +119,7 @@ def test_a_failed_run_leaves_the_others_and_is_told_at_the_end(tmp_path, trainin
 
 @pytest.mark.parametrize("words, complaint", [
     ([str(CITY), "-n", "300"], "iterations 200, not 300"),
-    ([str(CITY), "-n", "200", "--eval-at", "150"], r"eval_at \(50,\), not \(150,\)"),
+    ([str(CITY), "-n", "200", "--eval-at", "150"], r"eval_at \[50\], not \[150\]"),
     ([str(CITY / "nothing")], "no such scene"),
     ([str(CITY), str(CITY)], "would hold two runs"),
     ([str(CITY), "--also", "sig"], "wants a name, a colon and flags"),

@@ -381,7 +381,8 @@ def test_a_block_of_another_city(folder, what):
 
 
 @pytest.mark.parametrize("options, complaint", [
-    ({"iterations": "many"}, "option 'iterations' wants int"), ({"no_such": 1}, "unknown option"),
+    ({"iterations": "many"}, "option 'iterations' wants a whole number"),
+    ({"no_such": 1}, "unknown option"),
     ({"schedule": "constant", "rounds": 3}, "--rounds: means nothing to --schedule constant")])
 def test_bad_options_of_a_block(folder, options, complaint):
     block = folder.block(0)

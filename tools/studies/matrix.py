@@ -4,7 +4,7 @@
 
 The equal time of a scene is that of its shortest run. gsplat 1.5.3, with whose figures ours are
 compared, never resets opacities (its condition `step % reset_every == 0 & step > 0` is always
-false): `--schedules constant -- --reset-every 0` does the same.
+false): `--schedules constant -- --reset-every none` does the same.
 """
 
 import shlex

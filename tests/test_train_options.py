@@ -1,0 +1,109 @@
+"""What an option affects: who takes two runs for the same, and whether the model's bytes agree."""
+
+import dataclasses
+from contextlib import suppress
+from types import SimpleNamespace
+
+import pytest
+
+from clsplat.city import stages
+from clsplat.cli import campaign
+from clsplat.cli.train import resumed_options
+from clsplat.errors import InputError, Interrupted
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.options import differences, plain
+from clsplat.partition.make import METHODS
+from clsplat.partition.options import METHODS as NAMES
+from clsplat.partition.options import PartitionOptions
+from clsplat.report.groups import Trained, differing
+from clsplat.train_options import resolve
+from clsplat.training.block import _check_same
+from clsplat.training.loop import train
+from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, resumed, trained
+from tests.test_options import FIELDS, another, serving
+from tools.studies import runs
+
+AFFECTS = {name: field.metadata["affects"] for name, field in FIELDS.items()}
+TINY = {**LEVELLED, "iterations": 12, "levels": (2.0, 1.0), "level_share": 0.4,
+        "densify_from": 2, "densify_every": 2, "reproject": "off"}
+CHANGES = {"stop_at": 5, "checkpoint_every": 4, "device": "cpu", "eval_at": (3,), "eval_every": 4,
+           "snapshots": True}
+
+
+def refuses(call, *arguments):
+    try:
+        call(*arguments)
+    except InputError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch):
+    around = {} if name == "schedule" else {"schedule": serving(name)[0]}
+    here = resolve({}, around)
+    value = another(FIELDS[name])[0]
+    value = "x" if value == "text" else value
+    other = dataclasses.replace(here, **{name: value})
+    record, differs = plain(here), AFFECTS[name] != "nothing"
+    assert [found for found, _, _ in differences(record, other)] == [name] * differs
+    # going on with a run, a campaign, a block and a city; evidence that is there
+    assert refuses(resumed_options, record, {name: value}) == differs
+    run = RunFolder.create(tmp_path / "run")
+    run.write_options({"scene": tmp_path, **dataclasses.asdict(here)})
+    monkeypatch.setattr(campaign, "_is_of", lambda *_: True)
+    assert refuses(campaign._state, run.path, other, tmp_path) == differs
+    assert refuses(_check_same, run, other) == (differs and name != "init")  # a block's moves
+    city = SimpleNamespace(
+        has_record=True, path=tmp_path, coarse=run.path, make=lambda: None, write=lambda _: None,
+        read=lambda options: {"fingerprint": "f", "options": record})
+    monkeypatch.setattr(stages, "scene_record", lambda *_: {})
+    monkeypatch.setattr(stages, "fingerprint", lambda _: "f")
+    scene = SimpleNamespace(path=str(tmp_path))
+    assert refuses(stages.begin, city, scene, other) == differs
+    recorded = {**record, "scene_absolute": str(tmp_path)}
+    wanted = SimpleNamespace(scene=scene, options=other)
+    assert bool(runs._difference(recorded, wanted)) == differs
+    # a comparison: of models, over seeds; what `form` became is a fact of its own
+    two = [Trained(str(number), plain(options), [], True)
+           for number, options in enumerate((here, other))]
+    compared = AFFECTS[name] == "model" and name not in ("seed", "form")
+    assert (name in differing(two)) == compared
+
+
+def test_evidence_with_more_evaluations_serves():
+    record = {**plain(resolve({}, {"eval_at": (3, 7)})), "scene_absolute": "/"}
+    for eval_at, serves in (((7,), True), ((), True), ((7, 9), False)):
+        wanted = SimpleNamespace(scene=SimpleNamespace(path="/"),
+                                 options=resolve({}, {"eval_at": eval_at}))
+        assert (runs._difference(record, wanted) is None) == serves
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return read_scene(CITY)
+
+
+@pytest.fixture(scope="module")
+def digest(scene, item_device, tmp_path_factory):
+    return model_digest(trained(tmp_path_factory.mktemp("same") / "run", scene, item_device,
+                                **TINY))
+
+
+@pytest.mark.parametrize("name", [name for name, what in AFFECTS.items() if what != "model"])
+def test_what_does_not_affect_the_model_leaves_its_bytes(name, digest, scene, item_device,
+                                                         tmp_path):
+    run = RunFolder.create(tmp_path / "run")
+    with suppress(Interrupted):
+        train(scene, options_of(**{**TINY, name: CHANGES[name]}), item_device, run)
+    if name == "stop_at":
+        run = resumed(run, scene, item_device, **TINY)
+    assert model_digest(run) == digest
+
+
+def test_a_partition_is_the_same_whatever_chose_its_grid():
+    one, other = PartitionOptions(), PartitionOptions(block_gaussians=500, expected=900)
+    assert not list(differences(plain(one), other))
+    assert next(differences(plain(one), PartitionOptions(margin=0.2))) == ("margin", 0.3, 0.2)
+    assert tuple(METHODS) == NAMES
