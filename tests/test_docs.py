@@ -44,8 +44,8 @@ def test_the_reference_is_of_the_public_names():
 
 
 def test_examples_shown_are_the_files_that_tests_run():
-    blocks = re.findall(r"(?ms)^```python\n(.*?)^```", page("python.md"))
-    shown = [SHOWN.fullmatch(block.strip())[1] for block in blocks]
+    blocks = re.findall(r"(?ms)^```python\n(.*?)^```", page("python.md") + page("photos.md"))
+    shown = [found[1] for block in blocks if (found := SHOWN.fullmatch(block.strip()))]
     assert sorted(shown) == sorted(path.name for path in (DOCS / "examples").glob("*.py"))
     tests = "".join(path.read_text("utf-8") for path in ROOT.glob("tests/*/test_*.py"))
     assert all(f'"{name}"' in tests for name in shown)

@@ -29,7 +29,7 @@ from clsplat.device import Device
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.views import opened, photo_of, render_view
 from clsplat.gaussians import Gaussians
-from clsplat.partition import Partition
+from clsplat.partition.partition import Partition
 from clsplat.scene import Scene, View
 from clsplat.train_options import TrainOptions
 

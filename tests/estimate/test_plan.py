@@ -290,7 +290,7 @@ def test_photos_that_are_reduced_are_named():
     assert options.max_resolution == 1600
     large, small = sized_views(5472, 4088), sized_views(1600, 1200)
     assert size_note((*small, *large), options) == (
-        "photos of 5472x4088 are reduced to 1600x1195; --max-resolution 0 keeps their size")
+        "photos of 5472x4088 are reduced to 1600x1195; --max-resolution none keeps their size")
     assert size_note(small, options) is None
     assert size_note(large, resolve({}, {"max_resolution": 0})) is None
     assert size_note(large, resolve({}, {"downscale": 4.0})) is None  # -r does it already
