@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from clsplat.api.score import evaluate as evaluate
     from clsplat.api.train import train as train
     from clsplat.camera import Camera as Camera
+    from clsplat.config.option import option as option
     from clsplat.errors import ClsplatError as ClsplatError
     from clsplat.errors import StopTraining as StopTraining
     from clsplat.evaluation.run import Run as Run
     from clsplat.evaluation.score import Score as Score
     from clsplat.gaussians import Gaussians as Gaussians
-    from clsplat.options import option as option
     from clsplat.scene import Scene as Scene
     from clsplat.scene import View as View
     from clsplat.schedule.plan import Plan as Plan
@@ -35,7 +35,7 @@ _HOMES = {
     "Run": "clsplat.evaluation.run", "Scene": "clsplat.scene", "Schedule": "clsplat.schedule.plan",
     "Score": "clsplat.evaluation.score", "StopTraining": "clsplat.errors", "View": "clsplat.scene",
     "evaluate": "clsplat.api.score", "render": "clsplat.api.renderer",
-    "option": "clsplat.options", "train": "clsplat.api.train"}
+    "option": "clsplat.config.option", "train": "clsplat.api.train"}
 
 __all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Plan", "Renderer", "Run",
            "Scene", "Schedule", "Score", "StopTraining", "View", "evaluate", "option", "render",

@@ -1,252 +1,151 @@
-"""What an option is: a field with a default, limits and a help text, and how its values are read.
-
-Each concern declares its options as a frozen dataclass of such fields; `train_options.py` composes
-them. The same fields are the flags of the command line (cli/flags.py), the keys of a TOML file and
-those of a run's record.
-"""
+"""The options of a training: the groups of its concerns, composed and resolved."""
 
 import dataclasses
-import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from types import UnionType
-from typing import Any, get_args
+from dataclasses import dataclass
+from typing import Any
 
+from clsplat.config import option as declared
+from clsplat.config import toml
+from clsplat.config.option import AUTO, MOST_STEPS, flag_name, option, options_of
+from clsplat.densify.options import GrowthOptions, SphereOptions
 from clsplat.errors import InputError
+from clsplat.io.options import SceneOptions
+from clsplat.loss.options import ExposureOptions, ImageLossOptions, ReprojectOptions
+from clsplat.optimise.options import OptimiseOptions
+from clsplat.rendering.options import RenderingOptions
+from clsplat.schedule.registry import OURS, ScheduleOptions, others_that_load, schedule_of
+from clsplat.schedule.sig import SigOptions
+from clsplat.schedule.taming import TamingOptions
 
-try:
-    import tomllib
-except ModuleNotFoundError:  # Python 3.10
-    import tomli as tomllib  # type: ignore[no-redef]
-
-AUTO = "auto"
-MOST = {int: 2**63 - 1, float: 1e15}  # squares and their sums stay far within float32
-MOST_STEPS = 10_000_000  # of a training: 300 times the default
-MOST_ELEMENTS = 1000  # of a list
-LONGEST_TEXT = 4096  # characters: the longest path that Linux takes
-LARGEST_FILE = 1 << 20  # bytes of a TOML file
-SHOWN = 200  # characters, of what a user gave, in a message
-KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
-
-Option = dataclasses.Field[Any]
+MOST_SECONDS = 366 * 24 * 3600.0  # of a time budget
+UNITS = {"s": 1, "m": 60, "h": 3600}
 
 
-def option(default: Any, group: str, text: str, *, affects: str = "model",
-           short: str | None = None, main: bool = False, words: dict[str, Any] | None = None,
-           choices: Sequence[str] = (), more: Callable[[], Iterable[str]] | None = None,
-           minimum: float | None = None, maximum: float | None = None, most: float | None = None,
-           wish: str | None = None, check: Callable[[Any], object] | None = None,
-           separator: str | None = None, sets: dict[Any, dict[str, Any]] | None = None,
-           part: str | None = None) -> Any:
-    """A field of a dataclass of options.
-
-    Parameters
-    ----------
-    default : the value where nobody gives one.
-    group : the heading that the help lists it under.
-    text : its help.
-    affects : "model", the bytes of the result; "time", how long it takes, or what else is written;
-        "nothing" of both.
-    short : a second flag, such as -n.
-    main : whether --help lists it; --help-all lists all.
-    words : word -> the value that it stands for, which no limit refuses.
-    choices : the values that there are.
-    more : gives choices of other packages; asked only where need be.
-    minimum, maximum : limits of a number, or of each element of a tuple.
-    most : a maximum that is no end of a scale, but what can still be done; None: MOST of its type.
-    wish : what a refusal says is wanted, where limits and type do not say it well.
-    check : called with a value that is within the limits; raises ValueError.
-    separator : between the elements of a tuple that is one word of the command line.
-    sets : value of this option -> other options that it sets unless the user does, by name.
-    part : the part of a training that it belongs to; schedules without it refuse the option.
-    """
-    settings = {name: value for name, value in locals().items() if name not in ("default", "text")}
-    return dataclasses.field(default=default, metadata={**settings, "help": text,
-                                                        "words": words or {}, "sets": sets or {}})
-
-
-def options_of(kind: type) -> list[Option]:
-    """The options among the fields of a dataclass, in order."""
-    return [field for field in dataclasses.fields(kind) if "affects" in field.metadata]
-
-
-def flag_name(name: str) -> str:
-    """An option's name as a flag, with hyphens."""
-    return "--" + name.replace("_", "-")
-
-
-def kind_of(option: Option) -> tuple[Any, int | None]:
-    """(type of a value or of each element, number of elements: 0 for no tuple, None for any)."""
-    kind: Any = option.type
-    if isinstance(kind, UnionType):  # or None, which a word stands for
-        kind = get_args(kind)[0]
-    elements = get_args(kind)
-    if not elements:
-        return kind, 0
-    return elements[0], None if ... in elements else len(elements)
-
-
-def wanted(option: Option) -> str:
-    """What an option wants, for a refusal."""
-    meta = option.metadata
-    low, high = meta["minimum"], meta["maximum"]
-    if meta["wish"]:
-        text = meta["wish"]
-    elif meta["choices"]:
-        text = f"one of {', '.join((*meta['choices'], *(meta['more']() if meta['more'] else ())))}"
-    else:
-        text = KINDS[kind_of(option)[0]]
-        if low is not None:
-            text += f" of at least {low:g}" if high is None else f" from {low:g} to {high:g}"
-    return f"{', '.join(meta['words'])} or {text}" if meta["words"] else text
-
-
-def checked_value(option: Option, value: Any) -> Any:
-    """`value` as the option has it; ValueError, which says what is wrong where `wanted` does not.
-
-    A word becomes what it stands for. Whole numbers serve as fractions, and lists, which are what
-    TOML and JSON have, as tuples.
-    """
-    words, (kind, count) = option.metadata["words"], kind_of(option)
-    if isinstance(value, list):
-        value = tuple(value)
-    if isinstance(value, str) and value in words:
-        return words[value]
-    for meaning in words.values():
-        if type(value) is type(meaning) and value == meaning:
-            return value
-    if count == 0:
-        value = _checked_one(option, kind, value)
-    else:
-        if not isinstance(value, tuple) or count not in (None, len(value)):
-            raise ValueError
-        if len(value) > MOST_ELEMENTS:
-            raise ValueError(f"at most {MOST_ELEMENTS} values")
-        value = tuple(_checked_one(option, kind, element) for element in value)
-    if option.metadata["check"]:
-        option.metadata["check"](value)
-    return value
-
-
-def _checked_one(option: Option, kind: Any, value: Any) -> Any:
-    meta = option.metadata
-    if type(value) is int and abs(value) >= 2**63:
-        raise ValueError("a number below 2^63")
-    if kind is float and type(value) is int:
-        value = float(value)
-    if type(value) is not kind or meta["choices"] and not (
-            value in meta["choices"] or meta["more"] and value in meta["more"]()):
+def seconds_of(text: str) -> float:
+    """The seconds of `--time-budget`: a number, or one with the unit s, m or h; ValueError for
+    anything else."""
+    try:
+        unit = UNITS[text[-1]] if text[-1] in UNITS else None
+        seconds = float(text if unit is None else text[:-1]) * (unit or 1)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds < math.inf:
         raise ValueError
-    if kind is str:
-        _check_text(value)
-    elif kind is not bool:
-        low, high = meta["minimum"], meta["maximum"]
-        most = MOST[kind] if meta["most"] is None else meta["most"]
-        if (low is not None and not value >= low) or (high is not None and not value <= high):
-            raise ValueError
-        if not math.isfinite(value):
-            raise ValueError("a finite number")
-        if value > most:
-            raise ValueError(f"at most {most:,}" if kind is int else f"at most {most:g}")
-    return value
+    if seconds > MOST_SECONDS:
+        raise ValueError("at most a year")
+    return seconds
 
 
-def _check_text(text: str) -> None:
-    """ValueError for what a record, or the path of a file, cannot hold."""
-    if len(text) > LONGEST_TEXT:
-        raise ValueError(f"at most {LONGEST_TEXT} characters")
-    if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
-        raise ValueError("text in Unicode")
+@dataclass(frozen=True)
+class RunOptions:
+    """How long a run is, and what it writes on the way."""
+
+    iterations: int = option(30000, "Run", "training steps", short="-n", main=True, minimum=1,
+                             most=MOST_STEPS)
+    steps_scale: float = option(1.0, "Run", "multiply the number of steps, and every step count "
+                                "of the schedule, by this", minimum=1e-4, most=1e4)
+    seed: int = option(0, "Run", "seed of all random choices; the same seed and device give the "
+                       "same bytes", main=True, minimum=0)
+    stop_at: int = option(0, "Run", "stop after this step, as if interrupted; the schedule stays "
+                          "that of -n", affects="nothing", words={"none": 0}, minimum=1)
+    time_budget: str = option("", "Run", "time for the whole run, such as 90s, 10m or 2h, in "
+                              "place of -n; the schedule is fitted to it", main=True,
+                              words={"none": ""}, check=seconds_of,
+                              wish="a number of seconds, or one with s, m or h such as 10m")
+    checkpoint_every: int = option(1000, "Run", "steps between checkpoints; end: one, at the end",
+                                   affects="nothing", words={"end": 0}, minimum=1)
+    eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps, such as "
+                                      "500,2000", affects="time", words={"none": ()}, minimum=1,
+                                      wish="a list of steps, each at least 1")
+    eval_every: int = option(AUTO, "Run", "steps between evaluations on the held-out views; auto: "
+                             "eight evaluations, fewer where they are slow; end: one, at the end",
+                             affects="time", main=True, words={AUTO: AUTO, "end": 0}, minimum=1)
+    snapshots: bool = option(False, "Run", "keep the model at the end of each level, for `clsplat "
+                             "render --lod`", affects="time", part="levels")
+    coarse: bool = option(False, "Run", "train the coarse model of a city: photos at half size, "
+                          "unless -r says otherwise", sets={True: {
+                              "downscale": 2.0,
+                              "max_resolution": SceneOptions.max_resolution // 2}})
 
 
-def parsed(option: Option, text: str) -> Any:
-    """What a text of the command line says, not yet checked; ValueError for no number."""
-    kind, count = kind_of(option)
-    if kind is str or text in option.metadata["words"]:
-        return option.metadata["words"].get(text, text)
-    if count == 0:
-        return kind(text)
-    return tuple(kind(part) for part in text.lower().split(option.metadata["separator"] or ","))
+@dataclass(frozen=True)
+class DeviceOptions:
+    """Where a run is trained. It may go on elsewhere; its record says what the device was."""
+
+    device: str = option("auto", "Device", "auto, cpu, gpu, a number of `clsplat devices`, or part "
+                         "of a name", affects="nothing", main=True)
+    form: str = option("auto", "Device", "form of the kernels: item suits CPUs, group suits GPUs; "
+                       "they agree to rounding", choices=("auto", "item", "group"))
 
 
-def check_flag(option: Option, value: Any) -> Any:
-    """`checked_value` of what a flag gave; InputError names the flag."""
-    try:
-        return checked_value(option, value)
-    except ValueError as error:
-        between = option.metadata["separator"] or (" " if kind_of(option)[1] else ",")
-        text = between.join(f"{part:g}" if isinstance(part, float) else str(part)
-                            for part in (value if isinstance(value, tuple) else (value,)))
-        raise InputError(f"{flag_name(option.name)} {text[:SHOWN]}: wants "
-                         f"{str(error) or wanted(option)}") from None
+@dataclass(frozen=True)
+class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, SphereOptions, SigOptions,
+                   OptimiseOptions, ReprojectOptions, ExposureOptions, ImageLossOptions,
+                   RenderingOptions, ScheduleOptions, SceneOptions, RunOptions):
+    """Everything that decides a training; defaults are those of Kerbl et al. (2023).
 
-
-def checked(kind: type, source: str, key: str, value: Any) -> Any:
-    """`checked_value` of the option `key` of a dataclass; InputError names `source`, if not ""."""
-    source = source and f"{source}: "
-    known = {option.name: option for option in options_of(kind)}
-    if key not in known:
-        raise InputError(f"{source}unknown option {key[:SHOWN]!r}; see `clsplat train "
-                         "--help-all`")
-    try:
-        return checked_value(known[key], value)
-    except ValueError as error:
-        raise InputError(f"{source}option '{key.replace('_', '-')}' wants "
-                         f"{str(error) or wanted(known[key])}, got {_shown(value)}") from None
-
-
-def _shown(value: object) -> str:
-    try:
-        return repr(value)[:SHOWN]
-    except ValueError:  # Python does not write out integers of more than 4300 digits
-        return "a number of thousands of digits"
-
-
-def from_toml(kind: type, path: str | os.PathLike[str]) -> dict[str, Any]:
-    """{option: value} of a TOML file; InputError for unknown keys and wrong values."""
-    try:
-        if os.path.exists(path) and not os.path.isfile(path):
-            raise InputError(f"{path}: cannot be read (it is not a file); give a TOML file of "
-                             "options")
-        with open(path, "rb") as file:
-            data = file.read(LARGEST_FILE + 1)
-        if len(data) > LARGEST_FILE:
-            raise InputError(f"{path}: is larger than {LARGEST_FILE >> 20} MiB; give a TOML file "
-                             "of options, such as iterations = 7000")
-        table = tomllib.loads(data.decode("utf-8-sig"))  # Windows editors begin with a mark
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:  # tomllib: also of integers with 4301 digits
-        raise InputError(f"{path}: not valid TOML: {str(error)[:SHOWN]}") from None
-    values: dict[str, Any] = {}
-    for key, value in table.items():
-        name = key.replace("-", "_")
-        if name in values:
-            raise InputError(f"{path}: option '{name}' is set twice; remove one of the two lines")
-        values[name] = checked(kind, str(path), name, value)
-    return values
-
-
-def plain(value: Any) -> Any:
-    """A dataclass, or a value of one, as JSON gives it back."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        value = dataclasses.asdict(value)
-    return json.loads(json.dumps(value))
-
-
-def differences(record: dict[str, Any], options: Any) -> Iterator[tuple[str, Any, Any]]:
-    """(name, value there, value here) of each option that makes a run another one than recorded.
-
-    The one place that says whether two runs are the same: options that affect "nothing" may differ.
-
-    Parameters
-    ----------
-    record : option -> value, as a file of JSON has it.
-    options : a dataclass of options.
+    The help lists the groups from the last base to the first.
     """
-    here = plain(options)
-    for known in options_of(type(options)):
-        there = plain(record.get(known.name))
-        if known.metadata["affects"] != "nothing" and there != here[known.name]:
-            yield known.name, there, here[known.name]
+
+
+def _with_others(kind: type[TrainOptions]) -> type[TrainOptions]:
+    """The same with the options of schedules that other packages register."""
+    found = dict.fromkeys(schedule.Options for schedule in others_that_load().values())
+    bases = [own for own in found if own is not None and not issubclass(kind, own)]
+    return dataclasses.make_dataclass(kind.__name__, [], bases=(*bases, kind), frozen=True) \
+        if bases else kind
+
+
+TrainOptions = _with_others(TrainOptions)  # type: ignore[misc]
+
+
+def checked(source: str, key: str, value: Any) -> Any:
+    """`options.checked` of an option of a training."""
+    return declared.checked(TrainOptions, source, key, value)
+
+
+def from_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """`options.from_toml` for the options of a training."""
+    return toml.from_toml(TrainOptions, path)
+
+
+def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOptions:
+    """TrainOptions from a TOML file's values overridden by the command line's.
+
+    Unless given, an option has the value that the given schedule, preset, size and the like set.
+    Raises InputError for options that contradict each other.
+    """
+    given = {k: checked("", k, v) for k, v in {**file_values, **flag_values}.items()}
+    chosen = TrainOptions(**given)
+    name = chosen.schedule
+    values = {key: checked(f"defaults of the schedule {name}", key, value)
+              for key, value in schedule_of(name).defaults.items()}
+    for known in options_of(TrainOptions):
+        values |= known.metadata["sets"].get(getattr(chosen, known.name), {})
+    options = TrainOptions(**{**values, **given})
+    _check_agreement(options, given)
+    return options
+
+
+def serves(known: declared.Option, schedule: str) -> bool:
+    """Whether an option means something to a schedule."""
+    part = known.metadata["part"]
+    return part is None or part in schedule_of(schedule).parts
+
+
+def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
+    for known in options_of(TrainOptions):
+        if given.get(known.name, known.default) != known.default and not serves(
+                known, options.schedule):
+            serving = [name for name in (*OURS, *others_that_load()) if serves(known, name)]
+            raise InputError(
+                f"{flag_name(known.name)}: means nothing to --schedule {options.schedule}; leave "
+                f"it out, or use --schedule {' or '.join(serving)}")
+    if options.iterations * options.steps_scale > MOST_STEPS:
+        raise InputError(f"--steps-scale {options.steps_scale:g}: makes {options.iterations:,} "
+                         f"steps more than {MOST_STEPS:,}; give a smaller one")
+    if options.time_budget and options.iterations != RunOptions.iterations:
+        raise InputError("--time-budget: decides the number of steps, as -n does; leave one of "
+                         "them out")

@@ -22,7 +22,7 @@ LAYERS = (
     {"constants", "errors"},
     {"device"},
     {"primitives"},
-    {"camera", "options"},
+    {"camera", "config"},
     {"gaussians", "scene"},
     {"covisibility"},
     {"partition"},
@@ -30,7 +30,7 @@ LAYERS = (
     {"rendering", "schedule", "synth"},
     {"loss", "optimise"},
     {"densify"},
-    {"train_options"},
+    {"options"},
     {"evaluation"},
     {"report"},
     {"training"},
@@ -41,13 +41,13 @@ LAYERS = (
     {"cli"},
     {"__main__"},
 )
-NOUNS = {"__init__", "__main__", "camera", "constants", "errors", "extensions", "gaussians",
-         "options", "scene"}
+NOUNS = {"__init__", "__main__", "camera", "constants", "errors", "gaussians", "options",
+         "scene"}
 LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
 
 # tested without OpenCL, though they stand above the device layer
-NO_DEVICE = {"camera", "options", "gaussians", "scene", "covisibility", "schedule",
-             "partition", "synth", "report", "train_options"}
+NO_DEVICE = {"camera", "config", "options", "gaussians", "scene", "covisibility", "schedule",
+             "partition", "synth", "report"}
 
 # package -> the only folders that may import it
 WALLS = {

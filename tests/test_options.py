@@ -10,11 +10,9 @@ from click.testing import CliRunner
 
 from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
+from clsplat.config.option import flag_name, wanted
 from clsplat.errors import InputError
-from clsplat.options import flag_name, wanted
-from clsplat.schedule import OURS, schedule_of
-from clsplat.schedule.sig import PAPER, RELEASE
-from clsplat.train_options import (
+from clsplat.options import (
     TrainOptions,
     checked,
     from_toml,
@@ -22,6 +20,8 @@ from clsplat.train_options import (
     seconds_of,
     serves,
 )
+from clsplat.schedule import OURS, schedule_of
+from clsplat.schedule.sig import PAPER, RELEASE
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
 

@@ -17,7 +17,7 @@ import click
 import pytest
 
 from clsplat.cli.main import main
-from clsplat.train_options import TrainOptions
+from clsplat.options import TrainOptions
 from tests.test_layout import ROOT, sources
 
 try:

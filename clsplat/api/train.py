@@ -11,8 +11,8 @@ from clsplat.device import choose_device
 from clsplat.errors import Interrupted
 from clsplat.evaluation.run import Run
 from clsplat.io.run import RunFolder
+from clsplat.options import resolve
 from clsplat.scene import Scene
-from clsplat.train_options import resolve
 from clsplat.training import loop
 
 

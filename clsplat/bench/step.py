@@ -15,10 +15,10 @@ except ImportError:  # Windows
     resource = None
 
 from clsplat.io.scenes import read_scene
+from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import scaled_steps
 from clsplat.schedule.plan import Plan
-from clsplat.train_options import TrainOptions
 from clsplat.training.model import Model
 from clsplat.training.photos import Photos
 from clsplat.training.step import Step, TrainingSample

@@ -16,11 +16,11 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
+from clsplat.options import TrainOptions
 from clsplat.report.city import seam_table, share_table
 from clsplat.report.page import embedded
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
-from clsplat.train_options import TrainOptions
 
 
 def reference_file(against: Path | None) -> Path | None:

@@ -29,9 +29,9 @@ from clsplat.device import Device
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.views import opened, photo_of, render_view
 from clsplat.gaussians import Gaussians
+from clsplat.options import TrainOptions
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene, View
-from clsplat.train_options import TrainOptions
 
 STRIP = 0.1  # of the cells' sides, where blocks have no margin
 OPAQUE = 0.5  # a pixel has a place if no more light than this passes

@@ -8,6 +8,7 @@ import numpy as np
 
 from clsplat.city.split import split_blocks, too_large
 from clsplat.city.visibility import DropTest
+from clsplat.config.option import differences, plain
 from clsplat.distribute import Task, run
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
@@ -17,14 +18,13 @@ from clsplat.io.folders import make_folder
 from clsplat.io.run import RunFolder
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.options import differences, plain
+from clsplat.options import checked, resolve
 from clsplat.partition.blocks import block_start, find_windows
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
 from clsplat.partition.outline import geojson
 from clsplat.report.map import write_map
 from clsplat.schedule import schedule_of
-from clsplat.train_options import checked, resolve
 from clsplat.training.block import (
     block_options,
     decided_by,

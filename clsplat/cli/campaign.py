@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
+from clsplat.config.option import differences, options_of
 from clsplat.errors import ClsplatError, InputError, Interrupted
-from clsplat.options import differences, options_of
-from clsplat.train_options import TrainOptions, resolve, serves
+from clsplat.options import TrainOptions, resolve, serves
 
 NEW, STARTED, FINISHED = "from the start", "going on from its checkpoint", "finished before"
 

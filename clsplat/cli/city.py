@@ -49,7 +49,7 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
-    from clsplat.train_options import resolve
+    from clsplat.options import resolve
     from clsplat.training.photos import size_note
     given = given_options(ctx)
     devices = _devices(given.pop("device", ""), workers, scheduler)

@@ -6,9 +6,9 @@ import click
 from click.core import ParameterSource
 
 from clsplat.cli.sections import SectionedOption
+from clsplat.config.option import check_flag, flag_name, kind_of, options_of, parsed, wanted
 from clsplat.errors import InputError
-from clsplat.options import check_flag, flag_name, kind_of, options_of, parsed, wanted
-from clsplat.train_options import TrainOptions
+from clsplat.options import TrainOptions
 
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
 NAMES = {int: "INTEGER", float: "FLOAT", str: "TEXT"}

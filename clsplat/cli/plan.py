@@ -35,8 +35,8 @@ def plan(ctx, scene, config, photos, margin, **_):
     from clsplat.estimate.forecast import Planned
     from clsplat.estimate.step_time import load
     from clsplat.io.scenes import read_scene
+    from clsplat.options import from_toml, resolve
     from clsplat.partition.options import PartitionOptions
-    from clsplat.train_options import from_toml, resolve
     from clsplat.training.photos import size_note
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
     photos, margin = _numbers(photos), PartitionOptions(margin=margin).margin

@@ -9,9 +9,9 @@ import click
 
 from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.config.option import differences, flag_name, options_of
 from clsplat.errors import InputError
-from clsplat.options import differences, flag_name, options_of
-from clsplat.train_options import RunOptions, TrainOptions, checked, from_toml, resolve
+from clsplat.options import RunOptions, TrainOptions, checked, from_toml, resolve
 
 LEVELS = ("debug", "info", "warning", "error")
 FOLDER = {"cls": SectionedOption, "section": "Run folder"}

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from clsplat.options import AUTO, option
+from clsplat.config.option import AUTO, option
 
 
 @dataclass(frozen=True)

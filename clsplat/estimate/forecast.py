@@ -7,10 +7,10 @@ from clsplat.estimate.detail import photo_detail
 from clsplat.estimate.memory import Memory, predicted_memory
 from clsplat.estimate.step_time import predicted_seconds
 from clsplat.gaussians import mean_inverse_distance
+from clsplat.options import seconds_of
 from clsplat.partition.blocks import seen_pixels, trainable
 from clsplat.schedule import laid_over, scaled_steps, schedule_of
 from clsplat.schedule.course import course, largest
-from clsplat.train_options import seconds_of
 from clsplat.training.begin import initial_gaussians
 from clsplat.training.needs import Part, find_needs, subject_of
 from clsplat.training.photos import DEVICE_SHARE

@@ -18,8 +18,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.options import TrainOptions, resolve
 from clsplat.scene import Scene
-from clsplat.train_options import TrainOptions, resolve
 
 
 def shown(model: Gaussians, path: Path) -> Gaussians:

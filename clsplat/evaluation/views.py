@@ -21,9 +21,9 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_photo, write_image
 from clsplat.io.regular import native
+from clsplat.options import TrainOptions
 from clsplat.rendering.slabs import open_model
 from clsplat.scene import Scene, View
-from clsplat.train_options import TrainOptions
 
 if TYPE_CHECKING:
     from clsplat.evaluation.run import Run

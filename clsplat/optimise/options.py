@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from clsplat.options import option
+from clsplat.config.option import option
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from clsplat.config.option import AUTO, MOST, check_flag, option, options_of
 from clsplat.errors import InputError
-from clsplat.options import AUTO, MOST, check_flag, option, options_of
 
 METHODS = ("citygs", "blockgs", "vastgs")
 LEAST_GAUSSIANS = 100  # a block with fewer is starved

@@ -5,11 +5,11 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from clsplat.config.option import options_of
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.run import find_runs
-from clsplat.options import options_of
-from clsplat.train_options import TrainOptions, serves
+from clsplat.options import TrainOptions, serves
 
 FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
 # runs of a group differ by seed, and kernel_form says what `form` became

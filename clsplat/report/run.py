@@ -1,12 +1,12 @@
 """The page of one run: pictures, scores, growth, loss, why the level changed, and frequency."""
 
-from clsplat.options import options_of
+from clsplat.config.option import options_of
+from clsplat.options import TrainOptions
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import frequency_figure, score_figure, step_figure
 from clsplat.report.groups import scene_name
 from clsplat.report.page import Table, folded, headed, html_of, page
 from clsplat.report.pictures import pictures_html, with_pictures
-from clsplat.train_options import TrainOptions
 
 FACTS = ("scene", "scene_absolute", "fingerprint", "extent", "offset", "opencl_device",
          "kernel_form", "version", "commit")

@@ -10,7 +10,7 @@ if TYPE_CHECKING:  # --help must not wait for numpy
     import numpy as np
     from numpy.typing import NDArray
 
-    from clsplat.train_options import TrainOptions
+    from clsplat.options import TrainOptions
 
 EVERY = 100  # steps between rounds of growth, where nobody says otherwise
 

@@ -4,8 +4,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 
+from clsplat.config.option import option
 from clsplat.errors import InputError
-from clsplat.options import option
 from clsplat.schedule.plan import Schedule
 
 GROUP = "clsplat.schedules"  # of entry points: NAME = MODULE:SUBCLASS_OF_SCHEDULE

@@ -12,8 +12,8 @@ The tests `paper` and `release` are unguarded, as published.
 import math
 from dataclasses import dataclass
 
+from clsplat.config.option import AUTO, option
 from clsplat.errors import InputError
-from clsplat.options import AUTO, option
 from clsplat.schedule.convergence import judge
 from clsplat.schedule.plan import Plan, Schedule, listed, sizes_text
 

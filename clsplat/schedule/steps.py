@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from clsplat.options import MOST_STEPS
+from clsplat.config.option import MOST_STEPS
 from clsplat.schedule.registry import schedule_of
 
 if TYPE_CHECKING:
-    from clsplat.train_options import TrainOptions
+    from clsplat.options import TrainOptions
 
 STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densify_every",
                "reset_every")

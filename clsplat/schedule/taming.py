@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from clsplat.options import option
+from clsplat.config.option import option
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.plan import EVERY
 

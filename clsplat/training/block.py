@@ -1,11 +1,11 @@
 """Trains one block of a larger scene, from the folder that says all about it."""
 
+from clsplat.config.option import differences
 from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.options import differences
-from clsplat.train_options import checked, resolve
+from clsplat.options import checked, resolve
 from clsplat.training.loop import resume, train
 
 # what the coarse run has decided for all blocks, or their tones and degrees would not meet

@@ -7,7 +7,7 @@ import numpy as np
 from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.io.run import OPTIONS
-from clsplat.train_options import checked
+from clsplat.options import checked
 
 REALS = (np.float32, np.float64)  # what devices compute in
 # key of the state -> (types, least value of a number)

@@ -2,10 +2,10 @@
 
 import time
 
+from clsplat.config.option import AUTO
 from clsplat.evaluation.views import evaluate_views
-from clsplat.options import AUTO
+from clsplat.options import seconds_of
 from clsplat.schedule import laid_over
-from clsplat.train_options import seconds_of
 from clsplat.training import checkpoint
 from clsplat.training.budget import LONG, RECOVERY, TimeBudget
 from clsplat.training.kept import Kept

@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 
+from clsplat.config.option import AUTO
 from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
 from clsplat.covisibility.source_views import choose_source_views, view_spread
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
-from clsplat.options import AUTO
 from clsplat.schedule import Subject, schedule_of
 from clsplat.schedule.course import course, largest
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM

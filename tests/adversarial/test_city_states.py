@@ -14,8 +14,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
-from clsplat.train_options import resolve
 from tests.data.tiny_training import CITY
 
 pytestmark = pytest.mark.slow  # each reads a city that was made for it

@@ -13,7 +13,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.train_options import from_toml, resolve
+from clsplat.options import from_toml, resolve
 from clsplat.training import checkpoint
 from clsplat.training.loop import resume
 from tests.data.tiny_training import CITY

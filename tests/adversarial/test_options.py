@@ -9,15 +9,15 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from clsplat import options as module
+from clsplat.config import option as module
+from clsplat.config.option import MOST_STEPS
 from clsplat.densify.grow import Candidates
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io import run as run_module
 from clsplat.io.run import RunFolder
-from clsplat.options import MOST_STEPS
+from clsplat.options import TrainOptions, checked, from_toml, resolve
 from clsplat.schedule import laid_over
-from clsplat.train_options import TrainOptions, checked, from_toml, resolve
 
 FIELDS = {field.name: field for field in dataclasses.fields(TrainOptions)}
 NUMBERS = (0, 1, -1, 2, 1000, 1025, MOST_STEPS, MOST_STEPS + 1, 2**31, 2**32, 2**63 - 1, 2**63,

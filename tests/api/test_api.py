@@ -11,8 +11,8 @@ import pytest
 import clsplat
 from clsplat.evaluation.views import render_view
 from clsplat.io.run import RunFolder
+from clsplat.options import resolve
 from clsplat.rendering.slabs import open_model
-from clsplat.train_options import resolve
 from clsplat.training import loop
 from tests.data.tiny_training import CITY, model_digest
 

@@ -17,8 +17,8 @@ from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
 from clsplat.partition.make import make_partition
-from clsplat.train_options import resolve
 from tests.data.tiny_training import CITY
 
 pytestmark = pytest.mark.slow  # each needs a city that is trained

@@ -13,11 +13,11 @@ from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
+from clsplat.options import TrainOptions
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from clsplat.rendering.slabs import open_model
 from clsplat.report.city import seam_table
-from clsplat.train_options import TrainOptions
 from tests.data.tiny_training import CITY
 
 OPTIONS = TrainOptions()

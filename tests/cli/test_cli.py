@@ -21,7 +21,7 @@ from clsplat.cli.train import resumed_options
 from clsplat.errors import ClsplatError, DeviceError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.run import RunFolder
-from clsplat.train_options import resolve
+from clsplat.options import resolve
 
 
 def clsplat_(*arguments):

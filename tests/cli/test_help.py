@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
-from clsplat.train_options import TrainOptions
+from clsplat.options import TrainOptions
 
 
 def clsplat_(*arguments):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from clsplat.errors import Interrupted
 from clsplat.io.run import RunFolder
-from clsplat.train_options import resolve
+from clsplat.options import resolve
 from clsplat.training.loop import resume, train
 
 CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.densify.grow import Candidates, plan_growth
-from clsplat.train_options import TrainOptions
+from clsplat.options import TrainOptions
 from tests.reference.project import rotations
 
 EXTENT = 10.0

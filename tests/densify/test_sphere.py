@@ -6,7 +6,7 @@ import pytest
 from clsplat.densify.sphere import children, outside, with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import SPHERE, Gaussians
-from clsplat.train_options import TrainOptions, resolve
+from clsplat.options import TrainOptions, resolve
 
 LARGEST = np.finfo(np.float32).max
 

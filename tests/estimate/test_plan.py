@@ -21,11 +21,11 @@ from clsplat.estimate.trial_steps import Rehearsal, strewn
 from clsplat.gaussians import Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule import OURS, Subject, scaled_steps, schedule_of
 from clsplat.schedule.course import Stretch, course, largest
-from clsplat.train_options import resolve
 from clsplat.training.needs import find_needs
 from clsplat.training.photos import size_note
 from tests.data.tiny_training import CITY, options_of, records, trained

@@ -16,7 +16,7 @@ from clsplat.io.images import read_image
 from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.train_options import resolve
+from clsplat.options import resolve
 from tests.data.tiny_training import CITY
 
 OPTIONS = {"downscale": 8.0, "background": (0.3, 0.2, 0.1), "near": 2.0, "test_every": 16}

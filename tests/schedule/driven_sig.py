@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from clsplat.options import resolve
 from clsplat.schedule import Subject, scaled_steps
 from clsplat.schedule.sig import Sig
-from clsplat.train_options import resolve
 
 SUBJECT = Subject(size=(640, 480), count=1000, inverse_distance=20.0, photos=None,
                   pixels=10 * 640 * 480)

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
+from clsplat.options import resolve
 from clsplat.schedule import Subject, scaled_steps, schedule_of
 from clsplat.schedule.constant import Constant
-from clsplat.train_options import resolve
 
 SUBJECT = Subject((640, 480), 1000, 1.0, photos=None, pixels=10**8)
 

@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
+from clsplat.options import TrainOptions
 from clsplat.schedule import Subject, registry, scaled_steps
 from clsplat.schedule.dash import Dash, held_spectrum
-from clsplat.train_options import TrainOptions
 
 OPTIONS = scaled_steps(TrainOptions(iterations=30000, schedule="dash", reset_every=3000))
 SIZE, START = (192, 160), 1000

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
+from clsplat.options import TrainOptions
 from clsplat.schedule import scaled_steps, schedule_of
 from clsplat.schedule.sig import (
     EVERY,
@@ -18,7 +19,6 @@ from clsplat.schedule.sig import (
     Sig,
     chosen_levels,
 )
-from clsplat.train_options import TrainOptions
 from tests.schedule.driven_sig import (
     PRESETS,
     SUBJECT,

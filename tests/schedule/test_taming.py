@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from clsplat.options import TrainOptions
 from clsplat.schedule import Subject, registry, scaled_steps
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.taming import Taming
-from clsplat.train_options import TrainOptions
 
 START, BUDGET = 1000, 5.0
 OPTIONS = scaled_steps(TrainOptions(

@@ -225,7 +225,7 @@ def test_a_time_budget_too_short(tmp_path, healthy):
 
 @pytest.mark.parametrize("text, naming", [
     ("speed = 3", ("run.toml", "unknown option 'speed'", "--help")),
-    ("iterations = 'many'", ("run.toml", "iterations", "int", "many")),
+    ("iterations = 'many'", ("run.toml", "iterations", "whole number", "many")),
     ("iterations = ", ("run.toml", "TOML")),
     (None, ("run.toml", "cannot be read")),
 ])

@@ -7,9 +7,9 @@ import numpy as np
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
 from clsplat.loss.image_loss import loss_value
+from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule.constant import Constant
-from clsplat.train_options import TrainOptions
 from clsplat.training.model import Model
 from clsplat.training.step import Step, TrainingSample
 from tests.kernels.chain import precision_of

@@ -13,8 +13,8 @@ from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
+from clsplat.options import resolve
 from clsplat.scene import Scene, View
-from clsplat.train_options import resolve
 from clsplat.training import budget, clock, loop
 from clsplat.training.begin import initial_gaussians
 from clsplat.training.frequency import AXES, VARIANTS

@@ -13,7 +13,7 @@ from clsplat.evaluation.views import opened, photo_of, render_view
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.train_options import resolve
+from clsplat.options import resolve
 from clsplat.training.loop import train
 from tests.city.test_lod_runs import run
 from tests.data.tiny_training import CITY

@@ -7,8 +7,8 @@ from clsplat.constants import SH_C0
 from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.io.ply import write_ply
+from clsplat.options import TrainOptions
 from clsplat.scene import Scene
-from clsplat.train_options import TrainOptions
 from clsplat.training.begin import initial_gaussians
 
 COUNT = 500

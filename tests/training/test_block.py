@@ -16,11 +16,11 @@ from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.loss.exposure import Exposures
+from clsplat.options import resolve
 from clsplat.partition.blocks import block_start, largest_sizes, seen_pixels, trainable
 from clsplat.partition.region import Region, Space
 from clsplat.scene import Scene, View
 from clsplat.schedule.constant import Constant
-from clsplat.train_options import resolve
 from clsplat.training import step
 from clsplat.training.block import decided_by, options_of_blocks
 from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained

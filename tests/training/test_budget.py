@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.errors import InputError
+from clsplat.options import resolve
 from clsplat.schedule import Subject, scaled_steps, schedule_of
 from clsplat.schedule.plan import Plan
-from clsplat.train_options import resolve
 from clsplat.training import checkpoint
 from clsplat.training.budget import (
     RECOVERY,

@@ -7,7 +7,7 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.train_options import resolve
+from clsplat.options import resolve
 from clsplat.training import checkpoint, loop, skipped, step
 from clsplat.training.silent import Silent
 from clsplat.training.skipped import Skipped

@@ -8,10 +8,10 @@ from clsplat.device import Device
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import loss_value
+from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan, Subject
 from clsplat.schedule.constant import Constant
-from clsplat.train_options import TrainOptions
 from clsplat.training import step as train_step
 from clsplat.training.model import Model
 from clsplat.training.step import Step, TrainingSample

@@ -9,8 +9,8 @@ import pytest
 from clsplat.covisibility.exposure_drift import DRIFTS
 from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
 from clsplat.schedule import scaled_steps
-from clsplat.train_options import resolve
 from clsplat.training import needs
 from clsplat.training.needs import (
     LOOKED_AT,

@@ -28,9 +28,9 @@ from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import Rehearsal, spread_out, strewn
 from clsplat.io.atomic import replacing
 from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
 from clsplat.report.page import Table
 from clsplat.schedule import scaled_steps
-from clsplat.train_options import resolve
 from clsplat.training.needs import find_needs
 from clsplat.training.photos import decode
 from tools.studies.evidence import markdown, outermost

@@ -15,12 +15,12 @@ from queue import SimpleQueue
 
 from clsplat.cli.flags import given_options
 from clsplat.cli.train import train
+from clsplat.config.option import differences
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.run import OPTIONS, RunFolder
-from clsplat.options import differences
+from clsplat.options import from_toml, resolve
 from clsplat.report.groups import Trained
-from clsplat.train_options import from_toml, resolve
 
 
 class Scene:

@@ -22,13 +22,13 @@ from clsplat.io.packed import write_packed
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.options import from_toml, resolve
 from clsplat.report.compare import compare, equality_tables, final_table, time_table
 from clsplat.report.groups import grouped, read_runs
 from clsplat.report.run import level_table, option_table, plan_table, score_table
 from clsplat.scene import Scene, View
 from clsplat.synth import geometry
 from clsplat.synth.layout import city as plan_city
-from clsplat.train_options import from_toml, resolve
 from clsplat.training import checkpoint
 from tests.data import layouts
 from tests.data.made_runs import made_run

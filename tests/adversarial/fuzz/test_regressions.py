@@ -16,9 +16,9 @@ from clsplat.io.packed import write_packed
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
+from clsplat.options import from_toml
 from clsplat.synth import geometry
 from clsplat.synth.layout import city
-from clsplat.train_options import from_toml
 from tests.adversarial.fuzz.readers import READERS
 from tests.data.tiny_model import write_scene
 

@@ -9,15 +9,15 @@ import pytest
 from clsplat.city import stages
 from clsplat.cli import campaign
 from clsplat.cli.train import resumed_options
+from clsplat.config.option import differences, plain
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.options import differences, plain
+from clsplat.options import resolve
 from clsplat.partition.make import METHODS
 from clsplat.partition.options import METHODS as NAMES
 from clsplat.partition.options import PartitionOptions
 from clsplat.report.groups import Trained, differing
-from clsplat.train_options import resolve
 from clsplat.training.block import _check_same
 from clsplat.training.loop import train
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of, resumed, trained

@@ -1,0 +1,1 @@
+"""How options are declared (defaults, limits, help), read and compared."""

@@ -1,0 +1,220 @@
+"""What an option is: a field with a default, limits and a help text, and how its values are read.
+
+Each concern declares its options as a frozen dataclass of such fields; `clsplat/options.py`
+composes them. The same fields are the flags of the command line (cli/flags.py), the keys of a TOML
+file and those of a run's record.
+"""
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from types import UnionType
+from typing import Any, get_args
+
+from clsplat.errors import InputError
+
+AUTO = "auto"
+MOST = {int: 2**63 - 1, float: 1e15}  # squares and their sums stay far within float32
+MOST_STEPS = 10_000_000  # of a training: 300 times the default
+MOST_ELEMENTS = 1000  # of a list
+LONGEST_TEXT = 4096  # characters: the longest path that Linux takes
+SHOWN = 200  # characters, of what a user gave, in a message
+KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+
+Option = dataclasses.Field[Any]
+
+
+def option(default: Any, group: str, text: str, *, affects: str = "model",
+           short: str | None = None, main: bool = False, words: dict[str, Any] | None = None,
+           choices: Sequence[str] = (), more: Callable[[], Iterable[str]] | None = None,
+           minimum: float | None = None, maximum: float | None = None, most: float | None = None,
+           wish: str | None = None, check: Callable[[Any], object] | None = None,
+           separator: str | None = None, sets: dict[Any, dict[str, Any]] | None = None,
+           part: str | None = None) -> Any:
+    """A field of a dataclass of options.
+
+    Parameters
+    ----------
+    default : the value where nobody gives one.
+    group : the heading that the help lists it under.
+    text : its help.
+    affects : "model", the bytes of the result; "time", how long it takes, or what else is written;
+        "nothing" of both.
+    short : a second flag, such as -n.
+    main : whether --help lists it; --help-all lists all.
+    words : word -> the value that it stands for, which no limit refuses.
+    choices : the values that there are.
+    more : gives choices of other packages; asked only where need be.
+    minimum, maximum : limits of a number, or of each element of a tuple.
+    most : a maximum that is no end of a scale, but what can still be done; None: MOST of its type.
+    wish : what a refusal says is wanted, where limits and type do not say it well.
+    check : called with a value that is within the limits; raises ValueError.
+    separator : between the elements of a tuple that is one word of the command line.
+    sets : value of this option -> other options that it sets unless the user does, by name.
+    part : the part of a training that it belongs to; schedules without it refuse the option.
+    """
+    settings = {name: value for name, value in locals().items() if name not in ("default", "text")}
+    return dataclasses.field(default=default, metadata={**settings, "help": text,
+                                                        "words": words or {}, "sets": sets or {}})
+
+
+def options_of(kind: type) -> list[Option]:
+    """The options among the fields of a dataclass, in order."""
+    return [field for field in dataclasses.fields(kind) if "affects" in field.metadata]
+
+
+def flag_name(name: str) -> str:
+    """An option's name as a flag, with hyphens."""
+    return "--" + name.replace("_", "-")
+
+
+def kind_of(option: Option) -> tuple[Any, int | None]:
+    """(type of a value or of each element, number of elements: 0 for no tuple, None for any)."""
+    kind: Any = option.type
+    if isinstance(kind, UnionType):  # or None, which a word stands for
+        kind = get_args(kind)[0]
+    elements = get_args(kind)
+    if not elements:
+        return kind, 0
+    return elements[0], None if ... in elements else len(elements)
+
+
+def wanted(option: Option) -> str:
+    """What an option wants, for a refusal."""
+    meta = option.metadata
+    low, high = meta["minimum"], meta["maximum"]
+    if meta["wish"]:
+        text = meta["wish"]
+    elif meta["choices"]:
+        text = f"one of {', '.join((*meta['choices'], *(meta['more']() if meta['more'] else ())))}"
+    else:
+        text = KINDS[kind_of(option)[0]]
+        if low is not None:
+            text += f" of at least {low:g}" if high is None else f" from {low:g} to {high:g}"
+    return f"{', '.join(meta['words'])} or {text}" if meta["words"] else text
+
+
+def checked_value(option: Option, value: Any) -> Any:
+    """`value` as the option has it; ValueError, which says what is wrong where `wanted` does not.
+
+    A word becomes what it stands for. Whole numbers serve as fractions, and lists, which are what
+    TOML and JSON have, as tuples.
+    """
+    words, (kind, count) = option.metadata["words"], kind_of(option)
+    if isinstance(value, list):
+        value = tuple(value)
+    if isinstance(value, str) and value in words:
+        return words[value]
+    for meaning in words.values():
+        if type(value) is type(meaning) and value == meaning:
+            return value
+    if count == 0:
+        value = _checked_one(option, kind, value)
+    else:
+        if not isinstance(value, tuple) or count not in (None, len(value)):
+            raise ValueError
+        if len(value) > MOST_ELEMENTS:
+            raise ValueError(f"at most {MOST_ELEMENTS} values")
+        value = tuple(_checked_one(option, kind, element) for element in value)
+    if option.metadata["check"]:
+        option.metadata["check"](value)
+    return value
+
+
+def _checked_one(option: Option, kind: Any, value: Any) -> Any:
+    meta = option.metadata
+    if type(value) is int and abs(value) >= 2**63:
+        raise ValueError("a number below 2^63")
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind or meta["choices"] and not (
+            value in meta["choices"] or meta["more"] and value in meta["more"]()):
+        raise ValueError
+    if kind is str:
+        _check_text(value)
+    elif kind is not bool:
+        low, high = meta["minimum"], meta["maximum"]
+        most = MOST[kind] if meta["most"] is None else meta["most"]
+        if (low is not None and not value >= low) or (high is not None and not value <= high):
+            raise ValueError
+        if not math.isfinite(value):
+            raise ValueError("a finite number")
+        if value > most:
+            raise ValueError(f"at most {most:,}" if kind is int else f"at most {most:g}")
+    return value
+
+
+def _check_text(text: str) -> None:
+    """ValueError for what a record, or the path of a file, cannot hold."""
+    if len(text) > LONGEST_TEXT:
+        raise ValueError(f"at most {LONGEST_TEXT} characters")
+    if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
+        raise ValueError("text in Unicode")
+
+
+def parsed(option: Option, text: str) -> Any:
+    """What a text of the command line says, not yet checked; ValueError for no number."""
+    kind, count = kind_of(option)
+    if kind is str or text in option.metadata["words"]:
+        return option.metadata["words"].get(text, text)
+    if count == 0:
+        return kind(text)
+    return tuple(kind(part) for part in text.lower().split(option.metadata["separator"] or ","))
+
+
+def check_flag(option: Option, value: Any) -> Any:
+    """`checked_value` of what a flag gave; InputError names the flag."""
+    try:
+        return checked_value(option, value)
+    except ValueError as error:
+        between = option.metadata["separator"] or (" " if kind_of(option)[1] else ",")
+        text = between.join(f"{part:g}" if isinstance(part, float) else str(part)
+                            for part in (value if isinstance(value, tuple) else (value,)))
+        raise InputError(f"{flag_name(option.name)} {text[:SHOWN]}: wants "
+                         f"{str(error) or wanted(option)}") from None
+
+
+def checked(kind: type, source: str, key: str, value: Any) -> Any:
+    """`checked_value` of the option `key` of a dataclass; InputError names `source`, if not ""."""
+    source = source and f"{source}: "
+    known = {option.name: option for option in options_of(kind)}
+    if key not in known:
+        raise InputError(f"{source}unknown option {key[:SHOWN]!r}; see `clsplat train "
+                         "--help-all`")
+    try:
+        return checked_value(known[key], value)
+    except ValueError as error:
+        raise InputError(f"{source}option '{key.replace('_', '-')}' wants "
+                         f"{str(error) or wanted(known[key])}, got {_shown(value)}") from None
+
+
+def _shown(value: object) -> str:
+    try:
+        return repr(value)[:SHOWN]
+    except ValueError:  # Python does not write out integers of more than 4300 digits
+        return "a number of thousands of digits"
+
+
+def plain(value: Any) -> Any:
+    """A dataclass, or a value of one, as JSON gives it back."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
+    return json.loads(json.dumps(value))
+
+
+def differences(record: dict[str, Any], options: Any) -> Iterator[tuple[str, Any, Any]]:
+    """(name, value there, value here) of each option that makes a run another one than recorded.
+
+    The one place that says whether two runs are the same: options that affect "nothing" may differ.
+
+    Parameters
+    ----------
+    record : option -> value, as a file of JSON has it.
+    options : a dataclass of options.
+    """
+    here = plain(options)
+    for known in options_of(type(options)):
+        there = plain(record.get(known.name))
+        if known.metadata["affects"] != "nothing" and there != here[known.name]:
+            yield known.name, there, here[known.name]

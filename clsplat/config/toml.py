@@ -1,0 +1,39 @@
+"""Options from a TOML file."""
+
+import os
+from typing import Any
+
+from clsplat.config.option import SHOWN, checked
+from clsplat.errors import InputError
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10
+    import tomli as tomllib  # type: ignore[no-redef]
+
+LARGEST_FILE = 1 << 20  # bytes
+
+
+def from_toml(kind: type, path: str | os.PathLike[str]) -> dict[str, Any]:
+    """{option: value} of a TOML file; InputError for unknown keys and wrong values."""
+    try:
+        if os.path.exists(path) and not os.path.isfile(path):
+            raise InputError(f"{path}: cannot be read (it is not a file); give a TOML file of "
+                             "options")
+        with open(path, "rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+        if len(data) > LARGEST_FILE:
+            raise InputError(f"{path}: is larger than {LARGEST_FILE >> 20} MiB; give a TOML file "
+                             "of options, such as iterations = 7000")
+        table = tomllib.loads(data.decode("utf-8-sig"))  # Windows editors begin with a mark
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:  # tomllib: also of integers with 4301 digits
+        raise InputError(f"{path}: not valid TOML: {str(error)[:SHOWN]}") from None
+    values: dict[str, Any] = {}
+    for key, value in table.items():
+        name = key.replace("-", "_")
+        if name in values:
+            raise InputError(f"{path}: option '{name}' is set twice; remove one of the two lines")
+        values[name] = checked(kind, str(path), name, value)
+    return values
