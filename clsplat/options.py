@@ -30,7 +30,7 @@ def option(default, group, text, short=None, choices=None, minimum=None, maximum
     where that is no end of a scale but what a training can still be made with (None: MOST of its
     type); wish: what a refusal says is wanted, where these and the type do not say it well; only:
     the schedules it means something to (None: all); auto: whether a number may also be "auto", for
-    training/needs.py to find; extensions: the group of entry points by which other packages add
+    training/decisions.py to find; extensions: the group of entry points by which other packages add
     choices.
     """
     return field(default=default, metadata={

@@ -26,7 +26,7 @@ from clsplat.io.ply import read_ply
 from clsplat.io.regular import native
 from clsplat.io.run import MODEL, RunFolder
 from clsplat.rendering.slabs import open_model
-from clsplat.training.begin import of_degree
+from clsplat.training.initialise import of_degree
 
 # pixels that the mean sigma of a level may cover, by whether the renderer is antialiased (measured:
 # to there it meets photos as small better, or at most 0.2 dB worse, than the finest level does)

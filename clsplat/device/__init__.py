@@ -7,10 +7,10 @@ The only package that imports pyopencl. Start with `choose_device("auto")`; allo
 """
 
 import clsplat.device.runtimes  # noqa: F401  (before anything imports pyopencl)
-from clsplat.device.array import Array
+from clsplat.device.array import Array, ArraySpec
 from clsplat.device.device import Device
 from clsplat.device.find import choose_device, choose_handle, list_devices, open_device
 from clsplat.device.kernel import Kernel
 
-__all__ = ["Array", "Device", "Kernel", "choose_device", "choose_handle", "list_devices",
-           "open_device"]
+__all__ = ["Array", "ArraySpec", "Device", "Kernel", "choose_device", "choose_handle",
+           "list_devices", "open_device"]

@@ -18,6 +18,7 @@ from clsplat.device.runtimes import ignore_file_limits
 from clsplat.device.source import kernel_folder, kernel_source
 from clsplat.errors import TOO_LARGE, DeviceError
 
+SMALLEST_BYTES = 64  # of a buffer
 RUNS_A_CORE = 4  # of the item form: enough for cores that are not equally busy
 
 
@@ -93,12 +94,8 @@ class Device:
     def _allocate(self, shape, dtype, allocate):
         shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
         dtype = self.real if dtype is None else np.dtype(dtype)
-        size = max(math.prod(shape) * dtype.itemsize, 64)
-        limit = self.largest_buffer
-        if size > limit:
-            raise DeviceError(
-                f"{self.name}: {TOO_LARGE}: one buffer of {size >> 20} MiB is asked for, the limit "
-                f"is {limit >> 20} MiB; use --max-gaussians or -r")
+        size = max(math.prod(shape) * dtype.itemsize, SMALLEST_BYTES)
+        self.check_size(size)
         try:
             return Array(self, allocate(size), shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
@@ -106,6 +103,14 @@ class Device:
                 f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
                 f"({self.memory_bytes >> 20} MiB held): use --max-gaussians or -r ({error})"
             ) from None
+
+    def check_size(self, size):
+        """Raise DeviceError for an array of more bytes than one buffer may have."""
+        limit = self.largest_buffer
+        if size > limit:
+            raise DeviceError(
+                f"{self.name}: {TOO_LARGE}: one buffer of {size >> 20} MiB is asked for, the limit "
+                f"is {limit >> 20} MiB; use --max-gaussians or -r")
 
     def zeros(self, shape, dtype=None):
         """A long-lived Array of zeros."""

@@ -1,7 +1,11 @@
 """L1 and D-SSIM against a photo, with the gradient (cl/image_loss.cl)."""
 
+import numpy as np
+
 from clsplat.device import Kernel
+from clsplat.loss.term import LossTerm
 from clsplat.primitives.reduce import sum_columns
+from clsplat.rendering.frame_arrays import FrameArray
 
 STRIP = 128  # rows a work-item of the item form slides down
 
@@ -22,11 +26,7 @@ def image_loss(device, image, photo, ssim_weight):
     """
     _, height, width = image.shape
     values = 3 * height * width
-    if device.form == "item":
-        channels, group, items = 1, 1, -(-width // 16) * -(-height // STRIP)
-    else:
-        channels, group = 3, device.tile**2
-        items = -(-width // device.tile) * -(-height // device.tile)
+    channels, group, items = _launch(device, width, height)
     defines = (("TILE", device.tile), ("GROUP", device.tile**2))
     maps = device.empty((channels, 3, height, width))
     partials = device.empty((3 * items, 2))
@@ -42,7 +42,39 @@ def image_loss(device, image, photo, ssim_weight):
     return sum_columns(device, partials), grad_image
 
 
+def _launch(device, width, height):
+    """(channels at a time, items a group, groups a channel)."""
+    if device.form == "item":
+        return 1, 1, -(-width // 16) * -(-height // STRIP)
+    return 3, device.tile**2, -(-width // device.tile) * -(-height // device.tile)
+
+
 def loss_value(sums, values, ssim_weight):
     """(loss, mean |x - y|, mean SSIM) from the sums of `image_loss` over so many values; waits."""
     l1, ssim = (float(v) / values for v in sums.download())
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim
+
+
+class ImageLoss(LossTerm):
+    """The image against its photo: what every training minimises."""
+
+    name = "image"
+
+    def add_to(self, grad, frame, image, sample, weight):
+        """As `LossTerm.add_to`; measures the sums of `image_loss`, and over how many values."""
+        sums, grad_image = image_loss(self.device, image, sample.photo, self.options.ssim_weight)
+        grad.add(image=grad_image)
+        _, height, width = image.shape
+        return sums, 3 * height * width
+
+    def arrays(self, width, height, last):
+        """As `LossTerm.arrays`."""
+        channels, _, items = _launch(self.device, width, height)
+        return [FrameArray("maps", (channels, 3, height, width), None, "loss", "loss"),
+                FrameArray("partials", (3 * items, 2), None, "loss", "loss"),
+                FrameArray("grad_image", (3, height, width), None, "loss", last)]
+
+    def values(self, measured):
+        """The loss, mean |x - y| and mean SSIM, each a mean over the views."""
+        found = [loss_value(sums, count, self.options.ssim_weight) for sums, count in measured]
+        return dict(zip(("loss", "l1", "ssim"), np.mean(found, axis=0).tolist()))

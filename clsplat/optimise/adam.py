@@ -11,9 +11,10 @@ import math
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.device import ArraySpec, Kernel
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import gather, scatter
+from clsplat.rendering.frame_arrays import FrameArray
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # adam.cl has the same
 NO_ROW = 2**32 - 1
@@ -53,8 +54,19 @@ class DeviceAdam:
 
     def __init__(self, device, rows, dense=False):
         self.device, self.dense, self.count = device, dense, len(rows["positions"])
-        self.m = {name: device.zeros(array.shape) for name, array in rows.items()}
-        self.v = {name: device.zeros(array.shape) for name, array in rows.items()}
+        self.m, self.v = ({name: device.zeros(*spec) for name, spec in moments.items()}
+                          for moments in self.arrays(rows))
+
+    @staticmethod
+    def arrays(rows):
+        """The arrays of m and of v by field, for `rows` with a shape each."""
+        moments = {name: ArraySpec(array.shape) for name, array in rows.items()}
+        return moments, moments
+
+    @staticmethod
+    def frame_arrays(count, seen, sh_degree, dense):
+        """What a step allocates for `count` rows, `seen` of them in the view."""
+        return [FrameArray("places", (count,), np.uint32, "adam", "adam")] if dense else []
 
     def step(self, rows, gradients, step, rates, used, held=None):
         """Update parameters `rows` (field -> real[N, ...]) in place.
@@ -116,6 +128,19 @@ class DeviceAdam:
 
 class NumpyAdam:
     """Moments in host memory; only gradients and changed parameters cross to the device."""
+
+    @staticmethod
+    def arrays(rows):
+        """As `DeviceAdam.arrays`: none on the device."""
+        return {}, {}
+
+    @staticmethod
+    def frame_arrays(count, seen, sh_degree, dense):
+        """As `DeviceAdam.frame_arrays`; what is learned goes to the host and back."""
+        moved = count if dense else seen
+        return [FrameArray("touched", (moved,), np.uint32, "adam", "adam"),
+                *(FrameArray(field.name, (moved, *field.row_shape(sh_degree)), None, "adam", "adam")
+                  for field in LEARNED)]
 
     def __init__(self, device, rows, dense=False):
         self.device, self.dense = device, dense

@@ -6,13 +6,31 @@ import math
 import numpy as np
 
 from clsplat.device import Kernel
+from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import compact, gather
+from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
 
 MARK = Kernel("batch.cl", "batch_mark", count="uint", visible=("uint", "V"), rows=("uint", "V"),
               flags=("uint", "N"), keys=("uint", "N"))
 ADD = Kernel("batch.cl", "batch_add", count="uint", width="uint", share="real", rows=("uint", "V"),
              gradient=("real", "V", "W"), sums=("real", "N", "W"))
+
+
+def frame_arrays(count, seen, sh_degree):
+    """What `batch_mean` holds for `count` gaussians, `seen` of them in a view, while the views of a
+    step are rendered."""
+    def fields(rows, what, first):
+        return [FrameArray(f"{what}_{field.name}", (rows, *field.row_shape(sh_degree)), None, first,
+                           "adam") for field in LEARNED]
+
+    def numbers(rows, names, first):
+        return [FrameArray(name, (rows,), np.uint32, first, "adam") for name in names.split()]
+
+    return [*numbers(count, "flags keys", "cull"), *fields(count, "sum", "cull"),
+            *fields(seen, "latest", "cull"), *numbers(seen, "latest latest_visible", "cull"),
+            FrameArray("latest_means", (seen, 2), None, "cull", "adam"),
+            *numbers(count, "offsets kept_keys kept", "adam"), *fields(seen, "mean", "adam")]
 
 
 def batch_mean(device, count, views, found, used):

@@ -1,9 +1,12 @@
 """Sums in a fixed order (cl/reduce.cl)."""
 
+import math
+
 from clsplat.device import Kernel
 
 SUM_COLUMNS = Kernel("reduce.cl", "sum_columns", count="uint", width="uint",
                      rows=("real", "N", "W"), totals=("real", "W"))
+ADD = Kernel("reduce.cl", "add_to", count="uint", values=("real", "N"), totals=("real", "N"))
 
 
 def sum_columns(device, rows):
@@ -14,3 +17,10 @@ def sum_columns(device, rows):
     device.launch(SUM_COLUMNS, width * group, group, (("GROUP", group),), count=count, width=width,
                   rows=rows, totals=totals)
     return totals
+
+
+def add_to(device, totals, values):
+    """totals += values, in place; both real, of one shape."""
+    count = math.prod(totals.shape)
+    device.launch_each(ADD, count, (("GROUP", device.scan_group),), count=count,
+                       values=values.reshaped(count), totals=totals.reshaped(count))

@@ -15,6 +15,12 @@ SCATTER = Kernel("sort.cl", "sort_scatter", count="uint", chunk="uint", chunks="
 LARGEST_DIGIT = {"item": 13, "group": 8}
 
 
+def digits(device, bits):
+    """(passes, bits a pass) of a sort by so many bits."""
+    passes = max(1, -(-bits // LARGEST_DIGIT[device.form]))
+    return passes, -(-bits // passes)
+
+
 def stable_sort(device, keys, bits=32):
     """(sorted keys, permutation), both uint[N]: sorted[i] = keys[permutation[i]]; equal keys keep
     their order.
@@ -22,8 +28,7 @@ def stable_sort(device, keys, bits=32):
     bits: the keys' significant bits; higher ones must be zero.
     """
     count = len(keys)
-    passes = max(1, -(-bits // LARGEST_DIGIT[device.form]))
-    digit_bits = -(-bits // passes)
+    passes, digit_bits = digits(device, bits)
     chunk = chunk_size(device, count)
     chunks = max(1, -(-count // chunk))
     group = 1 if device.form == "item" else device.scan_group

@@ -9,9 +9,7 @@ binned, and in the group form blended, once more for its adjoint, since nothing 
 import numpy as np
 
 from clsplat.errors import DeviceError
-from clsplat.gaussians import LEARNED
 from clsplat.rendering.bin import BUCKET, PAIR_LIMIT, tile_grid
-from clsplat.rendering.project import SPLAT_REALS
 
 FRAME_SHARE = 0.25  # of the device's memory; parameters, moments and photos may have the rest
 LARGEST_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up by half at most
@@ -45,28 +43,6 @@ def pair_limit(device, width, height, with_depth):
         2 * INDEX_BYTES + (sums + checkpoints) * real)
     in_a_buffer = LARGEST_SHARE * device.largest_buffer / (max(sums, checkpoints) * real)
     return min(PAIR_LIMIT, int(min(at_once, in_a_buffer)) - spare)
-
-
-def frame_bytes(pairs, splats, pixels, form, with_depth=False, sh_degree=3, real_bytes=4, tile=16):
-    """Most bytes that rendering a frame and its adjoint hold at a time, the gradients included.
-
-    With indices of 4 bytes, reals of r, s = 9 sums a pair and c = 0 reals of checkpoints a pair in
-    the item form, 32 in the group form (with depth 10, and 40), g reals a gaussian:
-    pairs (8 + r s + r c) + splats (16 + r (12 + s)) in the blend adjoint, or
-    pairs (8 + r c) + splats (20 + r (14 + s + g)) behind it, and
-    pixels (4 + 4 r), with depth 5 r, and again a pixel's checkpoint in the group form.
-    In single precision, without depth: 44 or 172 bytes a pair at most, 20 or 36 a pixel.
-    pairs: of the largest band. What the device's pool takes for this is more: it rounds sizes up
-    (by a fifth on average), and keeps what frames of other sizes took.
-    """
-    sums, checkpoints = pair_reals(form, with_depth, tile)
-    channels = 4 + with_depth
-    lists = 2 * INDEX_BYTES + real_bytes * checkpoints  # of a pair, as long as the frame is kept
-    splat = 4 * INDEX_BYTES + real_bytes * (SPLAT_REALS + sums)
-    gradients = INDEX_BYTES + real_bytes * (2 + sum(f.width(sh_degree) for f in LEARNED))
-    pixel = INDEX_BYTES + real_bytes * channels * (1 if form == "item" else 2)
-    return (pairs * lists + splats * splat + pixels * pixel
-            + max(pairs * real_bytes * sums, splats * gradients))
 
 
 def pair_reals(form, with_depth, tile):

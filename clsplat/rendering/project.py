@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsplat.device import Kernel
+from clsplat.device import ArraySpec, Kernel
 from clsplat.gaussians import LEARNED
 
 CAMERA_REALS = 27
@@ -27,6 +27,9 @@ ADJOINT = Kernel("project.cl", "project_adjoint", count="uint", degree="uint", s
                  grad_sh_rest=("real", "V", "K", 3), grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1))
+
+
+CAMERA = ArraySpec((CAMERA_REALS,))
 
 
 def pack_camera(device, camera, near, low_pass=LOW_PASS):

@@ -8,7 +8,7 @@ from clsplat import extensions
 from clsplat.errors import InputError
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.dash import Dash
-from clsplat.schedule.plan import Plan, Schedule, Subject, laid_over, scaled_steps
+from clsplat.schedule.plan import Plan, SceneFacts, Schedule, laid_over, scaled_steps
 from clsplat.schedule.sig import Sig
 from clsplat.schedule.taming import Taming
 
@@ -27,4 +27,5 @@ def schedule_of(name: str) -> type[Schedule]:
     return found
 
 
-__all__ = ["SCHEDULES", "Plan", "Schedule", "Subject", "laid_over", "scaled_steps", "schedule_of"]
+__all__ = ["SCHEDULES", "Plan", "SceneFacts", "Schedule", "laid_over", "scaled_steps",
+           "schedule_of"]

@@ -30,14 +30,14 @@ REPROJECT_DECAY = 0.1  # of the reprojection weight, at the end of the run
 class Sig(Schedule):
     """Levels from coarse to fine; `observe` decides when the next begins."""
 
-    def __init__(self, options, subject):
-        super().__init__(options, subject)
-        self.levels = chosen_levels(options.levels, subject.size)
+    def __init__(self, options, facts):
+        super().__init__(options, facts)
+        self.levels = chosen_levels(options.levels, facts.size)
         self.index = 0
         self.began = 0  # steps taken before this level
         self.rounds_taken = self.carried = 0
         self.grown_at = 0  # step of the last round
-        self.full = subject.count >= self.ceiling
+        self.full = facts.count >= self.ceiling
         self.samples = []
         self.hits = 0
 
@@ -63,7 +63,7 @@ class Sig(Schedule):
         """Gaussians that this level's pixels can tell apart."""
         if not self.options.pixels_per_gaussian:
             return math.inf
-        pixels = self.subject.pixels / self.levels[self.index] ** 2
+        pixels = self.facts.pixels / self.levels[self.index] ** 2
         return math.floor(pixels / self.options.pixels_per_gaussian)
 
     @property
@@ -143,7 +143,7 @@ class Sig(Schedule):
         self.samples.append((iteration, value))
         since = iteration - self.began
         verdict = judge(o.convergence, self.samples, o.convergence_rate,
-                        self.subject.inverse_distance)
+                        self.facts.inverse_distance)
         disturbed = self.guarded and not self._settled(iteration)
         self.hits = 0 if disturbed or not verdict.converged else self.hits + 1
         self.latest = {"frequency": value, "slope": verdict.slope,

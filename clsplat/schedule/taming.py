@@ -11,7 +11,7 @@ class Taming(Constant):
     rounds_sparing = 27  # the first ones, which prune only half of what 3DGS would
 
     def target(self, iteration, count, above):
-        o, start = self.options, self.subject.count
+        o, start = self.options, self.facts.count
         end = o.taming_budget * start
         if o.max_gaussians:
             end = min(end, o.max_gaussians)

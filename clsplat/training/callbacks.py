@@ -6,6 +6,7 @@ from typing import Any
 from clsplat.errors import StopTraining
 
 Record = dict[str, Any]
+Callback = Callable[[Record], object]
 STEP = "step"
 
 
@@ -17,22 +18,12 @@ class Callbacks:
     stop : whether one of them has raised StopTraining.
     """
 
-    def __init__(self, functions: Iterable[Callable[[Record], object]] = ()) -> None:
+    def __init__(self, functions: Iterable[Callback] = ()) -> None:
         self.functions = tuple(functions)
         self.stop = False
 
-    def logged(self, record: Record) -> None:
-        """Show a record of metrics.jsonl; steps are shown by `stepped`, each of them."""
-        if record["event"] != STEP:
-            self._show(record)
-
-    def stepped(self, training: Any) -> None:
-        """Show the step that a `loop.Training` has taken; its loss makes the host wait."""
-        if self.functions:
-            loss, l1, ssim = training.check()
-            self._show({"event": STEP, **training.place(), "loss": loss, "l1": l1, "ssim": ssim})
-
-    def _show(self, record: Record) -> None:
+    def show(self, record: Record) -> None:
+        """Call the functions."""
         for function in self.functions:
             try:
                 function(record)

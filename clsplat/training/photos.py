@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from clsplat.device import ArraySpec
 from clsplat.io.images import read_photo
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
@@ -58,6 +59,11 @@ def at_level(views, level):
     return tuple(replace(view, camera=view.camera.reduced(level)) for view in views)
 
 
+def photo_array(view):
+    """The array of a view's photo."""
+    return ArraySpec((3, view.camera.height, view.camera.width), np.uint8)
+
+
 class Photos:
     """`photos[i]` is view i's photo at the present level, uchar[3, H, W] on the device.
 
@@ -102,7 +108,7 @@ class Photos:
                                         for view in at_level(self._full, following[0])]
 
     def _fits(self, views):
-        return sum(3 * v.camera.width * v.camera.height for v in views) <= self._budget
+        return sum(photo_array(v).nbytes(self.device.real) for v in views) <= self._budget
 
     def expect(self, index):
         """Begin decoding a photo that will be asked for soon; None: of none."""

@@ -12,11 +12,12 @@ from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError
 from clsplat.io.scenes import read_scene
-from clsplat.rendering.bands import choose_bands, frame_bytes, pair_limit
+from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.bin import BUCKET, PAIR_LIMIT, count_tiles, tile_grid
+from clsplat.rendering.frame_arrays import FrameSize, frame_arrays, live_bytes
 from tests import cases
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
-from tests.kernels.chain import gradients_by_row, render, size_of, stored_degree
+from tests.kernels.chain import gradients_by_row, render, size_of
 from tests.kernels.test_pipeline import assert_same, cotangents
 
 SPREAD = "giants"  # 61 x 37 pixels: each gaussian has pairs in most tiles, so in most bands
@@ -114,8 +115,9 @@ def test_the_limit_follows_from_the_devices_memory(device, monkeypatch):
     monkeypatch.setattr(device, "largest_buffer", 1 << 60)
     limit = pair_limit(device, 61, 37, True)
     assert 0 < limit < PAIR_LIMIT
-    share = frame_bytes(limit, 0, 0, device.form, True, 1, device.real.itemsize, device.tile)
-    assert 0.24 < share / device.handle.global_mem_size < 0.2501
+    share = max(live_bytes(frame_arrays(device, FrameSize(1, 1, limit, 61, 37), 1, True),
+                           device.real))
+    assert 0.24 < share / device.handle.global_mem_size < 0.2505
 
 
 def test_the_limit_leaves_room_in_the_largest_buffer(device, monkeypatch):
@@ -159,29 +161,14 @@ class ExactPool:
         return buffer
 
 
-@pytest.mark.parametrize("with_depth", [False, True])
-@pytest.mark.parametrize("name, count", [(SPREAD, 400), ("many", 3000), ("specks", 2000)])
-def test_frame_bytes_are_what_a_frame_holds(device, monkeypatch, name, count, with_depth):
-    """Pairs, pixels or gaussians are what most of the memory goes to."""
-    pool = ExactPool(device)
-    monkeypatch.setattr(device, "_pool", pool)
-    case = cases.gaussians(name, count=count)
-    frame, _ = rendered_and_back(device, case, with_depth)
-    (width, height), degree = size_of(case), stored_degree(case)
-    foretold = frame_bytes(frame.pairs.count, len(frame.visible), width * height, device.form,
-                           with_depth, degree, device.real.itemsize, device.tile)
-    assert abs(foretold / pool.most - 1) < 0.05, (foretold, pool.most)
-
-
 def test_bands_hold_no_more_than_the_largest_of_them(device, monkeypatch):
     case = cases.gaussians(SPREAD, count=400)
     pool = ExactPool(device)
     monkeypatch.setattr(device, "_pool", pool)
     frame, _ = rendered_and_back(device, case, pair_limit=1300)
     assert len(frame.bands) > 2
-    (width, height), visible = size_of(case), len(frame.visible)
-    assert pool.most < 1.05 * frame_bytes(1300, visible, width * height, device.form, True, 1,
-                                          device.real.itemsize, device.tile)
+    size = FrameSize(400, len(frame.visible), 1300, *size_of(case))
+    assert pool.most < 1.05 * max(live_bytes(frame_arrays(device, size, 1, True), device.real))
 
 
 # --- the choice

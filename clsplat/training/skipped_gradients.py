@@ -10,7 +10,7 @@ The host counts the rows it asked for, so nothing waits for the device but a pol
 TOO_MANY = 0.01
 
 
-class Skipped:
+class SkippedGradients:
     """counters: each uint[1] on the device, rows skipped since it was made, modulo 2^32.
 
     total: rows skipped in the whole run, as of the last `poll`; asked: rows of gradients since the

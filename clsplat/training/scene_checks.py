@@ -9,7 +9,7 @@ from clsplat.covisibility.exposure_drift import LUMA
 from clsplat.scene import LEAST_PARALLAX
 from clsplat.training.photos import at_level, decoded
 
-LOOKED_AT = 16  # photos that stand for all
+SAMPLED_PHOTOS = 16  # photos that stand for all
 SMALL_SIDE = 256  # pixels of a photo that is looked at
 POINTS = 10_000  # projected into those photos
 CELLS = 8  # across a photo, for finding how much of it points cover
@@ -26,7 +26,7 @@ def find_warnings(scene, views, opacity_logits):
     scene: Scene; views: its training Views, of which some photos are read; opacity_logits:
     float[N], of the initial gaussians.
     """
-    chosen = views[::-(-len(views) // LOOKED_AT)]
+    chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
     # of a block its city's coarse run has said so
     found = (scene.notes if scene.region is None else (), _few(len(views), len(opacity_logits)),
              _faint(opacity_logits), _parallax(scene), _cover(scene.points, chosen),

@@ -1,12 +1,12 @@
-"""The course of a run, foretold: a schedule driven to its end without a model.
+"""The course of a run, predicted: a schedule driven to its end without a model.
 
 What only training can tell is taken as it was in our runs: the frequency has converged as soon as
 its schedule would believe it, and in a round of growth so many gaussians ask for more as the photos
 have fine detail. The four numbers of that were fitted to runs of 7000 steps on caliterra (half and
-full size), boruszyn, lund and the city. There the most gaussians are foretold to 1.00 to 1.05 of
+full size), boruszyn, lund and the city. There the most gaussians are predicted to 1.00 to 1.05 of
 what came under sig, 0.73 to 1.42 under constant, 0.52 to 1.01 under dash, 1.00 to 1.26 under
 taming; other scenes may be off by more. `--max-gaussians` makes the end certain.
-`python -m tools.studies.foretold` compares.
+`python -m tools.studies.predicted` compares.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ VARIANTS = ("robust", "paper", "release")
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """Equal steps in a row: their number, level, gaussians, and whether they compare adjacent
     photos."""
 
@@ -29,16 +29,16 @@ class Stretch:
     regularises: bool
 
 
-def course(schedule, detail=None):
-    """[Stretch, ...] of a whole run; `schedule`, a new one, is used up.
+def simulate(schedule, detail=None):
+    """[Segment, ...] of a whole run; `schedule`, a new one, is used up.
 
     detail: called with a level, gives the mean difference of a photo, at that level and in 0..1, to
     its blocks of 2 x 2 pixels; None takes photos for sharp.
     """
     options = schedule.options
     flat = {f"{variant}_mean": 1.0 for variant in VARIANTS}
-    count, taken = schedule.subject.count, []
-    pixels = schedule.subject.pixels
+    count, taken = schedule.facts.count, []
+    pixels = schedule.facts.pixels
     for iteration in range(1, options.iterations + 1):
         plan = schedule.plan(iteration)
         kind = plan.level, count, plan.regularises > 0
@@ -52,12 +52,12 @@ def course(schedule, detail=None):
             count = _grown(schedule, iteration, count, asked)
         if iteration % schedule.observe_every == 0:
             schedule.observe(iteration, flat)
-    return [Stretch(steps, *kind) for kind, steps in taken]
+    return [Segment(steps, *kind) for kind, steps in taken]
 
 
-def largest(stretches):
+def largest(segments):
     """The most gaussians at a time."""
-    return max(stretch.gaussians for stretch in stretches)
+    return max(segment.gaussians for segment in segments)
 
 
 def _grown(schedule, iteration, count, asked):
