@@ -3,10 +3,13 @@
 None of this stops a training; a user who knows better goes on.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.covisibility.exposure_drift import LUMA
-from clsplat.scene import LEAST_PARALLAX
+from clsplat.scene import LEAST_PARALLAX, Scene, View
 from clsplat.training.photos import at_level, decoded
 
 SAMPLED_PHOTOS = 16  # photos that stand for all
@@ -20,11 +23,15 @@ LEAST_SMOOTHNESS = 0.2  # correlation of neighbouring pixels: 0.65 to 0.98 there
 FAINTEST = -np.log(254.0)  # logit of the opacity 1/255, below which nothing is drawn
 
 
-def find_warnings(scene, views, opacity_logits):
-    """list[str]: what will spoil a training, with the number behind it; empty where nothing will.
+def find_warnings(scene: Scene, views: Sequence[View],
+                  opacity_logits: NDArray[np.floating]) -> list[str]:
+    """What will spoil a training, with the number behind it; empty where nothing will.
 
-    scene: Scene; views: its training Views, of which some photos are read; opacity_logits:
-    float[N], of the initial gaussians.
+    Parameters
+    ----------
+    scene : as it is trained on.
+    views : of the training; some of their photos are read.
+    opacity_logits : [N], of the initial gaussians.
     """
     chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
     # of a block its city's coarse run has said so
