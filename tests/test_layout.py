@@ -68,6 +68,9 @@ FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None,
 READS_ITSELF = {"clsplat/scene.py": ("clsplat.io", "clsplat.report.notebook"),
                 "clsplat/gaussians.py": ("clsplat.io",)}
 
+# what a training consists of is put together in one place, for estimates and benchmarks too
+SESSION, BUILT_BY_A_SESSION = "clsplat/training/session.py", {"Step", "SourceViews"}
+
 FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}
 LONGEST_FILE = 400
 # stem -> why its family has no benchmark
@@ -213,7 +216,15 @@ def top_level(root):
             yield f"pyproject.toml: [{section}] belongs in setup.cfg"
 
 
-CHECKS = (layers, walls, function_imports, rhyme, sizes, names, packaging, top_level)
+def sessions(root):
+    for name, path in sources(root, "clsplat"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+                    and node.func.id in BUILT_BY_A_SESSION and name != SESSION):
+                yield f"{name}:{node.lineno}: {node.func.id} is built in {SESSION} only"
+
+
+CHECKS = (layers, walls, sessions, function_imports, rhyme, sizes, names, packaging, top_level)
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -297,6 +308,7 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/io/image_utils.py", "", "'utils' says nothing"),
     ("tests/helpers/blend.py", "", "'helpers' says nothing"),
     ("clsplat/training/loop.py", "", "package clsplat.training is not listed"),
+    ("clsplat/bench/case.py", "step = Step(1)", "Step is built in clsplat/training/session.py"),
     ("notes.txt", "", "notes.txt: does not belong"),
     ("pyproject.toml", "[project]\nname = 'x'\n", "[project] belongs in setup.cfg"),
 ])

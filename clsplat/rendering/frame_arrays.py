@@ -95,12 +95,6 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
     return arrays
 
 
-def live_bytes(arrays: Iterable[FrameArray], real: np.dtype) -> list[int]:
-    """Bytes that arrays hold together in each of STAGES."""
-    arrays = list(arrays)
-    return [sum(array.nbytes(real) for array in alive) for alive in by_stage(arrays)]
-
-
 def by_stage(arrays: Iterable[FrameArray]) -> list[list[FrameArray]]:
     """The arrays that live in each of STAGES."""
     alive: list[list[FrameArray]] = [[] for _ in STAGES]

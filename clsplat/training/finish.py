@@ -15,9 +15,9 @@ from clsplat.training.session import Session
 
 def save_model(run: RunFolder, session: Session) -> None:
     """Write the finished model, and what was learned of its photos' colours."""
-    exposures = session.learned_exposures()
-    if exposures is not None:
-        run.save_exposures(exposures)
+    if session.step.exposures:
+        rows = session.step.exposures.transforms.download().reshape(-1, 3, 4)
+        run.save_exposures({view.name: row for view, row in zip(session.train_views, rows)})
     gaussians = session.model.download().scaled(session.scene.unit)
     run.save_model(gaussians, session.scene.offset, _comments(session),
                    session.options.sphere_columns)

@@ -17,7 +17,6 @@ from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
 from clsplat.options import AUTO, TrainOptions
 from clsplat.scene import Scene
-from clsplat.training.callbacks import Callback
 from clsplat.training.checkpoint import Checkpoint, saved_gaussians
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
@@ -27,7 +26,7 @@ from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.photos import epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress
-from clsplat.training.recorder import LOG_EVERY, Recorder, broken
+from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
 from clsplat.training.scene_checks import find_warnings
 from clsplat.training.session import Session
 
@@ -190,7 +189,7 @@ class Training:
     def stops(self) -> bool:
         """Whether an option or a callback wants no more steps in this process."""
         return (0 < self.session.options.stop_at <= self.session.iteration
-                or self.recorder.callbacks.stop)
+                or self.recorder.stop)
 
     def take_step(self) -> None:
         """One step with all that follows it."""

@@ -1,13 +1,12 @@
 """What a training tells: records of metrics.jsonl, the progress line, the functions of a user."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
-from clsplat.errors import InputError
+from clsplat.errors import InputError, StopTraining
 from clsplat.io.run import RunFolder
-from clsplat.training.callbacks import STEP, Callback, Callbacks
 from clsplat.training.clock import Clock
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
@@ -16,6 +15,8 @@ from clsplat.training.step import Measured
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
+STEP = "step"
+Callback = Callable[[dict[str, Any]], object]  # called with a record
 
 
 class Recorder:
@@ -24,13 +25,13 @@ class Recorder:
     Attributes
     ----------
     progress : the progress line.
-    callbacks : functions of the user.
+    stop : whether a function of the user has raised StopTraining.
     """
 
     def __init__(self, session: Session, clock: Clock, run: RunFolder, progress: SilentProgress,
                  callbacks: Iterable[Callback] = ()) -> None:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
-        self.callbacks = Callbacks(callbacks)
+        self._callbacks, self.stop = tuple(callbacks), False
 
     def _place(self):
         """What every record says of where the training is."""
@@ -45,7 +46,7 @@ class Recorder:
                   "kernel_bytes": self.clock.moved(), **values}
         self.run.log(record)
         if event != STEP:  # of which callbacks see each, by `stepped`
-            self.callbacks.show(record)
+            self._show(record)
 
     def stepped(self, measured: list[Measured], frequency: dict[str, float] | None) -> None:
         """Tell of a step where that is due; raises InputError where training cannot go on.
@@ -58,8 +59,15 @@ class Recorder:
         iteration = self.session.iteration
         if iteration % REPORT_EVERY == 0 or iteration == 1:
             self._report(self.check(measured), frequency)
-        if self.callbacks.functions:
-            self.callbacks.show({"event": STEP, **self._place(), **self.check(measured)})
+        if self._callbacks:
+            self._show({"event": STEP, **self._place(), **self.check(measured)})
+
+    def _show(self, record):
+        for function in self._callbacks:
+            try:
+                function(record)
+            except StopTraining:
+                self.stop = True
 
     def _report(self, values, frequency):
         session = self.session

@@ -228,10 +228,3 @@ class Session:
         """Make the whole schedule one of so many steps."""
         self.options = laid_over(self.decisions.options, iterations)
         self.schedule.options = self.step.options = self.options
-
-    def learned_exposures(self) -> dict[str, NDArray[np.float64]] | None:
-        """View name -> colour transform [3, 4]; None where there are none."""
-        if not self.step.exposures:
-            return None
-        rows = self.step.exposures.transforms.download().reshape(-1, 3, 4)
-        return {view.name: row for view, row in zip(self.train_views, rows)}

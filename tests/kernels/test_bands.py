@@ -14,7 +14,7 @@ from clsplat.errors import DeviceError
 from clsplat.io.scenes import read_scene
 from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.bin import BUCKET, PAIR_LIMIT, count_tiles, tile_grid
-from clsplat.rendering.frame_arrays import FrameSize, frame_arrays, live_bytes
+from clsplat.rendering.frame_arrays import FrameSize, by_stage, frame_arrays
 from tests import cases
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
 from tests.kernels.chain import gradients_by_row, render, size_of
@@ -159,6 +159,11 @@ class ExactPool:
         buffer = self._pool.allocate(size)
         self.most = max(self.most, self._pool.active_bytes)
         return buffer
+
+
+def live_bytes(arrays, real):
+    """Bytes that arrays hold together in each stage of a step."""
+    return [sum(array.nbytes(real) for array in alive) for alive in by_stage(arrays)]
 
 
 def test_bands_hold_no_more_than_the_largest_of_them(device, monkeypatch):

@@ -9,11 +9,10 @@ from clsplat.rendering.frame_arrays import (
     FrameSize,
     by_stage,
     frame_arrays,
-    live_bytes,
 )
 from tests import cases
 from tests.kernels.chain import render, size_of, stored_degree
-from tests.kernels.test_bands import ExactPool
+from tests.kernels.test_bands import ExactPool, live_bytes
 from tests.kernels.test_pipeline import cotangents
 
 
