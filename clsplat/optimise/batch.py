@@ -18,19 +18,22 @@ ADD = Kernel("batch.cl", "batch_add", count="uint", width="uint", share="real", 
 
 
 def frame_arrays(count, seen, sh_degree):
-    """What `batch_mean` holds for `count` gaussians, `seen` of them in a view, while the views of a
-    step are rendered."""
-    def fields(rows, what, first):
+    """What `batch_mean` holds for `count` gaussians, `seen` of them in a view, beside the arrays of
+    a view: those of the view before, and sums."""
+    def fields(rows, what, first, last):
         return [FrameArray(f"{what}_{field.name}", (rows, *field.row_shape(sh_degree)), None, first,
-                           "adam") for field in LEARNED]
+                           last) for field in LEARNED]
 
-    def numbers(rows, names, first):
-        return [FrameArray(name, (rows,), np.uint32, first, "adam") for name in names.split()]
+    def numbers(rows, names, first, last):
+        return [FrameArray(name, (rows,), np.uint32, first, last) for name in names.split()]
 
-    return [*numbers(count, "flags keys", "cull"), *fields(count, "sum", "cull"),
-            *fields(seen, "latest", "cull"), *numbers(seen, "latest latest_visible", "cull"),
-            FrameArray("latest_means", (seen, 2), None, "cull", "adam"),
-            *numbers(count, "offsets kept_keys kept", "adam"), *fields(seen, "mean", "adam")]
+    return [*numbers(count, "flags keys", "cull", "adam"), *fields(count, "sum", "cull", "adam"),
+            *fields(seen, "before", "cull", "project adjoint"),
+            *numbers(seen, "before_rows", "cull", "project adjoint"),
+            *numbers(count, "before_visible", "cull", "project adjoint"),
+            FrameArray("before_means", (seen, 2), None, "cull", "project adjoint"),
+            *numbers(count, "offsets kept_keys kept", "adam", "adam"),
+            *fields(seen, "mean", "adam", "adam")]
 
 
 def batch_mean(device, count, views, found, used):
