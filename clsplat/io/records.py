@@ -20,7 +20,7 @@ NUMBERS = ("train_seconds", "wall_seconds", "level", "psnr", "psnr_cc", "ssim", 
            "rounds", "pixel_pairs", "kernel_bytes")
 TEXT = ("event", "scene", "fingerprint", "opencl_device", "kernel_form", "version", "commit",
         "schedule")
-OBJECTS = ("reasons", "needs")
+OBJECTS = ("reasons", "decisions")
 
 
 def object_of(data: bytes) -> dict[str, Any]:
