@@ -6,14 +6,16 @@ A new term is one file with a subclass of `LossTerm`, and one line in `terms.TER
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from clsplat.device import Array, Device
-from clsplat.options import TrainOptions
 from clsplat.primitives.reduce import add_to
 from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Frame
 from clsplat.schedule import Plan
+
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
 
 
 class SourceView(NamedTuple):

@@ -1,10 +1,16 @@
 """The terms of the training loss: a new one is its file, and a line here."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from clsplat.device import Device
 from clsplat.loss.image_loss import ImageLoss
 from clsplat.loss.reproject import Reprojection
 from clsplat.loss.term import LossTerm
-from clsplat.options import TrainOptions
+
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
 
 TERMS: tuple[type[LossTerm], ...] = (
     ImageLoss,

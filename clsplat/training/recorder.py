@@ -15,7 +15,6 @@ from clsplat.training.step import Measured
 
 REPORT_EVERY = 50  # steps between progress lines; each waits for the device
 LOG_EVERY = 100
-STEP = "step"
 Callback = Callable[[dict[str, Any]], object]  # called with a record
 
 
@@ -45,7 +44,7 @@ class Recorder:
         record = {"event": event, **self._place(), "pixel_pairs": self.session.step.pixel_pairs,
                   "kernel_bytes": self.clock.moved(), **values}
         self.run.log(record)
-        if event != STEP:  # of which callbacks see each, by `stepped`
+        if event != "step":  # of which callbacks see each, by `stepped`
             self._show(record)
 
     def stepped(self, measured: list[Measured], frequency: dict[str, float] | None) -> None:
@@ -60,7 +59,7 @@ class Recorder:
         if iteration % REPORT_EVERY == 0 or iteration == 1:
             self._report(self.check(measured), frequency)
         if self._callbacks:
-            self._show({"event": STEP, **self._place(), **self.check(measured)})
+            self._show({"event": "step", **self._place(), **self.check(measured)})
 
     def _show(self, record):
         for function in self._callbacks:
@@ -77,7 +76,7 @@ class Recorder:
                       gaussians=session.model.count, memory_bytes=memory, level=session.level)
         if iteration % LOG_EVERY == 0 or iteration == 1:
             since, asked = skipped.close()
-            self.log(STEP, **values, memory_bytes=memory, peak_bytes=session.device.peak_bytes,
+            self.log("step", **values, memory_bytes=memory, peak_bytes=session.device.peak_bytes,
                      skipped_rows=skipped.total, skipped_since=since, frequency=frequency,
                      convergence=session.schedule.latest)
             if iteration > 1 and since > TOO_MANY * asked:  # one view alone says little

@@ -58,7 +58,7 @@ class PreparedScene:
     @property
     def near(self) -> float:
         """The near plane, in units of the scene."""
-        return self.options.near / self.scene.unit or self.scene.near_plane
+        return self.scene.near(self.options.near)
 
     @property
     def trains(self) -> Callable[..., NDArray[np.bool_]] | None:
@@ -91,7 +91,7 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
     train_views, test_views = scene.split(options.test_every)
     if not train_views:
         raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
-                         "view; use a larger number, or 0")
+                         "view; use a larger number, or none")
     return PreparedScene(scene, train_views, test_views,
                          find_decisions(scene, train_views, scaled_steps(options), device))
 
