@@ -183,7 +183,7 @@ class Contract:
             parts = [int(part) if part.isdigit() else SHARED.get(part, part)
                      for part in (*word.split("/"), "1")]
             if unknown := [part for part in parts if isinstance(part, str) and part not in known]:
-                raise DeviceError(f"{self}: its launch has '{unknown[0]}', which is not an argument")
+                raise DeviceError(f"{self}: '{unknown[0]}' of its launch is not an argument")
             factors.append((parts[0], parts[1]))
         return factors
 

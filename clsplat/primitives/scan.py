@@ -5,7 +5,7 @@ import numpy as np
 from clsplat.constants import PER_ITEM
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
 
-SMALLEST_CHUNK = 4096  # values, of the item form: below this a second thread costs more than it saves
+SMALLEST_CHUNK = 4096  # values, of the item form: a second thread costs more than it saves
 
 _CHUNKS = Forms(item=items("count/chunk"), group=groups("count/chunk", "SCAN_GROUP"))
 REDUCE = Kernel("scan.cl", "scan_reduce", _CHUNKS, count="uint", chunk="uint",
