@@ -61,5 +61,5 @@ def _multiply_add(device: Device, repeats: int) -> float:
         run = partial(device.launch, MULTIPLY_ADD, count=count, rounds=rounds, factors=factors,
                       results=results)
         fastest = milliseconds(device, run, 1, warm_up=1).min()
-    return (16 * rounds * count * REALS_PER_ITEM.of(device)
-            / (milliseconds(device, run, repeats, warm_up=0).min() * 1e-3))
+    return float(16 * rounds * count * REALS_PER_ITEM.of(device)
+                 / (milliseconds(device, run, repeats, warm_up=0).min() * 1e-3))

@@ -71,7 +71,7 @@ class Section:
 
 def gradient_error(record: Record, kind: str) -> float:
     """The largest L2 error of a gradient."""
-    return max(gradient["l2"] for gradient in record[kind]["gradients"].values())
+    return max(float(gradient["l2"]) for gradient in record[kind]["gradients"].values())
 
 
 def default_of(records: Sequence[Record], record: Record) -> Record:

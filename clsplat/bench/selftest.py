@@ -92,10 +92,10 @@ def rows_by_index(device: Device) -> Measured:
     """Gather in a random order, and scatter back."""
     rng = np.random.default_rng(2)
     rows, order = rng.random((5003, 3), np.float32), rng.permutation(5003).astype(np.uint32)
-    taken = gather(device, device.upload(rows), device.upload(order))
+    gathered = gather(device, device.upload(rows), device.upload(order))
     back = device.zeros(rows.shape)
-    scatter(device, taken, device.upload(order), back)
-    return _wrong((taken.download(), rows[order]), (back.download(), rows))
+    scatter(device, gathered, device.upload(order), back)
+    return _wrong((gathered.download(), rows[order]), (back.download(), rows))
 
 
 def compaction(device: Device) -> Measured:

@@ -94,7 +94,8 @@ def _read(file: Path) -> tuple[frozenset[str], bytes] | None:
     """Signatures and binary of a file; None where it is missing or damaged: runtimes crash on
     damaged binaries."""
     try:
-        digest, rest = (whole := file.read_bytes())[:32], whole[32:]
+        content = file.read_bytes()
+        digest, rest = content[:32], content[32:]
         if digest != _digest(rest):
             return None
         os.utime(file)

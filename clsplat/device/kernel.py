@@ -49,7 +49,7 @@ class Forms(NamedTuple):
 
 @dataclass(frozen=True)
 class Launch:
-    """How one form of a kernel is launched: made by `each`, `items` or `groups`.
+    """How one form of a kernel is launched, created by `each`, `items` or `groups`.
 
     Attributes
     ----------

@@ -11,7 +11,7 @@ from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference.adam import adam
 
-DEGREE = 3  # rows of 45 harmonics: more than the item form takes at a time, and a rest
+DEGREE = 3  # rows of 45 SH coefficients: more than the item form processes at a time, and a rest
 RATES = {field.name: field.rate for field in LEARNED}
 WIDTHS = {field.name: field.width(DEGREE) for field in LEARNED}
 ENGINES = pytest.mark.parametrize("engine", [DeviceAdam, NumpyAdam])
