@@ -163,7 +163,9 @@ def _losses(image: NDArray[np.float64], photo: NDArray[np.float64], ssim_weight:
 
     def window(values: NDArray[np.float64]) -> NDArray[np.float64]:
         rows = correlate1d(values, taps / taps.sum(), axis=-1, mode="constant")
-        return correlate1d(rows, taps / taps.sum(), axis=-2, mode="constant")
+        means: NDArray[np.float64] = correlate1d(
+            rows, taps / taps.sum(), axis=-2, mode="constant")
+        return means
 
     mean, photo_mean = window(image), window(photo)
     variances = window(image**2 + photo**2) - mean**2 - photo_mean**2
