@@ -50,7 +50,7 @@ def _is_worth_it(entry, precision):
 
 @functools.cache
 def _entries():
-    """The devices to test, as `Found`, or a sentence that says why there is none."""
+    """The devices to test, as `ListedDevice`, or a sentence that says why there is none."""
     wanted = os.environ.get("CLSPLAT_TEST_DEVICES", "")
     entries = list_devices()
     working = [entry for entry in entries if entry.works]

@@ -1,16 +1,16 @@
-"""Benchmarks: one module a kernel family, and `step` and `render` for the whole.
+"""Benchmarks: a module for each kernel family, and `step` and `render` for all of them together.
 
 Each prints a table, or with --json JSON lines: family, variant, form, device, driver, size, median
-and quartiles in milliseconds, bytes, operations, and both as shares of what the device was measured
-to copy and to compute at most. Times are wall times of work that has finished on the device, after
-warm-up. Run them with `clsplat bench FAMILY`, or from a checkout with `python -m clsplat.bench
-FAMILY`. `precision` compares approximations: their error beside their time.
+and quartiles in milliseconds, bytes, operations, and both as shares of the measured peak rates of
+the device. Times are wall times of work that has finished on the device, after a warm-up. Run them
+with `clsplat bench FAMILY`, or from a checkout with `python -m clsplat.bench FAMILY`. `precision`
+compares approximations: their error beside their time.
 """
 
 from pathlib import Path
 
 
-def families():
-    """Names of the modules that can be run: those with a `main`."""
+def families() -> list[str]:
+    """Names of the modules that can be run, which are those with a `main`."""
     return sorted(path.stem for path in Path(__file__).parent.glob("*.py")
                   if not path.stem.startswith("_") and "\ndef main(" in path.read_text("utf-8"))

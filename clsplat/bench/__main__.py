@@ -6,7 +6,8 @@ import sys
 from . import families
 
 
-def main(argv):
+def main(argv: list[str]) -> int:
+    """Run a benchmark and return the exit code; without arguments, list the families."""
     if not argv or argv[0] not in families():
         print(f"families: {', '.join(families())}")
         return 0 if not argv else 2

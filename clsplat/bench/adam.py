@@ -1,4 +1,4 @@
-"""A whole step of Adam on the gradients of a frame, by engine, on its rows or on all."""
+"""A whole step of Adam on the gradients of a frame, by engine, on the visible rows or on all."""
 
 from functools import partial
 
@@ -13,7 +13,8 @@ RATES = {field.name: field.rate for field in LEARNED}
 OPERATIONS = 14  # a parameter
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     for count in bench.options.gaussians:
         city = CityFrame(bench.device, count)

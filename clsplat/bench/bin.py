@@ -1,5 +1,7 @@
 """From splats to the pairs of every tile, with its scan and sort."""
 
+from functools import partial
+
 from clsplat.rendering.bin import bin_splats
 
 from .measure import Bench
@@ -7,15 +9,15 @@ from .sort import sort_work, tile_bits
 from .workloads import CityFrame
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     device = bench.device
     for count in bench.options.gaussians:
         city = CityFrame(device, count)
         splats, pairs = city.frame.splats, city.frame.pairs
         times = bench.milliseconds(
-            lambda city=city: bin_splats(device, city.frame.splats, city.frame.pairs.order,
-                                         *city.frame.size))
+            partial(bin_splats, device, splats, pairs.order, *city.frame.size))
         traffic, operations = sort_work(device, pairs.count, tile_bits(pairs))
         # twice an index and 7 reals of a splat and a count, the scan's three; of a pair, its tile
         # and splat written, and three read and one written for the ranges

@@ -1,14 +1,17 @@
 """Blending a frame's splats, and the adjoint with its sums by splat."""
 
+from functools import partial
+
 from clsplat.rendering.blend import blend, blend_adjoint, blend_defines
 
 from .measure import Bench
 from .workloads import CityFrame
 
-FORWARD, ADJOINT = 39, 62  # operations a pixel and splat blended
+FORWARD_OPERATIONS, ADJOINT_OPERATIONS = 39, 62  # a pixel and splat blended
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k", depth=False)
     device, depth = bench.device, bench.options.depth
     defines = blend_defines(depth)
@@ -17,12 +20,11 @@ def main(argv):
         frame, background = city.frame, city.renderer.background
         splats, pairs, (width, height) = frame.splats, frame.pairs, frame.size
         blended = blend(device, splats, pairs, width, height, background, defines)
-        # any gradient will do: what it holds does not change the work
-        inputs = device, splats, pairs, blended, background, blended.image, blended.depth
         cases = {
-            "forward": lambda s=splats, p=pairs, w=width, h=height, b=background: blend(
-                device, s, p, w, h, b, defines),
-            "adjoint": lambda i=inputs: blend_adjoint(*i, i[-1], defines)}
+            "forward": partial(blend, device, splats, pairs, width, height, background, defines),
+            # any gradients will do: their values do not change the work
+            "adjoint": partial(blend_adjoint, device, splats, pairs, blended, background,
+                               blended.image, blended.depth, blended.depth, defines)}
         real, blended_pixels = device.real.itemsize, city.blended_pixels()
         # the group form's states of every bucket, written and read
         states = 0 if blended.checkpoints is None else blended.checkpoints.nbytes
@@ -33,6 +35,7 @@ def main(argv):
             + len(splats) * 9 * real + states}
         size = {**city.size, "blended_pixels": blended_pixels}
         for case, function in cases.items():
-            operations = blended_pixels * (FORWARD if case == "forward" else ADJOINT)
+            operations = blended_pixels * (
+                FORWARD_OPERATIONS if case == "forward" else ADJOINT_OPERATIONS)
             bench.report("blend", case + " with depth" * depth, bench.milliseconds(function), size,
                          traffic[case], operations)

@@ -1,4 +1,5 @@
-"""What a device does at most, measured by two kernels that do nothing else (ceilings.cl)."""
+"""Peak rates of a device, measured by a kernel that only copies and one that only computes
+(ceilings.cl)."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -6,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clsplat.device import Forms, Kernel, each
+from clsplat.device import Device, Forms, Kernel, each
 
 from .timing import milliseconds
 
@@ -15,44 +16,50 @@ COPY = Kernel(FILE, "copy_reals", each("count"), count="uint", source=("real", "
               result=("real", "N"))
 MULTIPLY_ADD = Kernel(FILE, "multiply_add", each("count"), count="uint", rounds="uint",
                       factors=("real", 2), results=("real", "N"))
-WIDTH = Forms(item=16, group=4)  # reals that a work-item loads at once
-ELEMENTS = Forms(item=64, group=8192)  # a compute unit: enough for every lane
+REALS_PER_ITEM = Forms(item=16, group=4)  # loaded at once by a work-item
+ITEMS_PER_UNIT = Forms(item=64, group=8192)  # of a compute unit: enough for every lane
 COPIED_BYTES = 128 << 20  # beyond any cache, unless the device cannot allocate as much
-LEAST_MILLISECONDS = 20  # a launch costs little beside it
+MIN_MILLISECONDS = 20  # of a measured launch: its overhead is small beside it
 
 
 @dataclass(frozen=True)
 class Ceilings:
-    """copy: bytes read and written a second; arithmetic: operations a second."""
+    """Peak rates of a device.
+
+    Attributes
+    ----------
+    copy : bytes read and written a second.
+    arithmetic : operations a second.
+    """
 
     copy: float
     arithmetic: float
 
 
-def measure_ceilings(device, repeats=10):
-    """The best of `repeats` runs of each: what disturbs only ever slows down."""
+def measure_ceilings(device: Device, repeats: int = 10) -> Ceilings:
+    """The best of `repeats` runs of each kernel, since disturbances only make runs slower."""
     return Ceilings(_copy(device, repeats), _multiply_add(device, repeats))
 
 
-def _copy(device, repeats):
-    row_bytes = WIDTH.of(device) * device.real.itemsize
+def _copy(device: Device, repeats: int) -> float:
+    row_bytes = REALS_PER_ITEM.of(device) * device.real.itemsize
     count = min(COPIED_BYTES, device.largest_buffer // 4) // row_bytes
-    source, result = (device.empty(count * WIDTH.of(device)) for _ in range(2))
+    source, result = (device.empty(count * REALS_PER_ITEM.of(device)) for _ in range(2))
     source.fill(0)
     run = partial(device.launch, COPY, count=count, source=source, result=result)
-    return 2 * count * row_bytes / (milliseconds(device, run, repeats).min() * 1e-3)
+    return float(2 * count * row_bytes / (milliseconds(device, run, repeats).min() * 1e-3))
 
 
-def _multiply_add(device, repeats):
-    """Rounds until a launch takes long enough to be timed."""
-    count = device.compute_units * ELEMENTS.of(device)
+def _multiply_add(device: Device, repeats: int) -> float:
+    """Operations a second, with as many rounds as a launch needs to be timed."""
+    count = device.compute_units * ITEMS_PER_UNIT.of(device)
     factors = device.upload(np.array([0.5, 0.25]))
-    results = device.empty(count * WIDTH.of(device))
-    rounds, fastest = 64, 0
-    while fastest < LEAST_MILLISECONDS:
+    results = device.empty(count * REALS_PER_ITEM.of(device))
+    rounds, fastest = 64, 0.0
+    while fastest < MIN_MILLISECONDS:
         rounds *= 2
         run = partial(device.launch, MULTIPLY_ADD, count=count, rounds=rounds, factors=factors,
                       results=results)
         fastest = milliseconds(device, run, 1, warm_up=1).min()
-    return (16 * rounds * count * WIDTH.of(device)
-            / (milliseconds(device, run, repeats, warm_up=0).min() * 1e-3))
+    return float(16 * rounds * count * REALS_PER_ITEM.of(device)
+                 / (milliseconds(device, run, repeats, warm_up=0).min() * 1e-3))

@@ -1,4 +1,4 @@
-"""What each splat of a frame contributed to it."""
+"""The contribution of each splat of a frame."""
 
 from functools import partial
 
@@ -12,7 +12,8 @@ from .workloads import CityFrame
 OPERATIONS = 45  # a pixel and splat blended
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     device, real = bench.device, bench.device.real.itemsize
     for count in bench.options.gaussians:

@@ -1,4 +1,4 @@
-"""A view's colour transform, applied and stepped, at the size of a real photo."""
+"""A view's colour transform, its adjoint and its step, at the size of a real photo."""
 
 import numpy as np
 
@@ -7,7 +7,8 @@ from clsplat.loss.exposure import Exposures
 from .measure import Bench
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, size=[1019, 766])
     device, (width, height) = bench.device, bench.options.size
     rng = np.random.default_rng(0)
@@ -15,7 +16,7 @@ def main(argv):
     grad = device.upload(rng.normal(size=image.shape))
     exposures = Exposures(device, 100)
 
-    def both():
+    def both() -> None:
         exposures.apply(0, image)
         exposures.step(0, exposures.adjoint(0, image, grad)[1])
 

@@ -1,4 +1,4 @@
-"""The nine scene frequencies of the city, to the host."""
+"""The nine scene frequencies of the city, including their download."""
 
 from functools import partial
 
@@ -8,7 +8,8 @@ from .measure import Bench
 from .workloads import city
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     for count in bench.options.gaussians:
         gaussians, _ = city(count)

@@ -1,5 +1,6 @@
-"""Rows by index and back, at the order that a frame saw its gaussians; and compaction."""
+"""Gather and scatter of the rows of a frame's visible gaussians, in its order; and compaction."""
 
+from collections.abc import Callable
 from functools import partial
 
 from clsplat.primitives.gather import compact, gather, scatter
@@ -10,7 +11,8 @@ from .project import DEFINES
 from .workloads import CityFrame
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     device = bench.device
     for count in bench.options.gaussians:
@@ -19,12 +21,13 @@ def main(argv):
         size = {"gaussians": count, "visible": len(visible)}
         for name in ("positions", "sh_rest"):
             rows = city.rows[name]
-            taken = gather(device, rows, visible)
-            cases = {"gather": partial(gather, device, rows, visible, taken),
-                     "scatter": partial(scatter, device, taken, visible, rows)}
+            gathered = gather(device, rows, visible)
+            cases: dict[str, Callable[[], object]] = {
+                "gather": partial(gather, device, rows, visible, gathered),
+                "scatter": partial(scatter, device, gathered, visible, rows)}
             for case, function in cases.items():
                 bench.report("gather", f"{case} {name}", bench.milliseconds(function), size,
-                             2 * taken.nbytes + visible.nbytes, operations=0)
+                             2 * gathered.nbytes + visible.nbytes, operations=0)
         flags, keys = cull(device, city.rows, city.camera, DEFINES)
         times = bench.milliseconds(partial(compact, device, flags, keys))
         # the scan's three and a flag, an offset and a key a row; a key and a row number kept

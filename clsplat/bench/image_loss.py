@@ -12,7 +12,8 @@ from .measure import Bench
 OPERATIONS = 2 * 2 * 11 * (4 + 3) + 60
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, size=[1019, 766])
     device, (width, height) = bench.device, bench.options.size
     rng = np.random.default_rng(0)

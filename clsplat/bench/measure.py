@@ -3,8 +3,11 @@
 import argparse
 import json
 import re
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.device import choose_device
 from clsplat.errors import InputError
@@ -16,14 +19,17 @@ MULTIPLES = {"": 1, "k": 1_000, "M": 1_000_000}
 
 
 class Bench:
-    """One run of a benchmark: its flags, its device and what that does at most, and how it times
-    and reports.
+    """One run of a benchmark: its flags, its device with the peak rates, timing and reports.
 
-    defaults: a flag --NAME for each; False makes a switch, a list takes several, `gaussians` is a
-    text such as "200k,1M".
+    Parameters
+    ----------
+    argv : the flags of the command line.
+    description : the text of --help.
+    defaults : a flag --NAME for each; False makes a switch, a list a flag of several values, and
+        `gaussians` is a text such as "200k,1M".
     """
 
-    def __init__(self, argv, description, **defaults):
+    def __init__(self, argv: list[str], description: str | None, **defaults: Any) -> None:
         self.options = arguments(argv, description, **defaults)
         self.device = choose_device(self.options.device, form=self.options.form,
                                     profiling=getattr(self.options, "profile", False))
@@ -33,17 +39,23 @@ class Bench:
                   f"{self.ceilings.copy / 1e9:.1f} GB/s, multiplies and adds "
                   f"{self.ceilings.arithmetic / 1e9:.1f} Gop/s", flush=True)
 
-    def milliseconds(self, function, warm_up=3):
-        """Wall times float[repeats] of `function()`."""
+    def milliseconds(self, function: Callable[[], object],
+                     warm_up: int = 3) -> NDArray[np.float64]:
+        """Wall times float64[repeats] of `function()`."""
         return milliseconds(self.device, function, self.options.repeats, warm_up)
 
-    def report(self, family, variant, times, size, traffic=None, operations=None):
-        """Print one result: a JSON line, or a line of a table.
+    def report(self, family: str, variant: str, times: NDArray[np.float64],
+               size: Mapping[str, object], traffic: float | None = None,
+               operations: float | None = None) -> None:
+        """Print one result as a JSON line or as a line of a table.
 
-        times: milliseconds; size: {what: how much}; traffic: bytes read and written, as the kernels
-        ask for them; operations: additions, multiplications, comparisons and the like that the
-        algorithm needs, counted by hand in the kernel's source (an exponential as 20). None where
-        nothing is counted. Both also as shares of the device's ceilings.
+        Parameters
+        ----------
+        times : milliseconds.
+        size : the numbers that say how large the task was, by name.
+        traffic : bytes that the kernels read and write, caches left aside; None if not counted.
+        operations : additions, multiplications, comparisons and the like that the algorithm needs,
+            counted by hand in the source of the kernel, an exponential as 20; None if not counted.
         """
         seconds = float(np.median(times)) * 1e-3
         record = {"family": family, "variant": variant, "form": self.device.form,
@@ -57,11 +69,11 @@ class Bench:
         print(json.dumps(record) if self.options.json else _line(record), flush=True)
 
 
-def _share(amount, seconds, ceiling):
+def _share(amount: float | None, seconds: float, ceiling: float) -> float | None:
     return None if amount is None else round(amount / seconds / ceiling, 4)
 
 
-def _line(record):
+def _line(record: dict[str, Any]) -> str:
     low, high = record["quartiles_ms"]
     extra = [f"{what} {count:,}" if isinstance(count, int) else f"{what} {count}"
              for what, count in record["size"].items()]
@@ -75,14 +87,15 @@ def _line(record):
 
 
 class Parser(argparse.ArgumentParser):
-    """One whose errors are one line, as those of the command line are."""
+    """A parser whose errors are one line, like those of the command line."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
+        """Raise InputError."""
         raise InputError(f"{message}; see `clsplat bench FAMILY -- --help`")
 
 
-def arguments(argv, description, **defaults):
-    """Parsed --json, --device, --form, --repeats and the flags of `defaults` (see `Bench`)."""
+def arguments(argv: list[str], description: str | None, **defaults: Any) -> argparse.Namespace:
+    """Parse --json, --device, --form, --repeats and the flags of `defaults` (see `Bench`)."""
     parser = Parser(description=description, prog="clsplat bench")
     parser.add_argument("--json", action="store_true", help="JSON lines instead of a table")
     parser.add_argument("--device", default="auto")
@@ -100,9 +113,9 @@ def arguments(argv, description, **defaults):
     return parser.parse_args(argv)
 
 
-def counts(text):
-    """(200000, 1000000) of "200k,1M"."""
+def counts(text: str) -> tuple[int, ...]:
+    """The numbers of a list, such as (200000, 1000000) for "200k,1M"."""
     parts = [re.fullmatch(r"(\d+(?:\.\d+)?)([kM]?)", part) for part in text.split(",")]
     if not all(parts):
         raise argparse.ArgumentTypeError(f"'{text}' is not a list of counts such as 200k,1M,4M")
-    return tuple(round(float(part[1]) * MULTIPLES[part[2]]) for part in parts)
+    return tuple(round(float(part[1]) * MULTIPLES[part[2]]) for part in parts if part)

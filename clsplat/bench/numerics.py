@@ -1,10 +1,13 @@
-"""The page of `precision`: what each default costs and saves, as Markdown or as HTML with drawings.
+"""The page of `precision`: the error and the time of each default, as Markdown or as HTML with
+figures.
 
-Both hold the same sections, made from the records alone.
+Both have the same sections, which are made from the records alone.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -17,7 +20,7 @@ from .variants import KNOBS
 TITLE = "Numerics: error against run time"
 LEAD = (
     "Made by `clsplat bench precision --markdown`; do not edit. A frame of the aerial city, "
-    "rendered and differentiated under every approximation that the kernels could take. Times "
+    "rendered and differentiated under every approximation that the kernels could use. Times "
     "are of forward and adjoint without a loss. Image errors are in units of its range, 0 to 1. "
     "A gradient's error is relative: the L2 norm of the difference over that of the reference; "
     "of the worst element, the difference over the reference's largest element. `rounding` is "
@@ -29,67 +32,72 @@ KINDS = {"rounding": "rounding", "same_order": "same order",
 # knob -> why the default is where it is
 REASONS = {
     "precision": (
-        "Rounding in float is far below what the alpha cutoff leaves out, so double buys digits "
+        "Rounding in float is far below what the alpha cutoff leaves out, so double gives digits "
         "that nothing uses."),
     "exponential": (
-        "Degree 3 shows in the image's mean; from degree 4 on the error is float's own, and exp "
-        "has no less. Degree 6 is exact to rounding for two multiply-adds more. native_exp is as "
-        "good as its device makes it: the group form takes it where it was seen accurate."),
+        "Degree 3 shows in the image's mean; from degree 4 on the error is that of float, and exp "
+        "has the same. Degree 6 is exact up to rounding, for two more multiply-adds. native_exp is "
+        "as accurate as the device makes it: the group form uses it where it was found accurate."),
     "compiler flags": (
-        "Fused multiply-adds and flushed denormals change nothing that can be seen, and save "
-        "nothing worth a flag. -cl-fast-relaxed-math lets a compiler cancel the addition that "
+        "Fused multiply-adds and flushed denormals make no visible difference, and save too "
+        "little time for a flag. -cl-fast-relaxed-math lets a compiler cancel the addition that "
         "rounds the polynomial's exponent, and the image is wrong."),
     "storage": (
         "Half has 11 bits: splats lose more than rounding ever does, and pair sums are below its"
-        " range unless scaled, and then still lose more. Not built, hence not timed: both are "
-        "excluded by their error."),
+        " range unless scaled, and then still lose more. Both are excluded by their error, so they "
+        "were not built and have no time."),
     "alpha cutoff": (
-        "An alpha of 1/255 is one step of an 8-bit photo. Coarser cutoffs cost accuracy in "
-        "proportion; finer ones cost time for less than a step in the image's mean."),
+        "An alpha of 1/255 is one step of an 8-bit photo. Larger cutoffs cost accuracy in "
+        "proportion; smaller ones cost time and change the image's mean by less than a step."),
     "transmittance stop": (
-        "At 1e-4 what is left out is about as small as rounding. Stops ten times earlier lose ten "
-        "times as much each, and never stopping gains less than rounding loses."),
+        "At 1e-4 the omitted light is about as small as rounding. A threshold ten times larger "
+        "loses ten times as much, and never stopping gains less than rounding loses."),
     "tiles": (
         "The exact ellipse draws the same image with fewer pairs: a box only adds work."),
 }
-SAVES, AS_GOOD = 0.95, 1.1  # a variant is better: at most so much of the time and of the error
+# a variant is better with at most this share of the default's time, and of its error
+BETTER_TIME, BETTER_ERROR = 0.95, 1.1
+Record = dict[str, Any]  # see `precision.measured`
 
 
 @dataclass(frozen=True)
 class Section:
+    """A section of the page: its text in Markdown, and a table."""
+
     title: str
     text: str
     table: Table
 
 
-def gradient_error(record, kind):
-    return max(gradient["l2"] for gradient in record[kind]["gradients"].values())
+def gradient_error(record: Record, kind: str) -> float:
+    """The largest L2 error of a gradient."""
+    return max(float(gradient["l2"]) for gradient in record[kind]["gradients"].values())
 
 
-def default_of(records, record):
-    """The default's record beside which `record` was measured."""
+def default_of(records: Sequence[Record], record: Record) -> Record:
+    """The record of the default on the same device, form and scene as `record`."""
     return next(other for other in records
                 if other["knob"] == "default" and _place(other) == _place(record))
 
 
-def sections(records):
-    """The page as a list of Section."""
+def sections(records: Sequence[Record]) -> list[Section]:
+    """The sections of the page."""
     return [_machines(records), _defaults(records),
             *(_knob(records, knob) for knob in KNOBS)]
 
 
-def _place(record):
+def _place(record: Record) -> tuple[Any, ...]:
     return record["device"], record["driver"], record["form"], record["size"]["gaussians"]
 
 
-def _label(record):
-    """A short name of where it ran: platform or device, form, size."""
+def _label(record: Record) -> str:
+    """A short name of the measurement: platform, form and size."""
     platform = record["platform"].split("(")[0].replace("Portable Computing Language", "PoCL")
     count = record["size"]["gaussians"] // 1000
     return f"{platform.split()[0]} {record['form']} {count}k"
 
 
-def _machines(records):
+def _machines(records: Sequence[Record]) -> Section:
     rows = []
     for record in records:
         if record["knob"] == "default":
@@ -102,7 +110,7 @@ def _machines(records):
         "", ("name", "device", "driver", "form", "gaussians", "ms", "command"), rows, (5,)))
 
 
-def _defaults(records):
+def _defaults(records: Sequence[Record]) -> Section:
     rows = []
     for record in records:
         if record["knob"] == "default":
@@ -120,7 +128,7 @@ def _defaults(records):
         Table("", ("where", "against", "of", "L2 (mean)", "worst (max)", "element"), rows, (3, 4)))
 
 
-def _knob(records, knob):
+def _knob(records: Sequence[Record], knob: str) -> Section:
     name, kind = KNOBS[knob]
     rows, better = [], []
     for record in records:
@@ -133,23 +141,23 @@ def _knob(records, knob):
         if "median_ms" in record:
             share = record["median_ms"] / default["median_ms"]
             time, ratio = f"{record['median_ms']:.1f}", f"{share:.2f}"
-            if share <= SAVES and gradient_error(record, kind) <= AS_GOOD * gradient_error(
-                    default, kind):
+            if share <= BETTER_TIME and gradient_error(
+                    record, kind) <= BETTER_ERROR * gradient_error(default, kind):
                 better.append(f"{variant} on {_label(record)} ({share:.2f} of the time)")
         rows.append((variant, _label(record), time, ratio, f"{error['image_max']:.1e}",
                      f"{error['image_mean']:.1e}",
                      *(f"{gradient['l2']:.1e}" for gradient in error["gradients"].values()),
                      f"{worst['worst']:.1e}", worst["element"]))
-    found = (f"Measured here as no worse and faster: {'; '.join(better)}." if better
-             else "No other was measured as no worse and faster.")
+    verdict = (f"Measured here as no worse and faster: {'; '.join(better)}." if better
+               else "No other was measured as no worse and faster.")
     head = ("variant", "where", "ms", "of default", "image max", "image mean",
             *(records[0][kind]["gradients"]), "worst", "element")
     numbers = tuple(range(2, len(head) - 1))
-    text = f"Default: {name}. {REASONS[knob]} {found} Errors: {KINDS[kind]}."
+    text = f"Default: {name}. {REASONS[knob]} {verdict} Errors: {KINDS[kind]}."
     return Section(knob.capitalize(), text, Table("", head, rows, numbers))
 
 
-def markdown(records):
+def markdown(records: Sequence[Record]) -> str:
     """The page as Markdown."""
     parts = [f"# {TITLE}\n\n{LEAD}\n"]
     for section in sections(records):
@@ -161,7 +169,7 @@ def markdown(records):
     return "".join(parts)
 
 
-def html(records):
+def html(records: Sequence[Record]) -> str:
     """The page as self-contained HTML."""
     parts = ["<p>The largest L2 error of a gradient over time; a ring is the default.</p>\n",
              drawn("error of the gradients over time, a panel a choice", error_figure, records)]
@@ -171,12 +179,15 @@ def html(records):
     return page(TITLE, LEAD.replace("`", ""), *parts)
 
 
-def error_figure(records, narrow=False):
-    """The largest L2 error of a gradient over the time relative to the default's, a panel a knob; a
-    ring is the default, a colour a device."""
+def error_figure(records: Sequence[Record], narrow: bool = False) -> Figure:
+    """The largest L2 error of a gradient over the time relative to the default's.
+
+    Each knob has a panel and each device a colour; a ring is the default.
+    """
     knobs = [knob for knob in KNOBS
              if any(r["knob"] == knob and "median_ms" in r for r in records)]
-    colours, columns = {}, 1 if narrow else 2
+    colours: dict[str, str] = {}
+    columns = 1 if narrow else 2
     figure = Figure(figsize=(5 * columns, 3.2 * -(-len(knobs) // columns)), layout="constrained")
     panels = figure.subplots(-(-len(knobs) // columns), columns, squeeze=False).flat
     for knob, axes in zip(knobs, panels):
@@ -198,7 +209,7 @@ def error_figure(records, narrow=False):
         axes.set_title(f"{knob} ({KINDS[kind]})")
         axes.set_yscale("log")
         low, high = axes.get_ylim()
-        axes.set_ylim(low / 2, high * 5)  # room for names, and no axis of a hair's width
+        axes.set_ylim(low / 2, high * 5)  # room for names, and for errors that are all equal
         axes.set_xlabel("time, default = 1")
     for axes in list(panels):
         axes.set_visible(False)

@@ -1,4 +1,4 @@
-"""Cull, project and the adjoint of project, all harmonics active."""
+"""Cull, project and the adjoint of project, all spherical harmonics active."""
 
 from functools import partial
 
@@ -10,11 +10,12 @@ from .workloads import CityFrame
 
 DEFINES = (("SH_REST", 15), ("ANTIALIASED", 0))
 PARAMETERS = 59  # reals of a gaussian of degree 3
-# operations a gaussian; the first is for all, culled early, with more for those that are seen
-EARLY, CULL, PROJECT, ADJOINT = 60, 180, 330, 700
+# a gaussian; the early part of culling is for all, the rest for those that are visible
+EARLY_OPERATIONS, CULL_OPERATIONS, PROJECT_OPERATIONS, ADJOINT_OPERATIONS = 60, 180, 330, 700
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     device, real = bench.device, bench.device.real.itemsize
     for count in bench.options.gaussians:
@@ -29,12 +30,13 @@ def main(argv):
         inputs = device, rows, visible, camera, 3, DEFINES
         cases = {  # function, bytes, operations
             "cull": (partial(cull, device, rows, camera, DEFINES),
-                     count * (6 * real + 8) + seen * 5 * real, count * EARLY + seen * CULL),
+                     count * (6 * real + 8) + seen * 5 * real,
+                     count * EARLY_OPERATIONS + seen * CULL_OPERATIONS),
             "project": (partial(project, *inputs), seen * (4 + (PARAMETERS + 12) * real),
-                        seen * PROJECT),
+                        seen * PROJECT_OPERATIONS),
             # parameters and their gradients, nine sums, the mean's gradient, two indices
             "adjoint": (partial(project_adjoint, *inputs, sums, renderer.skipped),
-                        seen * (8 + (2 * PARAMETERS + 11) * real), seen * ADJOINT)}
+                        seen * (8 + (2 * PARAMETERS + 11) * real), seen * ADJOINT_OPERATIONS)}
         for case, (function, traffic, operations) in cases.items():
             bench.report("project", case, bench.milliseconds(function),
                          {"gaussians": count, "visible": seen}, traffic, operations)

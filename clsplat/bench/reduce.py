@@ -1,4 +1,4 @@
-"""Column sums: of an image loss's partial sums, and of a column a gaussian."""
+"""Column sums: of the partial sums of an image loss, and of one value for each gaussian."""
 
 from functools import partial
 
@@ -9,7 +9,8 @@ from clsplat.primitives.reduce import sum_columns
 from .measure import Bench
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     rng = np.random.default_rng(0)
     # 3 channels of 1019 x 766 pixels in tiles of 16 x 16

@@ -1,14 +1,16 @@
-"""Reprojection of a rendered depth into an adjacent photo, at the size of a real photo."""
+"""Reprojection of a rendered depth into a source view, at the size of a real photo."""
 
 import numpy as np
 
+from clsplat.device import Array
 from clsplat.loss.reproject import pack_pairs, reproject
 
 from .measure import Bench
 from .workloads import ring_camera
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, size=[1019, 766])
     device, (width, height) = bench.device, bench.options.size
     rng = np.random.default_rng(0)
@@ -20,7 +22,7 @@ def main(argv):
     geometries = pack_pairs(device, [[ring_camera(angle, (width, height)) for angle in (0, 0.1)]])
     colours = device.upload(np.eye(3, 4).reshape(1, 12))
 
-    def run():
+    def run() -> tuple[Array, ...]:
         return reproject(device, depth, transmittance, photo, neighbour, geometries, colours, 0,
                          1.0)
 

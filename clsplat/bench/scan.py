@@ -8,7 +8,8 @@ from .measure import Bench
 from .workloads import CityFrame
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     for count in bench.options.gaussians:
         counts = CityFrame(bench.device, count).frame.pairs.counts

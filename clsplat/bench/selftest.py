@@ -1,10 +1,14 @@
 """A correctness self-test for any driver, in a few seconds: `check(device)`.
 
-What a wrong driver or compiler gets wrong shows here and not as a bad model after hours: every
-family of kernels runs in both forms, in single precision, against numpy or against itself.
+An error of a driver or compiler shows here and not as a bad model after hours: every family of
+kernels runs in both forms, in single precision, and is compared with numpy or with itself.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from clsplat.camera import Camera
@@ -27,51 +31,56 @@ CAMERA = Camera(90, 70, (80.0, 75.0), (44.0, 36.0), np.eye(3), np.array([0.1, -0
 BACKGROUND = (0.1, 0.3, 0.2)
 
 
-def check(device):
-    """[(name, passed, detail)]: every check of both kernel forms on the device of `device`.
+# name, whether it passed, and the measured error with its bound or what the driver raised
+Result = tuple[str, bool, str]
+Measured = tuple[float, float, str]  # error, its bound, its kind
+Rows = dict[str, NDArray[np.float64]]
 
-    detail: the measured error and its bound, or what the driver raised.
-    """
+
+def check(device: Device) -> list[Result]:
+    """The results of every check, in both kernel forms on the device of `device`."""
     forms = [Device(device.handle, form=form) for form in ("item", "group")]
     return [*check_form(forms[0]), *check_form(forms[1]),
             _result("render, both forms", forms_agree, *forms)]
 
 
-def check_form(device):
-    """As `check`, of the form and precision in which the device is open."""
+def check_form(device: Device) -> list[Result]:
+    """The same as `check`, in the form and precision in which the device is open."""
     return [_result(f"{name}, {device.form} form", test, device) for name, test in CHECKS]
 
 
-def _result(name, test, *devices):
+def _result(name: str, test: Callable[..., Measured], *devices: Device) -> Result:
     try:
-        error, bound, what = test(*devices)
-    except Exception as raised:  # a driver may throw anything, and that is the finding
+        error, bound, kind = test(*devices)
+    except Exception as raised:  # a driver may raise anything, and that is the result
         return name, False, " ".join(f"{type(raised).__name__}: {raised}".split())[:300]
-    return name, bool(error <= bound), f"{what} {error:.2g}, bound {bound:g}"
+    return name, bool(error <= bound), f"{kind} {error:.2g}, bound {bound:g}"
 
 
-def _relative(actual, expected):
+def _relative(actual: ArrayLike, expected: ArrayLike) -> float:
     """Root mean square of the difference over that of the expected values."""
     actual, expected = np.asarray(actual, np.float64), np.asarray(expected, np.float64)
-    return np.linalg.norm(actual - expected) / np.linalg.norm(expected)
+    return float(np.linalg.norm(actual - expected) / np.linalg.norm(expected))
 
 
-def _wrong(*pairs):
-    """How many integers differ, as a check's result."""
+def _wrong(*pairs: tuple[NDArray[Any], NDArray[Any]]) -> Measured:
+    """The number of integers that differ between the arrays of each pair."""
     return sum(int((actual != expected).sum()) for actual, expected in pairs), 0, "wrong values"
 
 
 # --- primitives
 
 
-def scan(device):
+def scan(device: Device) -> Measured:
+    """Prefix sums of many values."""
     values = np.random.default_rng(0).integers(0, 50, 100_003, dtype=np.uint32)
     offsets, totals = exclusive_scan(device, device.upload(values))
     expected = np.cumsum(values, dtype=np.uint64)
     return _wrong((offsets.download(), expected - values), (totals.last(), expected[-1]))
 
 
-def sort(device):
+def sort(device: Device) -> Measured:
+    """Keys of which many are equal."""
     rng = np.random.default_rng(1)
     keys = rng.choice(rng.integers(0, 2**32, 5000, dtype=np.uint32), 30_011)  # many equal
     sorted_keys, order = stable_sort(device, device.upload(keys))
@@ -79,18 +88,21 @@ def sort(device):
     return _wrong((sorted_keys.download(), keys[expected]), (order.download(), expected))
 
 
-def rows_by_index(device):
+def rows_by_index(device: Device) -> Measured:
+    """Gather in a random order, and scatter back."""
     rng = np.random.default_rng(2)
     rows, order = rng.random((5003, 3), np.float32), rng.permutation(5003).astype(np.uint32)
-    taken = gather(device, device.upload(rows), device.upload(order))
+    gathered = gather(device, device.upload(rows), device.upload(order))
     back = device.zeros(rows.shape)
-    scatter(device, taken, device.upload(order), back)
-    return _wrong((taken.download(), rows[order]), (back.download(), rows))
+    scatter(device, gathered, device.upload(order), back)
+    return _wrong((gathered.download(), rows[order]), (back.download(), rows))
 
 
-def compaction(device):
+def compaction(device: Device) -> Measured:
+    """The rows of random flags."""
     rng = np.random.default_rng(3)
-    flags, keys = rng.integers(0, 2, (2, 10_007), dtype=np.uint32) * np.uint32([[1], [9]])
+    flags, keys = rng.integers(0, 2, (2, 10_007), dtype=np.uint32) * np.array(
+        [[1], [9]], np.uint32)
     kept_keys, kept = compact(device, device.upload(flags), device.upload(keys))
     expected = np.flatnonzero(flags)
     if len(kept) != len(expected):
@@ -98,7 +110,8 @@ def compaction(device):
     return _wrong((kept.download(), expected), (kept_keys.download(), keys[expected]))
 
 
-def sums(device):
+def sums(device: Device) -> Measured:
+    """Column sums against float64."""
     rows = np.random.default_rng(4).random((50_021, 2), np.float32)
     totals = sum_columns(device, device.upload(rows)).download()
     return _relative(totals, rows.sum(0, dtype=np.float64)), 1e-6, "relative error"
@@ -107,7 +120,7 @@ def sums(device):
 # --- training
 
 
-def adam(device):
+def adam(device: Device) -> Measured:
     """Two steps on varying rows; one row's gradient is marked as not finite."""
     rng = np.random.default_rng(5)
     expected = {f.name: rng.normal(size=(50, f.width(1))).astype(np.float32) for f in LEARNED}
@@ -120,9 +133,9 @@ def adam(device):
         for f in LEARNED:
             gradient = rng.normal(size=(40, f.width(1))).astype(np.float32)
             fields[f.name] = device.upload(gradient.reshape(40, *f.row_shape(1)))
+            first, second = moments[f.name][:, seen[1:]]
             expected[f.name][seen[1:]], *moments[f.name][:, seen[1:]] = adam_update(
-                expected[f.name][seen[1:]], gradient[1:], *moments[f.name][:, seen[1:]], step,
-                f.rate)
+                expected[f.name][seen[1:]], gradient[1:], first, second, step, f.rate)
         visible = device.upload(seen)
         seen[0] = NO_ROW
         gradients = Gradients(fields, device.zeros((40, 2)), device.upload(seen), visible)
@@ -132,67 +145,76 @@ def adam(device):
     return error, 1e-6, "relative error"
 
 
-def statistics(device):
+def statistics(device: Device) -> Measured:
+    """Screen gradients of some rows, summed in pixels."""
     rng = np.random.default_rng(6)
     means, seen = rng.normal(size=(40, 2)), rng.permutation(50)[:40].astype(np.uint32)
-    found = Statistics(device, 50)
+    statistics = Statistics(device, 50)
     rows = device.upload(seen)
-    found.accumulate(Gradients({}, device.upload(means), rows, rows), 90, 70)
+    statistics.accumulate(Gradients({}, device.upload(means), rows, rows), 90, 70)
     expected = np.zeros(50)
     expected[seen] = np.linalg.norm(means * (45, 35), axis=1)
-    return _relative(found.mean_gradient(), expected), 1e-6, "relative error"
+    return _relative(statistics.mean_gradient(), expected), 1e-6, "relative error"
 
 
-def _losses(image, photo, ssim_weight):
+def _losses(image: NDArray[np.float64], photo: NDArray[np.float64], ssim_weight: float) -> float:
     """The loss in float64: 11 taps of a gaussian of sigma 1.5 (Wang et al. 2004)."""
     taps = np.exp(-np.arange(-5, 6)**2 / 4.5)
 
-    def window(values):
+    def window(values: NDArray[np.float64]) -> NDArray[np.float64]:
         rows = correlate1d(values, taps / taps.sum(), axis=-1, mode="constant")
-        return correlate1d(rows, taps / taps.sum(), axis=-2, mode="constant")
+        means: NDArray[np.float64] = correlate1d(
+            rows, taps / taps.sum(), axis=-2, mode="constant")
+        return means
 
     mean, photo_mean = window(image), window(photo)
     variances = window(image**2 + photo**2) - mean**2 - photo_mean**2
     covariance = window(image * photo) - mean * photo_mean
     ssim = ((2 * mean * photo_mean + 0.01**2) * (2 * covariance + 0.03**2)
             / ((mean**2 + photo_mean**2 + 0.01**2) * (variances + 0.03**2)))
-    return (1 - ssim_weight) * np.abs(image - photo).mean() + ssim_weight * (1 - ssim.mean())
+    return float((1 - ssim_weight) * np.abs(image - photo).mean()
+                 + ssim_weight * (1 - ssim.mean()))
 
 
-def _loss_case(device):
-    """(float64 loss as a function of the image, image, device's loss, device's gradient)."""
+def _loss_case(device: Device) -> tuple[
+        Callable[[NDArray[np.float64]], float], NDArray[np.float64], float, NDArray[Any]]:
+    """The float64 loss as a function of the image, an image, and its loss and gradient by the
+    device."""
     rng = np.random.default_rng(7)
     photo = rng.integers(0, 256, (3, 41, 53), np.uint8)
-    # never nearer to the photo than the difference quotient's step: |x - y| has a kink
+    # further from the photo than the difference quotient's step, as |x - y| has a kink
     image = photo / 255 + rng.choice((-1, 1), photo.shape) * rng.uniform(0.02, 0.2, photo.shape)
     totals, grad = image_loss(device, device.upload(image), device.upload(photo), 0.2)
     value, _, _ = loss_value(totals, photo.size, 0.2)
     return lambda x: _losses(x, photo / 255, 0.2), image, value, grad.download()
 
 
-def loss(device):
+def loss(device: Device) -> Measured:
+    """The loss against float64."""
     function, image, value, _ = _loss_case(device)
     return abs(value - function(image)), 1e-5, "error"
 
 
-def loss_adjoint(device):
+def loss_adjoint(device: Device) -> Measured:
+    """The gradient of the loss against the difference quotient."""
     function, image, _, grad = _loss_case(device)
     return _slope_error(function, image, grad, step=1e-4), 1e-4, "relative error"
 
 
-def _slope_error(function, point, grad, step):
+def _slope_error(function: Callable[[NDArray[np.float64]], float], point: NDArray[np.float64],
+                 grad: ArrayLike, step: float) -> float:
     """|difference quotient - adjoint| along a random direction, relative to the sum's terms."""
     direction = np.random.default_rng(8).normal(size=point.shape)
     values = {k: function(point + k * step * direction) for k in (-2, -1, 1, 2)}
     quotient = (8 * (values[1] - values[-1]) - values[2] + values[-2]) / (12 * step)
     terms = np.asarray(grad, np.float64) * direction
-    return abs(quotient - terms.sum()) / max(abs(quotient), np.linalg.norm(terms))
+    return float(abs(quotient - terms.sum()) / max(abs(quotient), np.linalg.norm(terms)))
 
 
 # --- rendering
 
 
-def _gaussians(count, scale):
+def _gaussians(count: int, scale: float) -> Rows:
     """Rows of degree 1 in front of CAMERA, at distinct depths, about `scale` world units large."""
     rng = np.random.default_rng(9)
     depth = rng.permutation(np.linspace(2, 6, count))
@@ -203,42 +225,44 @@ def _gaussians(count, scale):
             "opacity_logits": rng.uniform(-2, 2, count),
             "log_scales": np.log(scale) + rng.normal(0, 0.5, (count, 3)),
             "quaternions": rng.normal(size=(count, 4))}
-    # rounded as the device will round them
+    # rounded as the device does
     return {name: values.astype(np.float32).astype(np.float64) for name, values in rows.items()}
 
 
 class _View:
     """A renderer of CAMERA's view and its last render."""
 
-    def __init__(self, device, **options):
+    def __init__(self, device: Device, **options: Any) -> None:
         self.device = device
         self.renderer = Renderer(device, 1, NEAR, background=BACKGROUND, **options)
         self.camera = self.renderer.pack(CAMERA)
 
-    def image(self, rows):
+    def image(self, rows: Rows) -> NDArray[Any]:
         self.rows = {name: self.device.upload(values) for name, values in rows.items()}
         self.frame = self.renderer.render(self.rows, self.camera, CAMERA.width, CAMERA.height, 1)
         return self.frame.image.download()
 
-    def gradients(self, weights):
-        """Field -> gradients of sum(weights * image) by row."""
-        found = self.renderer.adjoint(self.rows, self.frame, self.device.upload(weights))
-        visible, gradients = found.rows.download(), {}
+    def gradients(self, weights: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
+        """The gradients of sum(weights * image), by the name of the field."""
+        sparse = self.renderer.adjoint(self.rows, self.frame, self.device.upload(weights))
+        visible, gradients = sparse.rows.download(), {}
         for name, rows in self.rows.items():
             gradients[name] = np.zeros(rows.shape, np.float32)
-            gradients[name][visible] = found.fields[name].download()
+            gradients[name][visible] = sparse.fields[name].download()
         return gradients
 
 
-def _weights():
+def _weights() -> NDArray[np.float64]:
     """A random gradient of the image."""
     return np.random.default_rng(10).normal(size=(3, CAMERA.height, CAMERA.width))
 
 
-def _evaluated(rows):
-    """(image float64[3, H, W], mask bool[H, W] of pixels where no cutoff is near) by definition."""
+def _evaluated(rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The image float64[3, H, W] by definition, and the pixels bool[H, W] that are not close to a
+    cutoff."""
     pixel = np.stack(np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))) + 0.5
-    image, rest, sure = np.zeros((3, *pixel.shape[1:])), np.ones(pixel.shape[1:]), True
+    image, rest = np.zeros((3, *pixel.shape[1:])), np.ones(pixel.shape[1:])
+    sure = np.ones(rest.shape, bool)
     means, depths = CAMERA.project(rows["positions"])
     for i in np.argsort(depths):
         p = CAMERA.rotation @ rows["positions"][i] + CAMERA.translation
@@ -261,7 +285,7 @@ def _evaluated(rows):
     return image + rest * np.array(BACKGROUND)[:, None, None], sure & (rest > 2e-4)
 
 
-def render(device):
+def render(device: Device) -> Measured:
     """A few gaussians, so that no pixel is opaque, against their definition."""
     rows = _gaussians(12, 0.3)
     expected, sure = _evaluated(rows)
@@ -269,36 +293,37 @@ def render(device):
     return error, 2e-5, "largest error"
 
 
-def render_adjoint(device):
-    """Every field's gradient against the difference quotient through the whole chain."""
+def render_adjoint(device: Device) -> Measured:
+    """Every field's gradient against the difference quotient of the whole render."""
     rows, weights, view = _gaussians(12, 0.3), _weights(), _View(device, smooth_cutoff=True)
     view.image(rows)
     gradients, errors = view.gradients(weights), {}
     for name, point in rows.items():
-        def weighted(values, name=name):
-            return np.sum(weights * view.image({**rows, name: values}))
+        def weighted(values: NDArray[np.float64], name: str = name) -> float:
+            return float(np.sum(weights * view.image({**rows, name: values})))
         errors[name] = _slope_error(weighted, point, gradients[name], step=1e-3)
-    worst = max(errors, key=errors.get)
+    worst = max(errors, key=errors.__getitem__)
     return errors[worst], 3e-3, f"relative error (by {worst})"
 
 
-def _image_and_gradients(device):
+def _image_and_gradients(device: Device) -> dict[str, NDArray[Any]]:
     view = _View(device)
     image = view.image(_gaussians(1500, 0.1))
     return {"image": image, **view.gradients(_weights())}
 
 
-def same_bytes(device):
+def same_bytes(device: Device) -> Measured:
+    """Image and gradients of two renders of the same gaussians."""
     first, second = (_image_and_gradients(device) for _ in range(2))
     return _wrong(*((first[name].view(np.uint32), second[name].view(np.uint32))
                     for name in first))
 
 
-def forms_agree(item, group):
-    """1500 gaussians, image and gradients; a few pixels sit on a cutoff and may fall either way."""
+def forms_agree(item: Device, group: Device) -> Measured:
+    """Image and gradients of 1500 gaussians; the forms may differ at pixels next to a cutoff."""
     first, second = (_image_and_gradients(device) for device in (item, group))
     errors = {name: _relative(second[name], first[name]) for name in first}
-    worst = max(errors, key=errors.get)
+    worst = max(errors, key=errors.__getitem__)
     return errors[worst], 1e-3, f"relative difference ({worst})"
 
 

@@ -3,9 +3,12 @@
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.device import Device
 from clsplat.primitives.gather import compact
 from clsplat.primitives.sort import digits, stable_sort
+from clsplat.rendering.bin import Pairs
 from clsplat.rendering.project import cull
 
 from .measure import Bench
@@ -13,7 +16,8 @@ from .project import DEFINES
 from .workloads import CityFrame
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, gaussians="200k")
     device = bench.device
     for count in bench.options.gaussians:
@@ -28,21 +32,22 @@ def main(argv):
                          *sort_work(device, len(keys), bits))
 
 
-def sort_work(device, count, bits):
-    """(bytes, operations) of sorting `count` keys of so many bits."""
+def sort_work(device: Device, count: int, bits: int) -> tuple[int, int]:
+    """The bytes and the operations of sorting `count` keys of `bits` bits."""
     passes, _ = digits(device, bits)
     # a pass reads keys twice and values, but for the first, and writes both; its digit is a shift
     # and a mask, twice, and counts up twice
     return count * (20 * passes - 4), 6 * count * passes
 
 
-def pair_tiles(pairs):
-    """uint32[P]: the tiles of the pairs as they were emitted, from the sorted ones."""
+def pair_tiles(pairs: Pairs) -> NDArray[np.uint32]:
+    """The tiles uint32[P] of the pairs, in the order before they were sorted."""
     begin, end = pairs.ranges.download().T
     tiles = np.empty(pairs.count, np.uint32)
     tiles[pairs.slots.download()] = np.repeat(np.arange(len(begin), dtype=np.uint32), end - begin)
     return tiles
 
 
-def tile_bits(pairs):
+def tile_bits(pairs: Pairs) -> int:
+    """The number of bits of a tile's number."""
     return len(pairs.ranges).bit_length()

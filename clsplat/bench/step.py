@@ -1,18 +1,18 @@
 """A whole training step on a real scene: forward, loss, adjoint, Adam, statistics.
 
-Default: caliterra at full resolution, its initial gaussians and 100 000, all harmonics active,
-every training view once. Peak memory is that of this process, so ask for one count a process to
-read it.
---profile adds each kernel's mean time a step, by the device's clock.
+Default: caliterra at full resolution, its initial gaussians and 100 000, all spherical harmonics
+active, every training view once. Peak memory is that of this process, so measure it with one count
+only. --profile adds each kernel's mean time a step, by the device's clock.
 """
 
 import itertools
 import sys
+from collections.abc import Callable, Iterator
 
 try:
     import resource
-except ImportError:  # Windows
-    resource = None
+except ImportError:
+    resource = None  # type: ignore[assignment]  # a module that Windows does not have
 
 from clsplat.estimate.trial_steps import TrialSteps, sampled
 from clsplat.io.scenes import read_scene
@@ -24,7 +24,8 @@ from .measure import Bench
 from .timing import milliseconds
 
 
-def main(argv):
+def main(argv: list[str]) -> None:
+    """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
                   gaussians="0,100k", optimizer=TrainOptions.optimizer, profile=False)
     device, options = bench.device, bench.options
@@ -39,7 +40,7 @@ def main(argv):
         model, turns = trial.session.model, itertools.cycle(
             [trial.prepare(index) for index in range(len(views))])
 
-        def one(turns=turns):
+        def one(turns: Iterator[Callable[[], object]] = turns) -> None:
             next(turns)()
 
         times = milliseconds(device, one, len(views), warm_up=len(views))
@@ -56,8 +57,8 @@ def main(argv):
                 print(f"  {kernel:20} {mean:8.3f} ms in {len(seconds) // len(views)} launches")
 
 
-def peak_mib():
-    """The most memory that this process has held, in MiB; None where Python cannot tell."""
+def peak_mib() -> int | None:
+    """The most memory that this process has used, in MiB; None where Python does not know it."""
     if resource is None:
         return None
     unit = 1 << 20 if sys.platform == "darwin" else 1 << 10

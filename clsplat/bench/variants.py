@@ -1,34 +1,47 @@
-"""Approximations that the render kernels could take, and a device that takes one of them."""
+"""Approximations that the render kernels could use, and a device that uses one of them."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.constants import SPLAT_OPACITY, SPLAT_REALS
-from clsplat.device import Device
+from clsplat.device import Array, Device, Handle, Kernel
 
-RENDERING = ("project.cl", "bin.cl", "blend.cl")  # files that read what a variant defines
+RENDERING = ("project.cl", "bin.cl", "blend.cl")  # files that use the constants of a variant
 NO_STEP = 2**24  # alphas below 1 / NO_STEP do not change a float32 transmittance of 1
 
 
 @dataclass(frozen=True)
 class Variant:
-    """knob, name: what differs from the default, and how; defines: ((name, value), ...) of the
-    kernels; flags: of the compiler; precision: "float" or "double"; half: what is rounded to 16-bit
-    floats where it is stored, "splats", "shapes" (splats but for their means) or "sums" (of pairs);
-    half_scale: a power of two that sums are multiplied by before and divided by after."""
+    """An approximation, or a reference.
+
+    Attributes
+    ----------
+    knob : the property that differs from the default.
+    name : its value.
+    defines : constants of the kernels.
+    flags : of the OpenCL compiler.
+    precision : "float" or "double".
+    half : the array that is rounded to 16-bit floats: "splats", "shapes" (splats without their
+        means), "sums" (of pairs), or "" for none.
+    half_scale : a power of two by which sums are multiplied before and divided after rounding.
+    """
 
     knob: str
     name: str
-    defines: tuple = ()
-    flags: tuple = ()
+    defines: tuple[tuple[str, Any], ...] = ()
+    flags: tuple[str, ...] = ()
     precision: str = "float"
     half: str = ""
     half_scale: int = 1
 
     @property
-    def is_timed(self):
-        """Rounding to half is done on the host: it shows the error only."""
+    def is_timed(self) -> bool:
+        """False for rounding to half, which the host does, so that it shows the error only."""
         return not self.half
 
 
@@ -39,7 +52,7 @@ NO_CUTOFF = Variant("reference", "double without cutoff", precision="double",
 NO_STOP = Variant("reference", "double without stop", precision="double",
                   defines=(("TRANSMITTANCE_MIN", 0),))
 
-# knob -> (the default's name, the kind of its error: see `precision.measured`)
+# knob -> the default's name, and the kind of its error: see `precision.measured`
 KNOBS = {
     "precision": ("float", "rounding"),
     "exponential": ("degree 6, or native_exp where accurate", "rounding"),
@@ -71,13 +84,14 @@ VARIANTS = (
 
 
 class Devices:
-    """Opens a device's VariantDevices, one for all variants of the same precision and flags: what
-    does not differ is built once."""
+    """The VariantDevices of a device, opened on demand: one for all variants of the same precision
+    and flags, so that kernels that do not differ are built once."""
 
-    def __init__(self, handle, form="auto"):
-        self.handle, self.form, self._opened = handle, form, {}
+    def __init__(self, handle: Handle, form: str = "auto") -> None:
+        self.handle, self.form = handle, form
+        self._opened: dict[tuple[str, tuple[str, ...]], VariantDevice] = {}
 
-    def __getitem__(self, variant):
+    def __getitem__(self, variant: Variant) -> VariantDevice:
         build = variant.precision, variant.flags
         if build not in self._opened:
             self._opened[build] = VariantDevice(self.handle, variant, self.form)
@@ -87,18 +101,23 @@ class Devices:
 
 
 class VariantDevice(Device):
-    """A device whose render kernels are built for `variant`, which may be changed among those of
-    the same precision and flags.
+    """A device whose render kernels are built for `variant`, which can be replaced by another one
+    of the same precision and flags.
 
-    depth_keys: uint32[N] of another device's cull, 0 where unseen: splats are blended in the order
-    of these.
+    Parameters
+    ----------
+    depth_keys : uint32[N] of another device's cull, 0 where not visible; splats are blended in
+        this order.
     """
 
-    def __init__(self, handle, variant, form="auto", depth_keys=None):
+    def __init__(self, handle: Handle, variant: Variant, form: str = "auto",
+                 depth_keys: NDArray[np.uint32] | None = None) -> None:
         super().__init__(handle, variant.precision, form, build_options=variant.flags)
         self.variant, self.depth_keys = variant, depth_keys
 
-    def launch(self, kernel, defines=(), /, **values):
+    def launch(self, kernel: Kernel, defines: tuple[tuple[str, Any], ...] = (), /,
+               **values: Any) -> None:
+        """The same as `Device.launch`, with the approximation of the variant."""
         half = self.variant.half
         if half == "sums" and kernel.function == "sum_pairs":
             _round_to_half(values["sums"], slice(None), self.variant.half_scale)
@@ -113,7 +132,7 @@ class VariantDevice(Device):
             _round_to_half(values["splats"], columns)
 
 
-def _round_to_half(array, columns, scale=1):
+def _round_to_half(array: Array, columns: slice | NDArray[np.int64], scale: int = 1) -> None:
     values = array.download()
     with np.errstate(over="ignore"):  # past 65504 it is infinite, as it would be on the device
         values[:, columns] = (values[:, columns] * scale).astype(np.float16)

@@ -1,24 +1,32 @@
-"""What the benchmarks work on: an aerial city of gaussians, and initial gaussians of a scene."""
+"""The scene of the benchmarks: an aerial city of gaussians."""
 
 import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.densify.contribution import contribution
+from clsplat.device import Device
 from clsplat.gaussians import Gaussians
-from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.pipeline import Gradients, Renderer
 
 
-def city_size(count):
-    """(width, height) of the views of a city of so many gaussians, pixels."""
+def city_size(count: int) -> tuple[int, int]:
+    """Width and height in pixels of the views of a city of `count` gaussians."""
     return (1920, 1080) if count >= 1_000_000 else (1024, 768)
 
 
-def city(count, size=None, views=8, side=200.0, seed=0):
-    """(Gaussians of degree 3, [Camera]): `count` gaussians on the faces of 220 boxes and the ground
-    of a city `side` metres wide, seen by a ring of oblique cameras of `size` (width, height), by
-    default `city_size`.
+def city(count: int, size: tuple[int, int] | None = None, views: int = 8, side: float = 200.0,
+         seed: int = 0) -> tuple[Gaussians, list[Camera]]:
+    """Gaussians of degree 3 on the faces of 220 boxes and on the ground, and a ring of oblique
+    cameras.
 
-    The scene of ../shared/anchors/city_scene.py, drawn in the same order, so that figures compare.
+    It is the scene of ../shared/anchors/city_scene.py, drawn in the same order, so that results can
+    be compared.
+
+    Parameters
+    ----------
+    count : the number of gaussians.
+    size : width and height of the views, pixels; None is `city_size`.
+    side : metres, the width of the city.
     """
     size = size or city_size(count)
     rng = np.random.default_rng(seed)
@@ -40,23 +48,26 @@ def city(count, size=None, views=8, side=200.0, seed=0):
     scales[:, 2] *= 0.3
     quaternions = rng.normal(size=(count, 4))
     opacity = rng.beta(1.2, 1.6, count)
-    harmonics = rng.normal(0, 0.05, (count, 16, 3))
-    harmonics[:, 0] = rng.uniform(-1.2, 1.2, (count, 3))
-    rows = {"positions": np.concatenate([walls, ground]), "sh_constant": harmonics[:, 0],
-            "sh_rest": harmonics[:, 1:], "opacity_logits": np.log(opacity / (1 - opacity)),
+    sh = rng.normal(0, 0.05, (count, 16, 3))
+    sh[:, 0] = rng.uniform(-1.2, 1.2, (count, 3))
+    rows = {"positions": np.concatenate([walls, ground]), "sh_constant": sh[:, 0],
+            "sh_rest": sh[:, 1:], "opacity_logits": np.log(opacity / (1 - opacity)),
             "log_scales": np.log(scales), "quaternions": quaternions}
     rows = {name: np.ascontiguousarray(values, np.float32) for name, values in rows.items()}
     return Gaussians(rows, 3), [ring_camera(2 * np.pi * i / views, size) for i in range(views)]
 
 
 class CityFrame:
-    """The city's first view, rendered: real sizes for the single families.
+    """The city's first view, rendered, so that single families are measured at real sizes.
 
-    renderer; camera: packed; rows: field name -> real[N, ...]; frame: `render.pipeline.Frame`;
-    size: what it amounts to.
+    Attributes
+    ----------
+    camera : packed by the renderer.
+    rows : real[N, ...] by the name of the field.
+    size : the numbers of gaussians, pixels and pairs, for `Bench.report`.
     """
 
-    def __init__(self, device, count):
+    def __init__(self, device: Device, count: int) -> None:
         gaussians, (camera, *_) = city(count)
         self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
         self.camera = self.renderer.pack(camera)
@@ -66,22 +77,22 @@ class CityFrame:
         self.size = {"gaussians": count, "width": camera.width, "height": camera.height,
                      "visible": len(self.frame.visible), "pairs": self.frame.pairs.count}
 
-    def blended_pixels(self):
-        """How often a splat was blended into a pixel: what blending cannot do without."""
+    def blended_pixels(self) -> int:
+        """How often a splat was blended into a pixel: the work that blending cannot avoid."""
         image = self.frame.image
         weights = image.device.zeros(image.shape[1:])
         columns = contribution(image.device, self.frame, weights).download()
         return int(columns[:, 0].sum(dtype=np.float64))
 
-    def gradients(self):
-        """`render.pipeline.Gradients` of a loss that has the same gradient in every value."""
+    def gradients(self) -> Gradients:
+        """Gradients of a loss whose gradient is the same for every value of the image."""
         image = self.frame.image
         grad = image.device.upload(np.full(image.shape, 1 / np.prod(image.shape)))
         return self.renderer.adjoint(self.rows, self.frame, grad)
 
 
-def ring_camera(angle, size):
-    """A camera 85 m up on a ring of 90 m, looking at the city's middle."""
+def ring_camera(angle: float, size: tuple[int, int]) -> Camera:
+    """A camera at a height of 85 m on a circle of radius 90 m, which looks at the city's middle."""
     width, height = size
     eye = np.array([90 * np.cos(angle), 90 * np.sin(angle), 85.0])
     forward = np.array([10 * np.sin(3 * angle), 10 * np.cos(2 * angle), 0]) - eye

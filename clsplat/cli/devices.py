@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from clsplat.device.find import Found
+    from clsplat.device.find import ListedDevice
 
 NO_DEVICE = ("no OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
         "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
@@ -27,7 +27,7 @@ def devices(check: bool) -> None:
     sys.exit(0 if working and all(passed) else 2)
 
 
-def table(listed: Sequence[Found]) -> str:
+def table(listed: Sequence[ListedDevice]) -> str:
     """An aligned row for each device, with its capabilities or why it does not work below."""
     rows = [("", "#", "type", "device", "platform", "verdict")]
     rows += [("*" if entry.chosen else "", str(entry.index), entry.type, entry.name,
@@ -41,7 +41,7 @@ def table(listed: Sequence[Found]) -> str:
     return "\n".join([*lines, "* is the device of --device auto"])
 
 
-def _notes(entry: Found) -> list[str]:
+def _notes(entry: ListedDevice) -> list[str]:
     if not entry.works:
         return [f"why:  {entry.reason}", f"cure: {entry.cure}"]
     facts = entry.capabilities
@@ -54,7 +54,7 @@ def _notes(entry: Found) -> list[str]:
         f"{facts['local_bytes'] >> 10} KiB local memory", facts["opencl_c"], *features])]
 
 
-def _passes(entry: Found) -> bool:
+def _passes(entry: ListedDevice) -> bool:
     """Run and print the self-test of one device; whether all its checks passed."""
     from clsplat.bench.selftest import check
     from clsplat.device import open_device

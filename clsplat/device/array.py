@@ -1,12 +1,18 @@
 """Typed arrays in device memory."""
 
+from __future__ import annotations
+
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clsplat.errors import ShapeError
+
+if TYPE_CHECKING:
+    from clsplat.device.device import Device
 
 
 class ArraySpec(NamedTuple):
@@ -14,59 +20,65 @@ class ArraySpec(NamedTuple):
 
     Attributes
     ----------
-    shape : of rows; the first axis counts them.
-    dtype : None is the device's real.
+    shape : the first axis counts the rows.
+    dtype : None is the real type of the device.
     """
 
     shape: tuple[int, ...]
-    dtype: Any = None
+    dtype: DTypeLike | None = None
 
-    def nbytes(self, real: np.dtype) -> int:
-        """Bytes on a device whose real is `real`."""
+    def nbytes(self, real: np.dtype[Any]) -> int:
+        """Bytes on a device whose real type is `real`."""
         return math.prod(self.shape) * np.dtype(real if self.dtype is None else self.dtype).itemsize
 
 
 class Array:
-    """Device memory with a shape and a type; rows are contiguous and the first axis counts them."""
+    """Device memory with a shape and a type; rows are contiguous and the first axis counts them.
+
+    Attributes
+    ----------
+    buffer : a Buffer or PooledBuffer of pyopencl, whose type stubs take no PooledBuffer for copies.
+    """
 
     __slots__ = ("device", "buffer", "shape", "dtype", "nbytes", "__weakref__")
 
-    def __init__(self, device, buffer, shape, dtype):
-        self.device, self.buffer = device, buffer
-        self.shape, self.dtype = shape, np.dtype(dtype)
+    def __init__(self, device: Device, buffer: Any, shape: tuple[int, ...],
+                 dtype: DTypeLike) -> None:
+        self.device, self.buffer, self.shape = device, buffer, shape
+        self.dtype: np.dtype[Any] = np.dtype(dtype)
         self.nbytes = math.prod(shape) * self.dtype.itemsize
 
-    def __len__(self):
+    def __len__(self) -> int:
         return self.shape[0]
 
-    def narrow(self, rows):
+    def narrow(self, rows: int) -> Array:
         """The first `rows` rows: the same memory, no copy."""
         if rows > self.shape[0]:
             raise ShapeError(f"cannot narrow {self.shape} to {rows} rows")
         return Array(self.device, self.buffer, (rows, *self.shape[1:]), self.dtype)
 
-    def reshaped(self, *shape):
+    def reshaped(self, *shape: int) -> Array:
         """The same memory under another shape of equal size."""
         if math.prod(shape) != math.prod(self.shape):
             raise ShapeError(f"cannot reshape {self.shape} to {shape}")
-        return Array(self.device, self.buffer, tuple(shape), self.dtype)
+        return Array(self.device, self.buffer, shape, self.dtype)
 
-    def download(self):
+    def download(self) -> NDArray[Any]:
         """A numpy copy; waits for everything queued before."""
         host = np.empty(self.shape, self.dtype)
         if host.size:
             cl.enqueue_copy(self.device.queue, host, self.buffer)
         return host
 
-    def last(self):
+    def last(self) -> Any:
         """The last element, as a numpy scalar; waits like `download`."""
         host = np.empty(1, self.dtype)
         end = self.nbytes - self.dtype.itemsize
         cl.enqueue_copy(self.device.queue, host, self.buffer, src_offset=end)
         return host[0]
 
-    def write(self, values, first_row=0):
-        """Overwrite rows from `first_row` with host values of the same row shape."""
+    def write(self, values: ArrayLike, first_row: int = 0) -> None:
+        """Overwrite rows from `first_row` on with host values of the same row shape."""
         values = np.ascontiguousarray(values, self.dtype)
         if values.shape[1:] != self.shape[1:] or first_row + len(values) > self.shape[0]:
             raise ShapeError(f"cannot write {values.shape} at row {first_row} of {self.shape}")
@@ -75,8 +87,8 @@ class Array:
             cl.enqueue_copy(self.device.queue, self.buffer, values, dst_offset=first_row * stride,
                             is_blocking=True)
 
-    def fill(self, value=0):
-        """Set every element; zero is the common case."""
+    def fill(self, value: float = 0) -> None:
+        """Set every element to `value`."""
         if self.nbytes:
             cl.enqueue_fill_buffer(
                 self.device.queue, self.buffer, self.dtype.type(value), 0, self.nbytes)

@@ -1,33 +1,55 @@
-"""Compiled kernels kept between processes, for a runtime that compiles anew in each.
+"""A cache of compiled kernels on disk, for a runtime that compiles again in every process.
 
-Intel's CPU runtime takes 3.3 s for the kernels of a training, each time; read back they take 0.1 s.
-PoCL, NVIDIA's driver, Mesa and Intel's GPU driver keep caches of their own. pyopencl's cache is not
+Intel's CPU runtime compiles the kernels of a training in 3.3 s; reading them back takes 0.1 s.
+PoCL, NVIDIA's driver, Mesa and Intel's GPU driver have caches of their own. pyopencl's cache is not
 used: a process that was killed leaves its lock, and the next one waits a minute for it.
 """
+
+from __future__ import annotations
 
 import hashlib
 import json
 import os
 import time
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pyopencl as cl
 
 from clsplat.errors import DeviceError
 
+if TYPE_CHECKING:
+    from clsplat.device.kernel import Contract
+
 PLATFORMS = ("Intel(R) OpenCL",)
-KEPT_DAYS = 60  # after its last use
+KEPT_DAYS = 60  # since its last use
+# a program, and the signatures that are known to fit it: see `build`
+Build = tuple[cl.Program, frozenset[str] | None]
 
 
-def build(context, device, source, options, kernel, others=()):
-    """(program, checked) of `source` for one device: text without #include, or a change of what it
-    includes would not be noticed. pyopencl's errors where it does not build.
+def build(context: cl.Context, device: cl.Device, source: str, options: list[str],
+          kernel: Contract, others: Sequence[Contract] = ()) -> Build:
+    """Compile a program for one device, or read it back from the cache.
 
-    A binary has no names of arguments, by which a kernel's declaration is checked. So it is kept
-    with the declarations that fitted, of `kernel` and `others`, and read back for these only:
-    checked is the set of their signatures, or None for a program whose arguments have names. What
-    cannot be read back, or not be kept, is compiled as if there were no cache.
+    A binary has no names of arguments, which are needed to check a kernel's declaration. It is
+    therefore stored with the declarations that fitted, and read back for these only. A program that
+    cannot be read or stored is compiled as if there were no cache.
+
+    Parameters
+    ----------
+    source : without #include, since a change of an included file would not be noticed.
+    kernel, others : the declarations that are stored if they fit.
+
+    Returns
+    -------
+    The program, and the signatures of the declarations that fit it, or None for a program whose
+    arguments have names.
+
+    Raises
+    ------
+    cl.Error : the source does not compile.
     """
     file = _file_of(device, source, options)
     checked, content = (file and _read(file)) or (frozenset(), b"")
@@ -41,8 +63,8 @@ def build(context, device, source, options, kernel, others=()):
     return program, None
 
 
-def _fits(program, kernel):
-    """Whether the program has such a kernel; the other form's has the same name at most."""
+def _fits(program: cl.Program, kernel: Contract) -> bool:
+    """Whether the program has this kernel and not only one of the same name, of the other form."""
     if kernel.function not in program.kernel_names.split(";"):
         return False
     with suppress(DeviceError):
@@ -51,8 +73,9 @@ def _fits(program, kernel):
     return False
 
 
-def _file_of(device, source, options):
-    """Where this program is kept; None for a platform without need, or a user without a home."""
+def _file_of(device: cl.Device, source: str, options: list[str]) -> Path | None:
+    """The file of this program; None for a platform with its own cache, or a user without a home.
+    """
     if device.platform.name not in PLATFORMS:
         return None
     words = (source, options, device.platform.version, device.name, device.version,
@@ -63,15 +86,16 @@ def _file_of(device, source, options):
         return None
 
 
-def _digest(content):
+def _digest(content: bytes) -> bytes:
     return hashlib.sha256(content).digest()
 
 
-def _read(file):
-    """(signatures, binary) of a file; None where there is none, or it is not as it was written:
-    runtimes crash on damaged ones."""
+def _read(file: Path) -> tuple[frozenset[str], bytes] | None:
+    """Signatures and binary of a file; None where it is missing or damaged: runtimes crash on
+    damaged binaries."""
     try:
-        digest, rest = (whole := file.read_bytes())[:32], whole[32:]
+        content = file.read_bytes()
+        digest, rest = content[:32], content[32:]
         if digest != _digest(rest):
             return None
         os.utime(file)
@@ -81,16 +105,16 @@ def _read(file):
     return frozenset(json.loads(head)), content
 
 
-def _keep(file, signatures, content):
+def _keep(file: Path, signatures: Iterable[str], content: bytes) -> None:
     rest = json.dumps(signatures).encode() + b"\n" + content
-    made = file.with_name(f"{file.name}-{os.getpid()}")
+    temporary = file.with_name(f"{file.name}-{os.getpid()}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        made.write_bytes(_digest(rest) + rest)
-        made.replace(file)
+        temporary.write_bytes(_digest(rest) + rest)
+        temporary.replace(file)
         for other in file.parent.iterdir():
             if time.time() - other.stat().st_mtime > KEPT_DAYS * 86400:
                 other.unlink()
     except OSError:  # a full disk, or a home that may not be written
         with suppress(OSError):
-            made.unlink()
+            temporary.unlink()

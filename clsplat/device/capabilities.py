@@ -1,13 +1,14 @@
-"""What a device can do beyond the floor, found by building and running two-line kernels.
+"""Tests of what a device can do, by building and running two-line kernels.
 
-Floor: OpenCL C 1.2, 32-bit integer atomics, 32 KiB local memory, groups of at least 64. A listed
-feature is not a working one, so nothing is believed that has not run.
+Every device needs OpenCL C 1.2, 32-bit integer atomics, 32 KiB of local memory and work-groups of
+at least 64. A feature that a driver lists may not work, so only what has run counts.
 """
 
 import warnings
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import ArrayLike
 
 _SHUFFLE = """
 __kernel void probe(__global float *x) {
@@ -28,7 +29,7 @@ _PLAIN = """
 __kernel void probe(__global float *x) { x[get_local_id(0)] = exp(1.0f) + get_local_id(0); }"""
 
 
-def _run(context, handle, source, expected):
+def _run(context: cl.Context, handle: cl.Device, source: str, expected: ArrayLike) -> bool:
     """Whether `source` builds and its kernel writes `expected` with one group of 32."""
     queue = cl.CommandQueue(context, handle)
     result = np.full(32, -1, np.float32)
@@ -41,35 +42,35 @@ def _run(context, handle, source, expected):
     return bool(np.allclose(result, expected, rtol=2e-6))
 
 
-def probe_working(handle):
-    """Why the device does not work, or "" where a tiny kernel built, ran and was right."""
+def probe_working(handle: cl.Device) -> str:
+    """Why the device does not work, or "" if a two-line kernel gave the right results."""
     lane = np.arange(32, dtype=np.float32)
     try:
-        right = _run(cl.Context([handle]), handle, _PLAIN, np.e + lane)
+        works = _run(cl.Context([handle]), handle, _PLAIN, np.e + lane)
     except cl.Error as error:
         text = " ".join(str(error).split())
         return f"a two-line kernel fails: {text[:160]}"
-    if not right:
+    if not works:
         return "a two-line kernel gives wrong results"
     if handle.local_mem_size < 32 << 10 or handle.max_work_group_size < 64:
-        return "below the floor: needs 32 KiB of local memory and groups of 64"
+        return "it has less than 32 KiB of local memory or work-groups of less than 64"
     return ""
 
 
-def probe_capabilities(context, handle):
-    """{define: bool} of optional features, each seen running."""
+def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool]:
+    """The preprocessor names of optional features, and whether each one works."""
     lane = np.arange(32, dtype=np.float32)
     tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
              "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp(-0.18 * lane)),
              "HAVE_PTX_SHUFFLE": (_SHUFFLE, np.maximum(lane - 1, 0))}
-    found = {}
+    works = {}
     for name, (source, expected) in tests.items():
-        # inline PTX makes some non-NVIDIA compilers abort, so only its own vendor is asked
+        # inline PTX makes some compilers of other vendors abort
         if name == "HAVE_PTX_SHUFFLE" and "nvidia" not in handle.vendor.lower():
-            found[name] = False
+            works[name] = False
             continue
         try:
-            found[name] = _run(context, handle, source, expected)
+            works[name] = _run(context, handle, source, expected)
         except cl.Error:
-            found[name] = False
-    return found
+            works[name] = False
+    return works

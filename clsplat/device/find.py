@@ -1,11 +1,13 @@
-"""Finds every device, says which work and why others do not, and chooses one."""
+"""Lists all devices, tests which of them work, and chooses one."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import pyopencl as cl
 
 from clsplat.device.capabilities import probe_capabilities, probe_working
-from clsplat.device.device import Device
+from clsplat.device.device import Device, Handle
 from clsplat.errors import DeviceError
 
 NO_DEVICE = (
@@ -14,55 +16,65 @@ NO_DEVICE = (
 
 
 @dataclass
-class Found:
-    """A device as listed by its platform, and what probing it gave."""
+class ListedDevice:
+    """A device that a platform lists, and the result of its test.
+
+    Attributes
+    ----------
+    index : its number for `open_device`.
+    handle : pyopencl's device; None for a platform without devices.
+    type : "gpu", "cpu", "accelerator", or "-" for a platform without devices.
+    reason, cure : why it does not work, and what to do about that.
+    capabilities : its sizes and optional features.
+    chosen : whether "auto" means this device.
+    """
 
     index: int
     platform: str
     name: str
     type: str
-    handle: object
+    handle: Any
     works: bool = False
     reason: str = ""
     cure: str = ""
-    capabilities: dict = field(default_factory=dict)
+    capabilities: dict[str, Any] = field(default_factory=dict)
     chosen: bool = False
 
 
-def list_devices():
-    """Every device of every platform as `Found`, probed, the automatic choice marked.
+def list_devices() -> list[ListedDevice]:
+    """Test every device of every platform, and mark the one that "auto" chooses.
 
-    A platform without devices appears as one entry that does not work, so that nothing that is
-    installed goes unexplained.
+    A platform without devices appears as one entry that does not work, so that everything that is
+    installed is explained.
     """
-    found = [_probed(entry) for entry in _enumerate()]
-    best = next((entry for entry in _ranked(found) if entry.works), None)
+    entries = [_tested(entry) for entry in _enumerate()]
+    best = next((entry for entry in _ranked(entries) if entry.works), None)
     if best is not None:
         best.chosen = True
-    return found
+    return entries
 
 
-def _enumerate():
-    """Every device as an unprobed Found, in the order of the platforms."""
-    found = []
+def _enumerate() -> list[ListedDevice]:
+    """Every device, not yet tested, in the order of the platforms."""
+    entries: list[ListedDevice] = []
     try:
         platforms = cl.get_platforms()
-    except cl.LogicError:  # the loader's way of saying that there is none
-        return found
+    except cl.LogicError:  # raised where there is no platform
+        return entries
     for platform in platforms:
         try:
-            handles = platform.get_devices()
+            handles: list[Any] = platform.get_devices()
         except cl.Error:
             handles = []
         for handle in handles or [None]:
-            found.append(Found(
-                len(found), platform.name.strip(), handle.name.strip() if handle else "-",
+            entries.append(ListedDevice(
+                len(entries), platform.name.strip(), handle.name.strip() if handle else "-",
                 _type(handle), handle))
-    return found
+    return entries
 
 
-def _probed(entry):
-    """The entry with its verdict and capabilities filled in."""
+def _tested(entry: ListedDevice) -> ListedDevice:
+    """Fill in whether the device works, and its capabilities."""
     handle = entry.handle
     if handle is None:
         entry.reason = "the platform lists no device"
@@ -82,7 +94,7 @@ def _probed(entry):
     return entry
 
 
-def _type(handle):
+def _type(handle: Handle | None) -> str:
     if handle is None:
         return "-"
     for name in ("gpu", "cpu"):
@@ -91,7 +103,7 @@ def _type(handle):
     return "accelerator"
 
 
-def _cure(entry):
+def _cure(entry: ListedDevice) -> str:
     if entry.works:
         return ""
     if "Portable Computing" in entry.platform and "target CPU" in entry.reason:
@@ -101,9 +113,9 @@ def _cure(entry):
     return "update or reinstall this device's driver"
 
 
-def _ranked(entries):
+def _ranked(entries: Iterable[ListedDevice]) -> list[ListedDevice]:
     """Best first: a GPU if there is one (most memory first), else the fastest CPU runtime."""
-    def rank(entry):
+    def rank(entry: ListedDevice) -> tuple[bool, bool, int, int]:
         label = entry.platform + entry.name
         emulated = any(word in label for word in ("Oclgrind", "FPGA", "llvmpipe"))
         memory = entry.handle.global_mem_size if entry.type == "gpu" else 0
@@ -113,38 +125,44 @@ def _ranked(entries):
     return sorted((e for e in entries if e.handle is not None), key=rank, reverse=True)
 
 
-def choose_device(spec="auto", **open_options):
-    """Open the device of `choose_handle`; `open_options` go to `Device`."""
+def choose_device(spec: str = "auto", **open_options: Any) -> Device:
+    """Open the device of `choose_handle`; `open_options` are parameters of `Device`."""
     return Device(choose_handle(spec), **open_options)
 
 
-def choose_handle(spec="auto"):
-    """pyopencl's device: "auto", "cpu", "gpu", an index of `list_devices`, or part of a name.
+def choose_handle(spec: str = "auto") -> Handle:
+    """The best device that works and matches `spec`.
 
-    Devices are probed best first until one works. Raises DeviceError that says what was skipped and
-    why where none does.
+    Parameters
+    ----------
+    spec : "auto", "cpu", "gpu", an index of `list_devices`, or part of a platform's or device's
+        name.
+
+    Raises
+    ------
+    DeviceError : no device works; the message says which ones were tried, and why they failed.
     """
     entries = _enumerate()
     if spec.isdigit():
-        wanted = [entry for entry in entries if entry.index == int(spec)]
+        matching = [entry for entry in entries if entry.index == int(spec)]
     elif spec in ("auto", "cpu", "gpu"):
-        wanted = [entry for entry in entries if spec in ("auto", entry.type)]
+        matching = [entry for entry in entries if spec in ("auto", entry.type)]
     else:
-        wanted = [entry for entry in entries
-                  if spec.lower() in f"{entry.platform} {entry.name}".lower()]
+        matching = [entry for entry in entries
+                    if spec.lower() in f"{entry.platform} {entry.name}".lower()]
     skipped = []
-    for entry in _ranked(wanted):
-        reason = probe_working(entry.handle)
-        if not reason:
-            return entry.handle
+    for entry in _ranked(matching):
+        handle: Handle = entry.handle
+        if not (reason := probe_working(handle)):
+            return handle
         skipped.append(f"{entry.platform} {entry.name}: {reason}")
     if skipped:
         raise DeviceError(f"no working device for '{spec}' ({'; '.join(skipped)}); {NO_DEVICE}")
     if entries and spec != "auto":
-        raise DeviceError(f"no device matches '{spec}'; `clsplat devices` lists what is there")
+        raise DeviceError(f"no device matches '{spec}'; `clsplat devices` lists all devices")
     raise DeviceError(NO_DEVICE)
 
 
-def open_device(index, **open_options):
-    """Open the device with that index in `list_devices`."""
+def open_device(index: int, **open_options: Any) -> Device:
+    """Open the device with this index in `list_devices`."""
     return choose_device(str(index), **open_options)

@@ -1,14 +1,17 @@
-"""A kernel and its contract: what it is called with, checked when it is built and launched, and
-over how many work-items each of its forms runs.
+"""A kernel and its contract: its arguments, checked when it is built and launched, and the number
+of work-items over which each of its forms runs.
 
 Sizes of a launch are products of names, "count width" or "M W/TILE H/TILE", where A/B rounds up. A
 name is a scalar argument, a letter of an array's shape, a number, one of clsplat/constants.py or
-one of `DEVICE_SIZES`; the kernels know the last two by the same names.
+one of `DEVICE_SIZES`; the kernels use the same names for the last two.
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -16,75 +19,92 @@ import pyopencl as cl
 from clsplat.constants import SHARED
 from clsplat.errors import DeviceError, ShapeError
 
+if TYPE_CHECKING:
+    from clsplat.device.device import Device
+
+Argument = str | tuple[Any, ...]  # see `Kernel`
+Factors = list[tuple[Any, Any]]  # of a size: quotients of two names or numbers
 SCALARS = {
     "int": np.int32, "uint": np.uint32, "ulong": np.uint64, "float": np.float32, "uchar": np.uint8}
 DEVICE_SIZES = {"TILE": "tile", "SCAN_GROUP": "scan_group"}  # name -> attribute of Device
-RUNS_A_CORE = 4  # of the item form: enough for cores that are not equally busy
+RUNS_A_CORE = 4  # of the item form: work-items a core, as cores are not equally busy
 
 
 class Forms(NamedTuple):
-    """What differs between the two forms of kernels.
+    """A value for each of the two forms of kernels.
 
-    item : where a work-item owns a tile, a chunk or a row (CPUs)
-    group : where a work-group does (GPUs)
+    Attributes
+    ----------
+    item : of the form in which a work-item owns a tile, a chunk or a row (CPUs).
+    group : of the form in which a work-group does (GPUs).
     """
 
     item: Any
     group: Any
 
-    def of(self, device):
-        """That of the form in which the device is open."""
+    def of(self, device: Device) -> Any:
+        """The value for the form in which the device is open."""
         return getattr(self, device.form)
 
 
 @dataclass(frozen=True)
 class Launch:
-    """How one form of a kernel is launched: made by `each`, `items` or `groups`.
+    """How one form of a kernel is launched, created by `each`, `items` or `groups`.
 
-    units : how many elements, work-items or groups
-    group : work-items a group
-    arguments : those of this form alone, which follow the others
+    Attributes
+    ----------
+    kind : "each", "items" or "groups".
+    units : the number of elements, work-items or groups.
+    group : work-items a group.
+    arguments : further arguments that only this form has.
     """
 
     kind: str
     units: str
     group: str = ""
-    arguments: dict = field(default_factory=dict)
+    arguments: dict[str, Argument] = field(default_factory=dict)
 
-    def __str__(self):
+    def __str__(self) -> str:
         units, group = (" × ".join(text.split()) for text in (self.units, self.group))
         if self.kind == "items":
             return f"{units} items" + f", groups of {group}" * (group != "1")
         return f"each of {units}" if self.kind == "each" else f"{units} groups of {group}"
 
 
-def each(elements):
-    """For a kernel written with FOR_EACH (cl/include/each.h): work-items for so many elements."""
+def each(elements: str) -> Launch:
+    """Launch a kernel written with FOR_EACH (cl/include/each.h) for this number of elements."""
     return Launch("each", elements)
 
 
-def items(units, group="1", **arguments):
-    """So many work-items, in groups of `group`; arguments: see `Launch`."""
+def items(units: str, group: str = "1", **arguments: Argument) -> Launch:
+    """Launch `units` work-items in groups of `group`; for the arguments see `Launch`."""
     return Launch("items", units, group, arguments)
 
 
-def groups(units, group, **arguments):
-    """So many groups of `group` work-items; arguments: see `Launch`."""
+def groups(units: str, group: str, **arguments: Argument) -> Launch:
+    """Launch `units` groups of `group` work-items; for the arguments see `Launch`."""
     return Launch("groups", units, group, arguments)
 
 
 class Kernel:
     """One kernel function: Kernel(file, function, each("count"), count="uint", ...).
 
-    launch : a Launch of both forms, or `Forms` of one each
+    Parameters
+    ----------
+    launch : of both forms, or `Forms` with one for each.
     arguments : in the order of the OpenCL signature; a string is a scalar of that type, a tuple an
         array: its type, then its shape, where equal letters must agree. `real` is float, or double
-        on a device opened for double precision
+        on a device opened for double precision.
+
+    Attributes
+    ----------
+    declared : the kernels of each file whose modules were imported.
     """
 
-    declared = {}  # file -> its kernels, as far as their modules were imported
+    declared: ClassVar[dict[str, list[Kernel]]] = {}
 
-    def __init__(self, file, function, launch, **arguments):
+    def __init__(self, file: str, function: str, launch: Launch | Forms,
+                 **arguments: Argument) -> None:
         self.file, self.function = file, function
         self.launches = launch if isinstance(launch, Forms) else Forms(launch, launch)
         self.forms = Forms(*(Contract(file, function, each_form, arguments)
@@ -92,37 +112,52 @@ class Kernel:
         self.names = self.forms.item.arguments.keys() | self.forms.group.arguments.keys()
         self.declared.setdefault(file, []).append(self)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"{self.function} in {self.file}"
 
-    def bind(self, device, values):
-        """A `Call`. values: the arguments of both forms by name; those of the other form alone are
-        left out. ShapeError names what is missing, unknown, or of a wrong type or shape."""
+    def bind(self, device: Device, values: Mapping[str, Any]) -> Call:
+        """Check arguments, and put those of the device's form in their order.
+
+        Parameters
+        ----------
+        values : the arguments of both forms by name.
+
+        Raises
+        ------
+        ShapeError : an argument is missing, unknown, or of a wrong type or shape.
+        """
         if values.keys() != self.names:
             wrong = values.keys() ^ self.names
             raise ShapeError(f"{self}: missing or unknown arguments {sorted(wrong)}")
         return Call(self, *self.forms.of(device).bind(device, values))
 
-    def units(self, device, **sizes):
-        """How many elements, work-items or groups a launch of these sizes has, by their names."""
-        return self.forms.of(device).units(device, sizes)
+    def units(self, device: Device, **sizes: int) -> int:
+        """The number of elements, work-items or groups of a launch with these sizes, by name."""
+        return int(self.forms.of(device).units(device, sizes))
 
 
 class Call(NamedTuple):
-    """A kernel and its arguments in their order, checked; nbytes: of its arrays; items: work-items,
-    whole groups; group: work-items a group."""
+    """A kernel and its arguments, checked and in their order.
+
+    Attributes
+    ----------
+    nbytes : bytes of the arrays.
+    items : the number of work-items, in complete groups.
+    group : work-items a group.
+    """
 
     kernel: Kernel
-    arguments: list
+    arguments: list[Any]
     nbytes: int
     items: int
     group: int
 
 
 class Contract:
-    """One form of a Kernel."""
+    """One form of a Kernel, which has the same parameters."""
 
-    def __init__(self, file, function, launch, arguments):
+    def __init__(self, file: str, function: str, launch: Launch,
+                 arguments: dict[str, Argument]) -> None:
         self.file, self.function, self.launch = file, function, launch
         self.arguments = {**arguments, **launch.arguments}
         self.signature = repr((function, *self.arguments.items()))
@@ -138,51 +173,53 @@ class Contract:
         self._units, self._group = (self._factors(text, known)
                                     for text in (launch.units, launch.group))
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"{self.function} in {self.file}"
 
-    def _factors(self, text, known):
-        """[(name or number, divisor), ...] of a size; DeviceError names what nobody knows."""
+    def _factors(self, text: str, known: set[Any]) -> Factors:
+        """The names or numbers and their divisors in a size; DeviceError for an unknown name."""
         factors = []
         for word in text.split():
             parts = [int(part) if part.isdigit() else SHARED.get(part, part)
                      for part in (*word.split("/"), "1")]
             if unknown := [part for part in parts if isinstance(part, str) and part not in known]:
-                raise DeviceError(f"{self}: launched by '{unknown[0]}', which is no argument")
-            factors.append(parts[:2])
+                raise DeviceError(f"{self}: '{unknown[0]}' of its launch is not an argument")
+            factors.append((parts[0], parts[1]))
         return factors
 
-    def bind(self, device, values):
-        """What makes a Call of a kernel; values: see `Kernel.bind`."""
-        real, sizes, arguments, nbytes = device.real, self._fixed.copy(), [], 0
-        for name, dtype, shape in self._checks:  # every launch comes by: no step to spare
+    def bind(self, device: Device,
+             values: Mapping[str, Any]) -> tuple[list[Any], int, int, int]:
+        """The last four fields of a `Call`; for the parameters see `Kernel.bind`."""
+        sizes: dict[Any, int] = self._fixed.copy()
+        real, arguments, nbytes = device.real, [], 0
+        for name, dtype, shape in self._checks:  # at every launch, so this must be fast
             value = values[name]
             if shape is None:
                 sizes[name] = value
                 arguments.append(value)
                 continue
             if value.dtype != (dtype or real):
-                raise ShapeError(f"{self}: '{name}' is {value.dtype}, wants {dtype or real}")
+                raise ShapeError(f"{self}: '{name}' is {value.dtype}, expected {dtype or real}")
             fits = len(value.shape) == len(shape)
-            for wanted, length in zip(shape, value.shape):
-                if sizes.setdefault(wanted, length) != length:
+            for axis, length in zip(shape, value.shape):
+                if sizes.setdefault(axis, length) != length:
                     fits = False
             if not fits:
                 bound = {k: v for k, v in sizes.items() if isinstance(k, str)}
-                raise ShapeError(f"{self}: '{name}' has shape {value.shape}, wants {shape} "
-                                 f"where {bound}")
+                raise ShapeError(f"{self}: '{name}' has shape {value.shape}, expected "
+                                 f"{shape} where {bound}")
             arguments.append(value.buffer)
             nbytes += value.nbytes
         return arguments, nbytes, *self._work(device, sizes)
 
-    def units(self, device, sizes):
-        """As of `Kernel.units`; completes `sizes` by those of the device."""
+    def units(self, device: Device, sizes: dict[Any, int]) -> int:
+        """The same as `Kernel.units`; adds the sizes of the device to `sizes`."""
         for name, attribute in DEVICE_SIZES.items():
             sizes[name] = getattr(device, attribute)
         return _product(self._units, sizes)
 
-    def _work(self, device, sizes):
-        """(work-items in whole groups, work-items a group)."""
+    def _work(self, device: Device, sizes: dict[Any, int]) -> tuple[int, int]:
+        """The number of work-items, in complete groups, and of those in a group."""
         units, group = self.units(device, sizes), _product(self._group, sizes)
         if self.launch.kind == "groups":
             return units * group, group
@@ -192,26 +229,28 @@ class Contract:
             group = device.group_size
         return -(-units // group) * group, group
 
-    def check_built(self, built):
-        """Compare with the compiler's own signature, so that no two arguments can be swapped."""
+    def check_built(self, built: cl.Kernel) -> None:
+        """Compare with the compiler's signature; DeviceError where arguments differ or are swapped.
+        """
         if built.num_args != len(self.arguments):
             raise DeviceError(
-                f"{self}: takes {built.num_args} arguments, {len(self.arguments)} declared")
+                f"{self}: it has {built.num_args} arguments, {len(self.arguments)} are declared")
         for index, (name, argument) in enumerate(self.arguments.items()):
             actual, kind = _signature(built, index)
-            if actual is None:  # a driver that withholds names
+            if actual is None:  # a driver that does not tell names
                 return
-            wanted = argument if isinstance(argument, str) else argument[0] + "*"
-            if actual != name or not _same_type(kind, wanted):
+            declared = argument if isinstance(argument, str) else argument[0] + "*"
+            if actual != name or not _same_type(kind, declared):
                 raise DeviceError(
-                    f"{self}: argument {index} is '{kind} {actual}', declared '{wanted} {name}'")
+                    f"{self}: argument {index} is '{kind} {actual}', declared '{declared} {name}'")
 
 
-def _product(factors, sizes):
+def _product(factors: Factors, sizes: Mapping[Any, Any]) -> int:
     return math.prod(-(-sizes.get(size, size) // sizes.get(by, by)) for size, by in factors)
 
 
-def _signature(built, index):
+def _signature(built: cl.Kernel, index: int) -> tuple[Any, Any]:
+    """The name and the type of an argument; None for both where the driver does not tell."""
     try:
         return (built.get_arg_info(index, cl.kernel_arg_info.NAME),
                 built.get_arg_info(index, cl.kernel_arg_info.TYPE_NAME))
@@ -219,7 +258,7 @@ def _signature(built, index):
         return None, None
 
 
-def _same_type(actual, declared):
+def _same_type(actual: str, declared: str) -> bool:
     """Whether the compiler's type name is the declared one; `real` stands for either precision."""
     actual = actual.replace(" ", "").replace("unsignedint", "uint").replace("unsignedchar", "uchar")
     base, pointer = declared.rstrip("*"), declared.endswith("*")

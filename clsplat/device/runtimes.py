@@ -1,8 +1,8 @@
 """Makes OpenCL runtimes from PyPI visible. Must run before pyopencl is first imported.
 
-The wheel `intel-opencl-rt` brings a fast CPU runtime, but its ICD file carries the path of the
-machine it was built on, and the loader looks only in one folder. So a private folder is made that
-holds the system's ICD files and one with the true path; a folder chosen by the user is left alone.
+The wheel `intel-opencl-rt` brings a fast CPU runtime, but its ICD file has the path of the
+machine it was built on, and the loader reads only one folder. So a private folder is made with the
+system's ICD files and one with the true path; a folder that the user has chosen is not changed.
 """
 
 import atexit
@@ -18,7 +18,7 @@ from pathlib import Path
 SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 
 
-def intel_library():
+def intel_library() -> Path | None:
     """Path of the Intel CPU runtime's library in this Python environment, or None."""
     for prefix in (sys.prefix, sys.base_prefix, os.path.expanduser("~/.local")):
         library = Path(prefix) / "lib" / "libintelocl.so"
@@ -27,8 +27,8 @@ def intel_library():
     return None
 
 
-def register():
-    """Point OCL_ICD_VENDORS at a folder with every runtime, once a process."""
+def register() -> None:
+    """Set OCL_ICD_VENDORS to a folder with every runtime, once in a process."""
     library = intel_library()
     if library is None or "OCL_ICD_VENDORS" in os.environ:
         return
@@ -38,22 +38,22 @@ def register():
     os.environ["OCL_ICD_VENDORS"] = str(_folder_of(files, name))
 
 
-def _folder_of(files, name):
-    """A folder with these files, {name: text}: the same in every process of this user, so that a
+def _folder_of(files: dict[str, str], name: str) -> Path:
+    """A folder with these files, by their names: the same in every process of this user, so that a
     killed one leaves nothing behind; a temporary one where the user has no cache."""
     try:
         folder = Path.home() / ".cache" / "clsplat" / "vendors" / name
-        if _is_whole(folder, files):
+        if _is_complete(folder, files):
             return folder
         shutil.rmtree(folder, ignore_errors=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=folder.parent))
-        _write(made, files)
+        temporary = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=folder.parent))
+        _write(temporary, files)
         try:
-            os.rename(made, folder)  # whole, or not at all
-        except OSError:  # another process was quicker
-            shutil.rmtree(made, ignore_errors=True)
-        if _is_whole(folder, files):
+            os.rename(temporary, folder)  # complete, or not at all
+        except OSError:  # another process was faster
+            shutil.rmtree(temporary, ignore_errors=True)
+        if _is_complete(folder, files):
             return folder
     except (OSError, RuntimeError):  # not writable; or a container's user who has no home
         pass
@@ -63,18 +63,20 @@ def _folder_of(files, name):
     return folder
 
 
-def _is_whole(folder, files):
+def _is_complete(folder: Path, files: dict[str, str]) -> bool:
     return all((folder / name).is_file() for name in files)
 
 
-def _write(folder, files):
+def _write(folder: Path, files: dict[str, str]) -> None:
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def ignore_file_limits():
-    """Ignore SIGXFSZ again, as Python does: Intel's runtime handles it as a crash once it has
-    compiled, where a write that fails is an error of its own."""
+def ignore_file_limits() -> None:
+    """Ignore SIGXFSZ again, as Python does, so that a file that grows too large is a failed write.
+
+    Intel's runtime changes this when it compiles: the signal then ends the process.
+    """
     if hasattr(signal, "SIGXFSZ") and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 

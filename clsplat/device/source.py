@@ -1,8 +1,10 @@
 """Finds the OpenCL sources: inside the package once installed, else beside it in a checkout."""
 
 import re
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from clsplat.constants import NO_ROW, SHARED
 from clsplat.errors import DeviceError
@@ -11,8 +13,8 @@ INCLUDE = re.compile(r'^#include "(.+)"$')
 
 
 @cache
-def kernel_folder():
-    """The folder `cl`; raises DeviceError where the installation lacks it."""
+def kernel_folder() -> Path:
+    """The folder `cl`; DeviceError where the installation lacks it."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "cl", package.parent / "cl"):
         if (folder / "blend.cl").exists():
@@ -21,19 +23,19 @@ def kernel_folder():
 
 
 @cache
-def kernel_source(name):
-    """The text of a file of `cl` with all that it includes in place of the #include lines.
+def kernel_source(name: str) -> str:
+    """The text of a file of `cl` with the included files in place of the #include lines.
 
-    Caches of compiled kernels, ours and those of drivers, go by this text, so they notice a change
-    of an included file. #line directives let compilers name the files.
+    Caches of compiled kernels, ours and those of drivers, compare this text, so they notice a
+    change of an included file. #line directives let compilers name the files.
     """
     return "\n".join(_lines(name))
 
 
-def _lines(name):
-    """A file's lines; name: "blend.cl", "item/blend.cl", "real.h" of include/, or a whole path."""
+def _lines(name: str) -> Iterator[str]:
+    """Lines of the file "blend.cl", "item/blend.cl", "real.h" of include/, or an absolute path."""
     folder = kernel_folder() / ("include" if name.endswith(".h") else "")
-    shown = name.replace("\\", "/")  # of Windows: no escapes
+    shown = name.replace("\\", "/")  # a backslash of Windows would be an escape
     yield f'#line 1 "{shown}"'
     for number, line in enumerate((folder / name).read_text(encoding="utf-8").splitlines(), 1):
         if included := INCLUDE.match(line):
@@ -43,9 +45,11 @@ def _lines(name):
             yield line
 
 
-def defines(pairs):
-    """Compiler options that define the numbers that host and kernels share, and `pairs`, ((name,
-    value), ...), which win. A float's repr reads back as the same double, or as the nearest float.
+def define_options(pairs: Iterable[tuple[str, Any]]) -> list[str]:
+    """Compiler options that define the numbers that host and kernels share, and `pairs` of names
+    and values, which take precedence.
+
+    A float's repr reads back as the same double, or as the nearest float.
     """
     return [f"-D{name}={value}{'u' * (value == NO_ROW)}"
             for name, value in {**SHARED, **dict(pairs)}.items()]

@@ -1,8 +1,10 @@
-"""Rows by index, and the rows a flag keeps (cl/gather.cl)."""
+"""Rows by index, and the rows whose flag is set (cl/gather.cl)."""
+
+import math
 
 import numpy as np
 
-from clsplat.device import Kernel, each
+from clsplat.device import Array, Device, Kernel, each
 from clsplat.primitives.scan import exclusive_scan
 
 GATHER = Kernel("gather.cl", "gather", each("count width"), count="uint", width="uint",
@@ -14,10 +16,14 @@ COMPACT = Kernel("gather.cl", "compact", each("count"), count="uint", flags=("ui
                  kept=("uint", "N"))
 
 
-def gather(device, rows, indices, result=None):
-    """result[i] = rows[indices[i]] for real[M, ...] rows and uint[N] indices.
+def gather(device: Device, rows: Array, indices: Array, result: Array | None = None) -> Array:
+    """Copy rows: result[i] = rows[indices[i]].
 
-    result: an array of at least N rows to write into; without it a new one is made.
+    Parameters
+    ----------
+    rows : real[M, ...]
+    indices : uint[N]
+    result : real[at least N, ...], to write into; None makes a new array.
     """
     count = len(indices)
     if result is None:
@@ -30,22 +36,22 @@ def gather(device, rows, indices, result=None):
     return result
 
 
-def scatter(device, values, indices, rows):
-    """rows[indices[i]] = values[i], in place, for distinct indices uint[N]."""
+def scatter(device: Device, values: Array, indices: Array, rows: Array) -> None:
+    """Write rows in place: rows[indices[i]] = values[i], for distinct indices uint[N]."""
     count, width = len(indices), _width(rows)
     if width:
         device.launch(SCATTER, count=count, width=width, indices=indices,
                       values=values.reshaped(count, width), rows=rows.reshaped(len(rows), width))
 
 
-def _width(rows):
-    return int(np.prod(rows.shape[1:], dtype=np.int64))
+def _width(rows: Array) -> int:
+    return math.prod(rows.shape[1:])
 
 
-def compact(device, flags, keys):
-    """(keys, row numbers) of the rows whose flag is 1, in order: uint[K] each.
+def compact(device: Device, flags: Array, keys: Array) -> tuple[Array, Array]:
+    """Keys and row numbers of the rows whose flag is 1, in order: uint[K] each.
 
-    Waits for the device: the number of rows kept decides every later size.
+    Waits for the device: all later sizes depend on the number of these rows.
     """
     count = len(flags)
     offsets, totals = exclusive_scan(device, flags)

@@ -2,7 +2,7 @@
 
 import math
 
-from clsplat.device import Kernel, each, groups
+from clsplat.device import Array, Device, Kernel, each, groups
 
 SUM_COLUMNS = Kernel("reduce.cl", "sum_columns", groups("width", "SCAN_GROUP"), count="uint",
                      width="uint", rows=("real", "N", "W"), totals=("real", "W"))
@@ -10,15 +10,15 @@ ADD = Kernel("reduce.cl", "add_to", each("count"), count="uint", values=("real",
              totals=("real", "N"))
 
 
-def sum_columns(device, rows):
-    """real[W]: the sums of the columns of real[N, W], bitwise the same every time."""
+def sum_columns(device: Device, rows: Array) -> Array:
+    """Sums real[W] of the columns of real[N, W], bitwise the same every time."""
     count, width = rows.shape
     totals = device.empty(width)
     device.launch(SUM_COLUMNS, count=count, width=width, rows=rows, totals=totals)
     return totals
 
 
-def add_to(device, totals, values):
-    """totals += values, in place; both real, of one shape."""
+def add_to(device: Device, totals: Array, values: Array) -> None:
+    """Add `values` to `totals` in place; both are real and of the same shape."""
     count = math.prod(totals.shape)
     device.launch(ADD, count=count, values=values.reshaped(count), totals=totals.reshaped(count))

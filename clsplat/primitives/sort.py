@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsplat.device import Forms, Kernel, groups, items
+from clsplat.device import Array, Device, Forms, Kernel, groups, items
 from clsplat.primitives.scan import chunk_size, exclusive_scan
 
 _CHUNKS = Forms(item=items("chunks"), group=groups("chunks", "SCAN_GROUP"))
@@ -12,21 +12,26 @@ SCATTER = Kernel("sort.cl", "sort_scatter", _CHUNKS, **_SIZES, first="uint", key
                  values=("uint", "N"), table=("uint", "T"), sorted_keys=("uint", "N"),
                  sorted_values=("uint", "N"))
 
-# Bits a pass: a CPU's chunk keeps its counters in cache, a group in local memory
-LARGEST_DIGIT = Forms(item=13, group=8)
+# Bits a pass: counters fit a CPU's cache in the item form, local memory in the group form
+MAX_DIGIT_BITS = Forms(item=13, group=8)
 
 
-def digits(device, bits):
-    """(passes, bits a pass) of a sort by so many bits."""
-    passes = max(1, -(-bits // LARGEST_DIGIT.of(device)))
+def digits(device: Device, bits: int) -> tuple[int, int]:
+    """The number of passes of a sort by `bits` bits, and the bits of each pass."""
+    passes = max(1, -(-bits // MAX_DIGIT_BITS.of(device)))
     return passes, -(-bits // passes)
 
 
-def stable_sort(device, keys, bits=32):
-    """(sorted keys, permutation), both uint[N]: sorted[i] = keys[permutation[i]]; equal keys keep
-    their order.
+def stable_sort(device: Device, keys: Array, bits: int = 32) -> tuple[Array, Array]:
+    """Sort uint[N] keys, and keep the order of equal keys.
 
-    bits: the keys' significant bits; higher ones must be zero.
+    Parameters
+    ----------
+    bits : the number of significant bits of the keys; the higher bits must be zero.
+
+    Returns
+    -------
+    The sorted keys and the permutation, both uint[N]: sorted[i] = keys[permutation[i]].
     """
     count = len(keys)
     passes, digit_bits = digits(device, bits)

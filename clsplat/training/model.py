@@ -59,7 +59,7 @@ class Model:
         """Take rows from the host; moments, if there are any, are not touched."""
         self.count = gaussians.count
         self.capacity = max(self.count, self.capacity)
-        self._arrays = {name: self.device.hold(*spec) for name, spec in self.arrays(
+        self._arrays = {name: self.device.allocate(*spec) for name, spec in self.arrays(
             gaussians.rows, self.sh_degree, self.capacity).items()}
         for name, values in gaussians.rows.items():
             self._arrays[name].write(values)
@@ -82,7 +82,7 @@ class Model:
         source = self.device.upload(growth.source)
         for name, spec in self.arrays(self._arrays, self.sh_degree, self.capacity).items():
             self._arrays[name] = gather(self.device, self._arrays[name].narrow(self.count), source,
-                                        self.device.hold(*spec))
+                                        self.device.allocate(*spec))
         self.adam.regrow(source, growth.kept, self.capacity)
         self.count = count
         for name, (first, values) in growth.changes.items():

@@ -85,9 +85,9 @@ def test_errors_are_relative_and_name_the_worst():
     reference = {"image": image, "gradients": {"positions": np.array([[3.0, 4.0], [0, 0]])}}
     off = {"image": image + [[[0, 0.5]]],
            "gradients": {"positions": np.array([[3.0, 4.0], [0, 2.0]])}}
-    found = precision.errors(off, reference)
-    assert (found["image_max"], found["image_mean"], found["image_above"]) == (0.5, 0.25, 0.5)
-    assert found["gradients"]["positions"] == {
+    difference = precision.errors(off, reference)
+    assert [difference[f"image_{name}"] for name in ("max", "mean", "above")] == [0.5, 0.25, 0.5]
+    assert difference["gradients"]["positions"] == {
         "l2": 0.4, "worst": 0.5, "element": "positions[1, 1]"}
 
 

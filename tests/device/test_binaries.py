@@ -113,9 +113,9 @@ def test_a_home_that_cannot_be_written_costs_nothing(float_device, tmp_path, mon
 
 
 def test_a_user_without_a_home(float_device, monkeypatch, folder):
-    def nobody():
+    def no_home():
         raise RuntimeError("Could not determine home directory.")
-    monkeypatch.setattr(binaries.Path, "home", nobody)
+    monkeypatch.setattr(binaries.Path, "home", no_home)
     assert doubled(float_device, build(float_device)) == [2, 5]
 
 

@@ -180,7 +180,7 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
             size = FrameSize(count, *found[-1], camera.width, camera.height)
             plan = trial_plan(prepared.options, level, regularises)
             pool.add(step_arrays(device, prepared, size, session.step.terms_in(plan)))
-        assert device._held.nbytes == sum(spec.nbytes(device.real) for spec in lasting)
+        assert device._persistent.nbytes == sum(spec.nbytes(device.real) for spec in lasting)
         bound = 0.05 if "batch" in options or "engine" in options else 0.01
         kept = device._pool.managed_bytes
         assert kept == pytest.approx(pool.nbytes, rel=bound), (level, count)

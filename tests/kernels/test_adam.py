@@ -11,7 +11,7 @@ from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference.adam import adam
 
-DEGREE = 3  # rows of 45 harmonics: more than the item form takes at a time, and a rest
+DEGREE = 3  # rows of 45 SH coefficients: more than the item form processes at a time, and a rest
 RATES = {field.name: field.rate for field in LEARNED}
 WIDTHS = {field.name: field.width(DEGREE) for field in LEARNED}
 ENGINES = pytest.mark.parametrize("engine", [DeviceAdam, NumpyAdam])
@@ -85,7 +85,7 @@ def test_steps_on_varying_rows(device, engine, dense):
 @pytest.mark.oclgrind
 @ENGINES
 @DENSE
-def test_held_rows_stay_though_they_have_moments(device, engine, dense):
+def test_frozen_rows_stay_though_they_have_moments(device, engine, dense):
     """Seen or not; what has been trained may come to be frozen."""
     run = Run(device, engine, 40, dense)
     run.step(40)
@@ -172,7 +172,7 @@ def test_moments_are_saved_taken_over_and_forgotten(device, engine):
 
 
 @pytest.mark.parametrize("seen", [0, 1, 255, 256, 300])
-def test_rows_that_are_held(device, seen):
+def test_rows_that_are_frozen(device, seen):
     """Gradients of frozen gaussians are taken out, the others and their order stay."""
     rng = np.random.default_rng(seen)
     visible = rng.permutation(400)[:seen].astype(np.uint32)

@@ -100,7 +100,7 @@ def test_bands_without_splats_show_the_background(device):
 
 
 def test_pairs_that_do_not_fit_a_buffer_come_in_bands(device, monkeypatch):
-    """No limit is given: it follows from the device's largest buffer."""
+    """Without a limit, it follows from the device's largest buffer."""
     case = cases.gaussians(SPREAD, count=400)
     whole, expected = results(device, case)
     largest = {"item": 64, "group": 200}[device.form] * 256 * device.real.itemsize

@@ -42,15 +42,15 @@ def test_mean_of_views(device, views, share):
     for count in (1, group - 1, group, group + 1, 3 * group + 7):
         made = [a_view(device, count, int(share * count), seed) for seed in range(views)]
         gradients, spread, seen, stays = zip(*made)
-        found = batch_mean(device, count, views, iter(gradients), USED)
+        result = batch_mean(device, count, views, iter(gradients), USED)
         for name in SHAPES:
             visible, moves, mean = reference.batch_mean(
                 np.stack([by_name[name] for by_name in spread]), np.stack(seen), np.stack(stays))
-            values = found.fields[name].download()
+            values = result.fields[name].download()
             assert values.shape == mean.shape
             close(values[moves], mean[moves], precision_of(device), f"{name} of {count} rows")
-        assert np.array_equal(found.visible.download(), visible)
-        assert np.array_equal(found.rows.download(), np.where(moves, visible, NO_ROW))
+        assert np.array_equal(result.visible.download(), visible)
+        assert np.array_equal(result.rows.download(), np.where(moves, visible, NO_ROW))
 
 
 def test_a_row_stays_whatever_the_other_views_say(device):
@@ -62,12 +62,12 @@ def test_a_row_stays_whatever_the_other_views_say(device):
 
     views = one((0, 1, 2), 1.0), one((0, NO_ROW, 2), np.nan), one((0, 1, 2), 4.0)
     views[1].fields["opacity_logits"].write(np.array([1.0, np.nan, -5.0]))
-    found = batch_mean(device, 3, 3, views, USED)
-    assert found.rows.download().tolist() == [0, NO_ROW, 2]
-    assert np.allclose(found.fields["opacity_logits"].download()[[0, 2]], [2, 0])
+    result = batch_mean(device, 3, 3, views, USED)
+    assert result.rows.download().tolist() == [0, NO_ROW, 2]
+    assert np.allclose(result.fields["opacity_logits"].download()[[0, 2]], [2, 0])
 
 
 def test_fields_that_nothing_uses_are_left_out(device):
     gradients = a_view(device, 9, 5, 0)[0]
-    found = batch_mean(device, 9, 2, [gradients, gradients], {**USED, "sh_rest": 0})
-    assert set(found.fields) == {"positions", "opacity_logits"}
+    result = batch_mean(device, 9, 2, [gradients, gradients], {**USED, "sh_rest": 0})
+    assert set(result.fields) == {"positions", "opacity_logits"}

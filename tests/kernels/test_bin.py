@@ -40,21 +40,21 @@ def true_tiles(device, row, tiles_x, tiles_y):
 
 
 def check(device, rows, width, height, what):
-    found = Binned(device, rows, width, height)
-    pairs = found.pairs
+    binned = Binned(device, rows, width, height)
+    pairs = binned.pairs
     truth = [true_tiles(device, row, *tile_grid(device, width, height)) for row in rows]
     for v, tiles in enumerate(truth):
-        assert tiles <= found.tiles[v], f"{what}: splat {v} lacks tiles {tiles - found.tiles[v]}"
-        assert len(found.tiles[v]) == found.counts[v], f"{what}: a pair twice, or not emitted"
+        assert tiles <= binned.tiles[v], f"{what}: splat {v} lacks tiles {tiles - binned.tiles[v]}"
+        assert len(binned.tiles[v]) == binned.counts[v], f"{what}: a pair twice, or not emitted"
     needed = sum(map(len, truth))
     assert pairs.count <= 1.03 * needed + 5, f"{what}: {pairs.count} pairs, {needed} are needed"
-    assert found.counts.sum() == pairs.count == np.diff(found.ranges).sum()
-    assert np.array_equal(np.sort(found.slots), np.arange(pairs.count))
-    own = found.slots - found.offsets[found.splats]
-    assert (own < found.counts[found.splats]).all(), f"{what}: a slot of another splat"
-    for begin, end in found.ranges:
-        assert (np.diff(found.splats[begin:end].astype(int)) > 0).all(), f"{what}: depth order"
-    return found
+    assert binned.counts.sum() == pairs.count == np.diff(binned.ranges).sum()
+    assert np.array_equal(np.sort(binned.slots), np.arange(pairs.count))
+    own = binned.slots - binned.offsets[binned.splats]
+    assert (own < binned.counts[binned.splats]).all(), f"{what}: a slot of another splat"
+    for first, last in binned.ranges:
+        assert (np.diff(binned.splats[first:last].astype(int)) > 0).all(), f"{what}: depth order"
+    return binned
 
 
 @pytest.mark.oclgrind
@@ -87,8 +87,8 @@ def test_needles_touch_only_the_tiles_along_them(device):
         row[4:7] = a, b, c
         row[7] = np.sqrt(row[3] * a / (a * c - b * b))
     rows[:] = cases.single(rows)
-    found = check(device, rows, 160, 120, "needles")
-    assert found.counts.max() < 40 and found.counts.max() >= 9
+    binned = check(device, rows, 160, 120, "needles")
+    assert binned.counts.max() < 40 and binned.counts.max() >= 9
 
 
 def test_splats_beside_the_image_have_no_pairs(device):
@@ -100,19 +100,19 @@ def test_splats_beside_the_image_have_no_pairs(device):
 def test_a_giant_is_in_every_tile_once(device):
     rows = rows_of(2, 61, 37)
     rows[:, 4:8] = 1e-12, 0, 1e-12, np.sqrt(rows[0, 3]) * 1e6
-    found = Binned(device, rows, 61, 37)
-    assert list(found.counts) == [len(found.pairs.tiles)] * 2
+    binned = Binned(device, rows, 61, 37)
+    assert list(binned.counts) == [len(binned.pairs.tiles)] * 2
 
 
 def test_buckets_cover_each_tile_in_order(group_device):
-    found = Binned(group_device, rows_of(300, 61, 37, seed=3), 61, 37)
-    lengths = found.ranges[:, 1] - found.ranges[:, 0]
+    binned = Binned(group_device, rows_of(300, 61, 37, seed=3), 61, 37)
+    lengths = binned.ranges[:, 1] - binned.ranges[:, 0]
     expected = np.repeat(np.arange(len(lengths)), -(-lengths // BUCKET))
-    buckets = found.pairs.bucket_tiles.download()
+    buckets = binned.pairs.bucket_tiles.download()
     assert lengths.max() > 2 * BUCKET
     assert np.array_equal(buckets[:len(expected)], expected)
     assert (buckets[len(expected):] == len(lengths)).all()
-    assert np.array_equal(found.pairs.bucket_offsets.download(),
+    assert np.array_equal(binned.pairs.bucket_offsets.download(),
                           np.cumsum(-(-lengths // BUCKET)) - -(-lengths // BUCKET))
 
 
@@ -141,9 +141,9 @@ def test_a_band_has_the_pairs_of_its_tiles(device):
 @pytest.mark.parametrize("count, size", [(130, (61, 37)), (40, (1, 1)), (0, (61, 37))])
 def test_pairs_of_each_tile_are_counted(device, count, size):
     rows = rows_of(count, *size)
-    found = Binned(device, rows, *size)
+    binned = Binned(device, rows, *size)
     counts = count_tiles(device, device.upload(rows), *size)
-    assert np.array_equal(counts, np.diff(found.ranges)[:, 0])
+    assert np.array_equal(counts, np.diff(binned.ranges)[:, 0])
     assert count == 0 or counts.any()
 
 

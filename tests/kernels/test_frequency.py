@@ -27,9 +27,9 @@ def isotropic(sigmas, logits):
 
 
 def values(device, model):
-    found = scene_frequency(device, upload_rows(device, model))
-    assert list(found) == KEYS and all(type(value) is float for value in found.values())
-    return np.array(list(found.values()))
+    measured = scene_frequency(device, upload_rows(device, model))
+    assert list(measured) == KEYS and all(type(value) is float for value in measured.values())
+    return np.array(list(measured.values()))
 
 
 def check(device, model, what):
@@ -120,16 +120,16 @@ def test_a_scene_twice_as_large_has_half_the_frequency(device):
 def test_two_populations(device):
     """By hand: paper sums s^5 over s^6; release counts, and robust too at equal opacity."""
     count, sigma = np.array([700, 40]), np.array([0.25, 0.75])
-    found = values(device, isotropic(np.repeat(sigma, count), 0.3))
+    measured = values(device, isotropic(np.repeat(sigma, count), 0.3))
     mean = count.sum() / (count * sigma).sum()
     expected = [(count * sigma**5).sum() / (count * sigma**6).sum(), mean, mean]
     # the logarithms are rounded to single precision
-    close(found / np.repeat(expected, 3), np.ones(9), "float", "two populations")
+    close(measured / np.repeat(expected, 3), np.ones(9), "float", "two populations")
 
 
 def test_opacity_and_axes_by_hand(device):
     """o = 1/2 and 1/5; sigma = 1, 2, 4 and 8, 2, 2."""
-    found = values(device, cases.single({
+    measured = values(device, cases.single({
         "log_scales": np.log([[1, 2, 4], [8, 2, 2]]), "opacity_logits": np.log([1, 0.25])}))
     paper = np.array([16, 40.96])
     paper /= paper.sum()
@@ -137,7 +137,7 @@ def test_opacity_and_axes_by_hand(device):
     release = 1 / np.array([(7 + 12) / 6, 1.5, 6])
     robust = 0.7 / np.array([0.5 * 7 / 3 + 0.2 * 4, 0.5 * 1 + 0.2 * 2, 0.5 * 4 + 0.2 * 8])
     expected = [*(omega @ paper), *release, *robust]
-    close(found / expected, np.ones(9), "float", "two gaussians")
+    close(measured / expected, np.ones(9), "float", "two gaussians")
 
 
 def test_the_same_bytes_every_time(device):

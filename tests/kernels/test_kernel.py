@@ -54,7 +54,7 @@ def test_wrong_types_and_counts_are_refused(float_device):
     with pytest.raises(DeviceError, match="argument 2"):
         float_device._build(
             Kernel("gather.cl", "gather", each("count"), **{**TYPES, "indices": ("real", "N")}), ())
-    with pytest.raises(DeviceError, match="takes 5 arguments, 4 declared"):
+    with pytest.raises(DeviceError, match="it has 5 arguments, 4 are declared"):
         float_device._build(
             Kernel("gather.cl", "gather", each("count"), **dict(list(TYPES.items())[:4])), ())
 
@@ -93,7 +93,7 @@ def test_each_form_has_its_own_launch_and_arguments(float_device):
 
 @pytest.mark.parametrize("size", ["rows", "chunk", "N/width", "COUNT"])
 def test_a_launch_by_what_is_no_argument_is_refused(size):
-    with pytest.raises(DeviceError, match="launched by"):
+    with pytest.raises(DeviceError, match="not an argument"):
         Kernel("none.cl", "none", items(size), count="uint", rows=("real", "N"))
 
 

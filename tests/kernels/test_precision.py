@@ -1,4 +1,4 @@
-"""Each switch of clsplat/bench/variants.py does what it says, and nothing where it is not given."""
+"""Each switch of clsplat/bench/variants.py has its effect, and no effect where it is not set."""
 
 import numpy as np
 import pytest
@@ -64,8 +64,8 @@ def default_kind(device):
     pytest.param(*item, marks=[pytest.mark.slow] if item[0] < 6 else [])
     for item in LARGEST_ERROR.items()])
 def test_polynomials_have_the_error_that_they_claim(float_device, tmp_path, degree, largest):
-    found = np.abs(exp_errors(float_device, tmp_path, ("EXP_KIND", degree))).max()
-    assert 0.9 * largest < found < largest + ROUNDING
+    error = np.abs(exp_errors(float_device, tmp_path, ("EXP_KIND", degree))).max()
+    assert 0.9 * largest < error < largest + ROUNDING
 
 
 @pytest.mark.slow

@@ -66,8 +66,8 @@ def check(device, values, what):
         values["neighbour"] / 255, values["cameras"], values["colour"])
     sums, *grads = run(device, values)
     close(sums, [squares.sum(), valid.sum()], precision_of(device), f"{what}: sums")
-    for name, grad, wanted in zip(("depth", "transmittance"), grads, expected):
-        close(grad, WEIGHT * wanted, precision_of(device), f"{what}: gradient of {name}")
+    for name, grad, expected_grad in zip(("depth", "transmittance"), grads, expected):
+        close(grad, WEIGHT * expected_grad, precision_of(device), f"{what}: gradient of {name}")
     return valid.sum()
 
 
@@ -189,9 +189,9 @@ def test_poison_stays_with_its_pixel(device, name):
         assert np.isfinite(sums).all() and abs(sums[1] - before[0][1]) <= 1, label
         for grad, expected in zip(grads, before[1:]):
             assert np.isfinite(grad).all(), f"{name} = {label}"
-            actual, wanted = grad * sums[1], expected * before[0][1]
-            actual[4, 7] = wanted[4, 7] = 0
-            close(actual, wanted, precision_of(device), f"{name} = {label}")
+            actual, expected_grad = grad * sums[1], expected * before[0][1]
+            actual[4, 7] = expected_grad[4, 7] = 0
+            close(actual, expected_grad, precision_of(device), f"{name} = {label}")
 
 
 @pytest.mark.parametrize("name, index", [("colour", (1, 2)), ("colour", (0, 3)), ("geometry", 0),
@@ -201,12 +201,12 @@ def test_poison_in_what_all_pixels_share_is_never_nan(device, name, index):
     values["geometry"] = pack_pairs(device, [map(camera, values["cameras"])]).download()[0]
     for label, poison in cases.POISON.items():
         changed = cases.poisoned(values, name, index, poison)
-        found = run(device, changed, geometry=changed["geometry"])
-        assert np.isfinite(found[1:]).all(), f"{name}[{index}] = {label}"
-        assert not np.isnan(found[0]).any(), f"{name}[{index}] = {label}"
+        results = run(device, changed, geometry=changed["geometry"])
+        assert np.isfinite(results[1:]).all(), f"{name}[{index}] = {label}"
+        assert not np.isnan(results[0]).any(), f"{name}[{index}] = {label}"
         with np.errstate(over="ignore"):
             overflows = not np.isfinite(device.real.type(poison)**2)
-        assert not (overflows and name == "colour" and found[0].any())
+        assert not (overflows and name == "colour" and results[0].any())
 
 
 def test_weight(device):
