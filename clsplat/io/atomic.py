@@ -17,15 +17,12 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 def replacing(path: str | Path, content: bytes | None = None) -> Iterator[BufferedWriter]:
     """Open a binary file beside `path` that replaces it when the block ends.
 
-    If anything fails, the old file stays as it was and the new one is removed.
+    If anything fails, the old file stays as it was, the new one is removed, and a full disk or a
+    folder that may not be written raises InputError.
 
     Parameters
     ----------
     content : what the file must hold when it is read back; None compares its size only.
-
-    Raises
-    ------
-    InputError : the disk is full, or the file cannot be written.
     """
     path = Path(path)
     partial = path.with_name(path.name + PARTIAL)

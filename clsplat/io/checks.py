@@ -21,7 +21,7 @@ CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # control characters 
 
 def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]],
                   sources: Sequence[Path | bytes], offset: ArrayLike | None = None) -> Scene:
-    """Build a scene from plain arrays, without recentring it; its views are sorted by name.
+    """Check plain arrays and build their scene, not recentred, with its views sorted by name.
 
     Parameters
     ----------
@@ -31,10 +31,6 @@ def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]]
         colours uint8[N, 3]; perhaps observations int[M, 2], rows (point, view) in any order.
     sources : paths or encoded images of the V views.
     offset : float64[3], the scene's offset if its origin was moved before.
-
-    Raises
-    ------
-    InputError : an array holds values that cannot be trained on.
     """
     model = {key: values.astype(np.float64) if values.dtype.kind == "f" else values
              for key, values in model.items()}

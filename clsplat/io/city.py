@@ -69,12 +69,7 @@ class CityFolder:
         write_object(self.path / CITY, record)
 
     def read(self, **kinds: type) -> dict[str, Any]:
-        """Read city.json.
-
-        Parameters
-        ----------
-        kinds : the types of keys that are needed besides `fingerprint`.
-        """
+        """Read city.json; `kinds` are the types of keys that are needed besides `fingerprint`."""
         return _read(self.path / CITY, {"fingerprint": str, **kinds},
                      "give a folder that `clsplat city` wrote")
 
@@ -130,14 +125,9 @@ class CityFolder:
         return {"city": self.read()["fingerprint"], "partition": digest}
 
     def replace_partition(self, record: dict[str, Any], numbers: Iterable[int]) -> None:
-        """Write a partition that differs in some blocks only: their folders are removed, and the
-        other blocks become those of the new partition. After a kill `adopt` finishes this.
-
-        Parameters
-        ----------
-        record : of the new partition.
-        numbers : of the blocks that differ.
-        """
+        """Write a partition that differs in the blocks of these numbers only: their folders are
+        removed, and the other blocks become those of the new partition. After a kill `adopt`
+        finishes this."""
         self.write_partition({**record, REPLACES: {
             "partition": self.identity()["partition"], "blocks": [int(n) for n in numbers]}})
         self.adopt()
@@ -245,12 +235,8 @@ class BlockFolder:
         return (self.path / BLOCK).is_file()
 
     def read(self, *counts: str) -> dict[str, Any]:
-        """Read block.json: at least `number`, `city`, `partition` and `options`, a dict.
-
-        Parameters
-        ----------
-        counts : names of further keys that must be integers.
-        """
+        """Read block.json: at least `number`, `city`, `partition` and `options`, a dict, and these
+        counts, which are integers."""
         kinds = {"number": int, "city": str, "partition": str, "options": dict}
         return _read(self.path / BLOCK, kinds | dict.fromkeys(counts, int),
                      "give a folder CITY/blocks/NNN that `clsplat partition` wrote")

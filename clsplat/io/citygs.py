@@ -29,10 +29,6 @@ def read_citygs(folder: Path) -> Scene:
 
     The views of val/ are held out, and the points are those of train/. Photos are in images/ or
     rgbs/ of each part; the name of a view begins with its part.
-
-    Raises
-    ------
-    InputError : the scene cannot be trained on.
     """
     if not (folder / VAL).is_dir():
         raise InputError(f"{folder / VAL}: missing beside {TRAIN}/; to train without held-out "

@@ -28,10 +28,6 @@ def read_colmap(folder: str | Path, images: str = "") -> Scene:
     Parameters
     ----------
     images : the folder of the photos, see `photo_folder`.
-
-    Raises
-    ------
-    InputError : the scene cannot be trained on.
     """
     folder = Path(folder)
     model, arrays = read_model(folder)

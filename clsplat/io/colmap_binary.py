@@ -24,16 +24,8 @@ TRACK = np.dtype([("image", "<u4"), ("observation", "<u4")])
 
 
 def read_binary(path: Path, part: str) -> Any:
-    """Read one part of a model: cameras by id, a list of images, or Points.
-
-    Parameters
-    ----------
-    part : one of `colmap_format.PARTS`.
-
-    Raises
-    ------
-    ValueError : the file is damaged.
-    """
+    """Read one of `colmap_format.PARTS`: cameras by id, a list of images, or Points; ValueError if
+    the file is damaged."""
     with open_regular(path) as file:
         size = file.seek(0, 2)
         if size < 8:

@@ -23,10 +23,6 @@ def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, N
     ----------
     model : the folder of a COLMAP model.
     may_be_empty : parts that may be empty, such as points3D of test views.
-
-    Raises
-    ------
-    InputError : a file is missing, damaged, or does not fit the others.
     """
     kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
     cameras, images, points = (

@@ -15,12 +15,7 @@ EXPOSURES = "exposures.json"
 
 
 def write_exposures(path: Path, exposures: Mapping[str, ArrayLike]) -> None:
-    """Write the colour transforms of views without rounding.
-
-    Parameters
-    ----------
-    exposures : name -> float[3, 4], rows [M | t] as in `loss.exposure.Exposures`.
-    """
+    """Write name -> float[3, 4], rows [M | t] as in `loss.exposure.Exposures`, without rounding."""
     record = {name: np.asarray(rows, np.float64).ravel().tolist()
               for name, rows in exposures.items()}
     write_object(path, record, indent=0)

@@ -29,10 +29,6 @@ def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUAL
     path : its suffix selects the format.
     pixels : uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), sRGB.
     quality : of JPEG, 1 to 100.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
     """
     path = Path(path)
     data = encode_image(pixels, path.suffix.lower().removeprefix("."), quality, path)
@@ -125,10 +121,6 @@ def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
     source : a path, or the encoded bytes of a photo.
     size : (width, height), pixels, to which the image is resampled by area averaging.
     window : (left, top, right, bottom), pixels, the part to read; None reads all.
-
-    Raises
-    ------
-    InputError : the file is missing, damaged or not an image, or its colours cannot be read.
     """
     with opened(source) as photo:
         left, top, right, bottom = window or (0, 0, photo.width, photo.height)

@@ -33,10 +33,6 @@ def read_npz(path: Path, complaint: str, cure: str, names: Collection[str] | Non
     ----------
     complaint, cure : of the message for a damaged file, "PATH: COMPLAINT (the reason); CURE".
     names : of the arrays to read, some of which may be missing; None reads all.
-
-    Raises
-    ------
-    InputError : the file is not a whole .npz of arrays.
     """
     try:
         with _Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:

@@ -69,10 +69,6 @@ def read_packed(path: str | Path) -> Scene:
     """Read the scene of a packed .npz; the source of each view is its encoded photo.
 
     The scene of a file without `offset` is recentred, as that of a COLMAP folder is.
-
-    Raises
-    ------
-    InputError : the file is damaged or incomplete, or cannot be trained on.
     """
     path = Path(path)
     arrays = _read_arrays(path)

@@ -163,10 +163,6 @@ def _opened(path: str, name: str | Path, size: int) -> Iterator[Photo]:
 
 
 def reason_of(library: Any) -> str:
-    """The first line of OpenImageIO's last error, or an empty string.
-
-    Parameters
-    ----------
-    library : the module, or one of its inputs or outputs.
+    """The first line of the last error of OpenImageIO or of one of its files, or an empty string.
     """
     return str(next(iter(library.geterror().splitlines()), ""))

@@ -72,10 +72,6 @@ def write_part(path: str | Path, source: str | Path, keep: NDArray[Any], degree:
     ----------
     keep : bool[N] or indices, the gaussians to copy.
     degree : at most that of the source.
-
-    Raises
-    ------
-    InputError : the source is not a PLY of gaussians, or its degree is lower.
     """
     element, comments = read_vertices(source)
     names = element.data.dtype.names
@@ -121,10 +117,6 @@ def read_ply(path: str | Path, offset: ArrayLike | None = None) -> Gaussians:
     ----------
     offset : float64[3], world, subtracted from the positions instead of the offset in the header,
         for gaussians from which the training of another scene starts.
-
-    Raises
-    ------
-    InputError : the file is damaged or not a PLY of gaussians, or a value is not finite.
     """
     element, comments = read_vertices(path)
     degree = _sh_degree(path, element.data.dtype.names)

@@ -69,16 +69,8 @@ def utf8_path(path: str | Path) -> Iterator[str]:
 
 @contextmanager
 def memory_file(name: str, content: bytes) -> Iterator[str]:
-    """Yield the path of a file in memory, or of a temporary file where the system has none.
-
-    Parameters
-    ----------
-    name : of the content, for messages.
-
-    Raises
-    ------
-    InputError : there is no space for the content.
-    """
+    """Yield the path of a file in memory, or of a temporary file where the system has none;
+    InputError, with this name of the content, if there is no space for it."""
     path = None
     if hasattr(os, "memfd_create"):
         number = os.memfd_create("clsplat")

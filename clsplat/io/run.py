@@ -159,16 +159,7 @@ class RunFolder:
         write_object(self.path / OPTIONS, plain(record), indent=2)
 
     def scene_path(self, given: Path | None = None) -> Path:
-        """Find the scene of the run.
-
-        Parameters
-        ----------
-        given : the path that the user names instead of the recorded one.
-
-        Raises
-        ------
-        InputError : the scene does not exist at the recorded paths.
-        """
+        """Find the scene of the run, see `scene_path.recorded_scene`."""
         return recorded_scene(self.read_options(), self.path, given)
 
     def note_scene(self, scene: Path) -> None:

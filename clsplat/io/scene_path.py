@@ -23,16 +23,8 @@ def scene_record(scene: Path, folder: Path) -> dict[str, str]:
 
 
 def recorded_scene(record: Mapping[str, Any], folder: Path, given: Path | None = None) -> Path:
-    """Find the scene that `scene_record` described.
-
-    Parameters
-    ----------
-    given : the path that the user names instead.
-
-    Raises
-    ------
-    InputError : the scene does not exist at either path.
-    """
+    """Find the scene that `scene_record` described, or take the path that the user gives instead;
+    InputError if it exists at neither recorded path."""
     if given is not None:
         return Path(given)
     named = [record[key] for key in ("scene", "scene_absolute")

@@ -27,10 +27,6 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
     ----------
     path : a folder with a COLMAP model, transforms.json or the layout of CityGS, or a packed .npz.
     images : the folder of its photos, relative to the scene's; "": images/, see `photo_folder`.
-
-    Raises
-    ------
-    InputError : it is not a scene, or cannot be trained on.
     """
     path = Path(path)
     if os.path.isdir(path):

@@ -54,10 +54,6 @@ def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
     ----------
     smaller : a folder whose photos may all be smaller than their cameras by one factor, by which
         the cameras are then scaled.
-
-    Raises
-    ------
-    InputError : a photo is missing, cannot be read, or does not fit its camera.
     """
     missing = [view.source for view in scene.views
                if isinstance(view.source, Path) and not os.path.exists(view.source)]

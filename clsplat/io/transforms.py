@@ -48,10 +48,6 @@ def read_transforms(folder: Path) -> Scene:
 
     Photos are at `file_path`, relative to the folder; the name of a view is that path without "..".
     The points are those of `ply_file_path` or of `cloud.read_cloud`; without them they are sampled.
-
-    Raises
-    ------
-    InputError : the photos have lens distortion, or the scene cannot be trained on.
     """
     path = folder / (TRAIN if (folder / TRAIN).exists() else ALL)
     table = _table(path)
