@@ -74,6 +74,9 @@ READS_ITSELF = {"clsplat/scene.py": ("clsplat.io", "clsplat.report.notebook"),
                 "clsplat/evaluation/run.py": ("clsplat.training", "clsplat.report.notebook"),
                 "clsplat/evaluation/score.py": ("clsplat.report.notebook",)}
 
+# what a training consists of is put together in one place, for estimates and benchmarks too
+SESSION, BUILT_BY_A_SESSION = "clsplat/training/session.py", {"Step", "SourceViews"}
+
 FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}
 LONGEST_FILE = 400
 FORM_SWITCH = '#if FORM_ITEM\n#include "item/{0}"\n#else\n#include "group/{0}"\n#endif\n'
@@ -272,8 +275,16 @@ def top_level(root):
             yield f"pyproject.toml: [{section}] belongs in setup.cfg"
 
 
-CHECKS = (layers, corridor, walls, function_imports, rhyme, kernel_forms, form_branches, sizes,
-          names, packaging, top_level)
+def sessions(root):
+    for name, path in sources(root, "clsplat"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+                    and node.func.id in BUILT_BY_A_SESSION and name != SESSION):
+                yield f"{name}:{node.lineno}: {node.func.id} is built in {SESSION} only"
+
+
+CHECKS = (layers, corridor, walls, sessions, function_imports, rhyme, kernel_forms, form_branches,
+          sizes, names, packaging, top_level)
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -374,6 +385,7 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("tests/helpers/blend.py", "", "'helpers' says nothing"),
     ("clsplat/training/loop.py", "", "package clsplat.training is not listed"),
     ("cl/item/tiles.h", "", "the wheel lacks cl/item/tiles.h"),
+    ("clsplat/bench/case.py", "step = Step(1)", "Step is built in clsplat/training/session.py"),
     ("notes.txt", "", "notes.txt: does not belong"),
     ("pyproject.toml", "[project]\nname = 'x'\n", "[project] belongs in setup.cfg"),
 ])

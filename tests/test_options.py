@@ -12,14 +12,7 @@ from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
 from clsplat.config.option import flag_name, wanted
 from clsplat.errors import InputError
-from clsplat.options import (
-    TrainOptions,
-    checked,
-    from_toml,
-    resolve,
-    seconds_of,
-    serves,
-)
+from clsplat.options import TrainOptions, checked, from_toml, resolve, seconds_of, serves
 from clsplat.schedule import OURS, schedule_of
 from clsplat.schedule.sig import PAPER, RELEASE
 

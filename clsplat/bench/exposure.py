@@ -17,7 +17,7 @@ def main(argv):
 
     def both():
         exposures.apply(0, image)
-        exposures.adjoint(0, image, grad)
+        exposures.step(0, exposures.adjoint(0, image, grad)[1])
 
     # the image is read twice, the gradient once; the result and its gradient are written. A pixel
     # goes through a matrix of 3 x 4, its transpose, and twelve sums of products

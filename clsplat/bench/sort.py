@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from clsplat.primitives.gather import compact
-from clsplat.primitives.sort import count_passes, stable_sort
+from clsplat.primitives.sort import digits, stable_sort
 from clsplat.rendering.project import cull
 
 from .measure import Bench
@@ -30,7 +30,7 @@ def main(argv):
 
 def sort_work(device, count, bits):
     """(bytes, operations) of sorting `count` keys of so many bits."""
-    passes = count_passes(device, bits)
+    passes, _ = digits(device, bits)
     # a pass reads keys twice and values, but for the first, and writes both; its digit is a shift
     # and a mask, twice, and counts up twice
     return count * (20 * passes - 4), 6 * count * passes

@@ -14,41 +14,33 @@ try:
 except ImportError:  # Windows
     resource = None
 
+from clsplat.estimate.trial_steps import TrialSteps, sampled
 from clsplat.io.scenes import read_scene
-from clsplat.options import TrainOptions
-from clsplat.rendering.pipeline import Renderer
-from clsplat.schedule import scaled_steps
-from clsplat.schedule.plan import Plan
-from clsplat.training.model import Model
+from clsplat.options import TrainOptions, resolve
 from clsplat.training.photos import Photos
-from clsplat.training.step import Step, TrainingSample
+from clsplat.training.session import Session, prepare
 
 from .measure import Bench
 from .timing import milliseconds
-from .workloads import scene_gaussians
-
-PLAN = Plan(level=1.0, degree=3, gathers=True, grows=False, resets_opacity=False,
-            prunes_large=False, decay=0.0)
 
 
 def main(argv):
     bench = Bench(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
                   gaussians="0,100k", optimizer=TrainOptions.optimizer, profile=False)
     device, options = bench.device, bench.options
-    scene = read_scene(options.scene).reduced(options.downscale)
-    views, _ = scene.split(8)
+    prepared = prepare(read_scene(options.scene), resolve({}, {
+        "downscale": options.downscale, "max_resolution": 0, "exposure": "off", "engine": "device",
+        "sphere": False, "optimizer": options.optimizer}))
+    scene, views = prepared.scene, prepared.train_views
     photos = Photos(device, views)
     for count in options.gaussians:
-        renderer = Renderer(device, 3, scene.near_plane)
-        model = Model(device, scene_gaussians(scene, count), dense=options.optimizer == "dense")
-        step = Step(renderer, model, scene.extent, scaled_steps(TrainOptions()))
-        cameras = [renderer.pack(view.camera) for view in views]
-        numbers = itertools.count(1)
+        trial = TrialSteps(Session(prepared, device, sampled(scene, count or len(scene.points), 3),
+                                   photos=photos))
+        model, turns = trial.session.model, itertools.cycle(
+            [trial.prepare(index) for index in range(len(views))])
 
-        def one(step=step, cameras=cameras, numbers=numbers):
-            number = next(numbers)
-            index = (number - 1) % len(views)
-            step.run(number, PLAN, [TrainingSample(index, cameras[index], photos[index])])
+        def one(turns=turns):
+            next(turns)()
 
         times = milliseconds(device, one, len(views), warm_up=len(views))
         width, height = views[0].camera.width, views[0].camera.height

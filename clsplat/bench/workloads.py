@@ -91,17 +91,3 @@ def ring_camera(angle, size):
     rotation = np.stack([right, np.cross(forward, right), forward])
     focal = 0.9 * width
     return Camera(width, height, (focal, focal), (width / 2, height / 2), rotation, -rotation @ eye)
-
-
-def scene_gaussians(scene, count=0, seed=0):
-    """Initial gaussians of a scene; `count` more than its points are made by jittering these."""
-    points, colours = scene.points, scene.colours
-    if count:
-        rng = np.random.default_rng(seed)
-        base = Gaussians.from_points(points, colours)
-        chosen = rng.integers(0, len(points), count - len(points))
-        jitter = rng.normal(size=(len(chosen), 3)) * 0.5 * np.exp(base.log_scales[chosen])
-        moved = points[chosen] + jitter
-        points = np.concatenate([points, moved])
-        colours = np.concatenate([colours, colours[chosen]])
-    return Gaussians.from_points(points, colours)

@@ -34,11 +34,11 @@ def gaussians_that_fit(device, options):
 def scale_table(planned, forecast, device, margin, photos):
     """A Table of what cities of so many photos of the kind of a planned scene would take.
 
-    planned, forecast: plan.forecast.Planned and Forecast of a scene that stands for the whole;
+    planned, forecast: the Planned and its Forecast of a scene that stands for the whole;
     margin: of blocks; photos: numbers of them. Everything grows with their number but for a block,
     which is as large as the device allows.
     """
-    views, options = planned.views, planned.needs.options
+    views, options = planned.prepared.train_views, planned.prepared.options
     pixels = sum(view.camera.width * view.camera.height for view in views) / len(views)
     limit, shared = gaussians_that_fit(device, options), (1 + 2 * margin) ** 2
     rows = []
@@ -88,5 +88,5 @@ def block_table(city, device, counts):
     head = ("block", "gaussians", "margin", "around", "views", "steps", "at the end", "MiB",
             "minutes")
     return Table("Blocks", head, rows, range(1, 9), (
-        f"Gaussians of the coarse run; what they grow to, MiB and minutes are foretold for a block "
-        f"that has {device.name} to itself, from steps of block {largest.path.name}.",))
+        "Gaussians of the coarse run; what they grow to, MiB and minutes are predicted for a "
+        f"block that has {device.name} to itself, from steps of block {largest.path.name}.",))

@@ -46,11 +46,12 @@ def plan(ctx, scene, config, photos, margin, **_):
         data = read_scene(scene, options.images)
         device = choose_device(options.device, form=options.form)
         planned = Planned(data, options, device, progress)
-    click.echo(f"{data.name}: {len(planned.views)} photos to train on, {len(planned.held_out)} "
-               f"held out, {len(data.points):,} points; {device.name}")
+    prepared = planned.prepared
+    click.echo(f"{data.name}: {len(prepared.train_views)} photos to train on, "
+               f"{len(prepared.test_views)} held out, {len(data.points):,} points; {device.name}")
     if note := size_note(data.views, options):
         click.echo(f"  {note}")
-    for name, reason in planned.needs.reasons.items():
+    for name, reason in prepared.decisions.reasons.items():
         _line(name, reason)
     with progress:
         forecast = planned.forecast()

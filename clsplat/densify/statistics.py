@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsplat.device import Kernel, each
+from clsplat.device import ArraySpec, Kernel, each
 
 ACCUMULATE = Kernel("statistics.cl", "accumulate", each("count"), count="uint",
                     half_width="real", half_height="real", rows=("uint", "V"),
@@ -17,10 +17,15 @@ class Statistics:
         self.device = device
         self.clear(count)
 
-    def clear(self, count):
+    @staticmethod
+    def arrays(count: int) -> dict[str, ArraySpec]:
+        """The arrays for so many gaussians."""
+        return {"grad_norm_sum": ArraySpec((count,)), "seen_count": ArraySpec((count,), np.uint32)}
+
+    def clear(self, count: int) -> None:
         """Start again for `count` gaussians."""
-        self.grad_norm_sum = self.device.zeros(count)
-        self.seen_count = self.device.zeros(count, np.uint32)
+        for name, spec in self.arrays(count).items():
+            setattr(self, name, self.device.zeros(*spec))
 
     def accumulate(self, gradients, width, height):
         """Add one view's `render.pipeline.Gradients`; width, height: of its image, pixels."""

@@ -7,10 +7,10 @@ in-order queue; the host waits only on `download`.
 """
 
 import clsplat.device.runtimes  # noqa: F401  (before anything imports pyopencl)
-from clsplat.device.array import Array
+from clsplat.device.array import Array, ArraySpec
 from clsplat.device.device import Device
 from clsplat.device.find import choose_device, choose_handle, list_devices, open_device
 from clsplat.device.kernel import Forms, Kernel, each, groups, items
 
-__all__ = ["Array", "Device", "Forms", "Kernel", "choose_device", "choose_handle", "each", "groups",
-           "items", "list_devices", "open_device"]
+__all__ = ["Array", "ArraySpec", "Device", "Forms", "Kernel", "choose_device", "choose_handle",
+           "each", "groups", "items", "list_devices", "open_device"]

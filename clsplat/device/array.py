@@ -1,11 +1,29 @@
 """Typed arrays in device memory."""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
 
 from clsplat.errors import ShapeError
+
+
+class ArraySpec(NamedTuple):
+    """An array that its owner allocates, and that estimates of memory count.
+
+    Attributes
+    ----------
+    shape : of rows; the first axis counts them.
+    dtype : None is the device's real.
+    """
+
+    shape: tuple[int, ...]
+    dtype: Any = None
+
+    def nbytes(self, real: np.dtype) -> int:
+        """Bytes on a device whose real is `real`."""
+        return math.prod(self.shape) * np.dtype(real if self.dtype is None else self.dtype).itemsize
 
 
 class Array:

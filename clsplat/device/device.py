@@ -20,6 +20,8 @@ from clsplat.device.source import defines as defined
 from clsplat.device.source import kernel_source
 from clsplat.errors import TOO_LARGE, DeviceError
 
+SMALLEST_BYTES = 64  # of a buffer
+
 
 class Device:
     """One OpenCL device, opened in one precision and one preferred kernel form.
@@ -93,12 +95,8 @@ class Device:
     def _allocate(self, shape, dtype, allocate):
         shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
         dtype = self.real if dtype is None else np.dtype(dtype)
-        size = max(math.prod(shape) * dtype.itemsize, 64)
-        limit = self.largest_buffer
-        if size > limit:
-            raise DeviceError(
-                f"{self.name}: {TOO_LARGE}: one buffer of {size >> 20} MiB is asked for, the limit "
-                f"is {limit >> 20} MiB; use --max-gaussians or -r")
+        size = max(math.prod(shape) * dtype.itemsize, SMALLEST_BYTES)
+        self.check_size(size)
         try:
             return Array(self, allocate(size), shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
@@ -106,6 +104,14 @@ class Device:
                 f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
                 f"({self.memory_bytes >> 20} MiB held): use --max-gaussians or -r ({error})"
             ) from None
+
+    def check_size(self, size):
+        """Raise DeviceError for an array of more bytes than one buffer may have."""
+        limit = self.largest_buffer
+        if size > limit:
+            raise DeviceError(
+                f"{self.name}: {TOO_LARGE}: one buffer of {size >> 20} MiB is asked for, the limit "
+                f"is {limit >> 20} MiB; use --max-gaussians or -r")
 
     def zeros(self, shape, dtype=None):
         """A long-lived Array of zeros."""

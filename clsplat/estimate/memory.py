@@ -1,29 +1,51 @@
-"""The device memory that a training will take at most, by counting.
+"""The device memory that a training will take at most, added up from the arrays that it allocates.
 
-Its steps are taken on a device that only counts (dry.py), along the course that its schedule is
-expected to go, from the first level to the last. How many splats and pairs a frame has is measured
-on the real device, on strewn gaussians.
+What lasts is listed by its owners (`Model.arrays` and the like), what a step needs in
+`rendering.frame_arrays` and by the losses and the optimiser. How many splats and pairs a frame has
+is measured on sampled gaussians.
 """
 
 import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from clsplat.estimate.dry_run import DryDevice
-from clsplat.estimate.trial_steps import Rehearsal, settled, spread_out, strewn
+from clsplat.densify.statistics import Statistics
+from clsplat.device import ArraySpec, Device
+from clsplat.estimate.trial_steps import sampled, settled, spread_out, trial_plan
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.loss.exposure import Exposures
+from clsplat.loss.term import LossTerm
+from clsplat.loss.terms import terms_of
+from clsplat.optimise import batch
+from clsplat.rendering.bands import pair_limit
+from clsplat.rendering.frame_arrays import FrameArray, FrameSize, by_stage, frame_arrays
 from clsplat.rendering.pipeline import Renderer
-from clsplat.training.photos import DEVICE_SHARE, at_level
+from clsplat.rendering.project import CAMERA
+from clsplat.schedule.simulate import Segment
+from clsplat.training.model import ENGINES, Model, grown_capacity
+from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
+from clsplat.training.session import PreparedScene
+from clsplat.training.source_views import SourceViews
 
 VIEWS = 48  # whose frames stand for all
-STREWN = 200_000  # gaussians at most that are rendered; more are extrapolated to
+MOST_SAMPLED = 200_000  # gaussians at most that are rendered; more are extrapolated to
 
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes. total: at most, while the model grows; steps: at most after a step, which is what
-    metrics.jsonl has; photos: of them, those at the level with most, and whether they stay on the
-    device (resident) at every level; model: parameters and moments at the end."""
+    """Bytes of device memory.
+
+    Attributes
+    ----------
+    total : at most, while the model grows.
+    steps : at most after a step, which is what metrics.jsonl has.
+    photos : of them, those at the level with most.
+    resident : whether photos stay on the device at every level.
+    model : parameters and moments at the end.
+    """
 
     total: int
     steps: int
@@ -33,18 +55,23 @@ class Memory:
 
 
 class Frames:
-    """How many splats and pairs the views have, as a power law between two counts of gaussians."""
+    """How many splats and pairs views have, as a power law between two counts of gaussians.
 
-    def __init__(self, device, scene, views, options, level, counts):
-        self.indices = spread_out(len(views), VIEWS)
-        renderer = Renderer(device, 0, options.near or scene.near_plane, options.antialiased)
-        shown = at_level(views, level)
+    Attributes
+    ----------
+    indices : the views that stand for all.
+    """
+
+    def __init__(self, device: Device, prepared: PreparedScene, level: float,
+                 counts: Iterable[int]) -> None:
+        self.indices = spread_out(len(prepared.train_views), VIEWS)
+        renderer = Renderer(device, 0, prepared.near, prepared.options.antialiased)
+        shown = at_level(prepared.train_views, level)
         measured = []
-        for count in sorted({min(count, STREWN) for count in counts}):
-            cameras = [shown[index].camera for index in self.indices]
+        for count in sorted({min(count, MOST_SAMPLED) for count in counts}):
             rows = {name: device.upload(values)
-                    for name, values in strewn(scene, count, 0).rows.items()}
-            found = [settled(renderer, rows, camera) for camera in cameras]
+                    for name, values in sampled(prepared.scene, count, 0).rows.items()}
+            found = [settled(renderer, rows, shown[index].camera) for index in self.indices]
             measured.append((count, np.maximum(found, 1)))
         self.count, self.found = measured[0]
         self.power = np.ones_like(self.found, float)
@@ -52,45 +79,136 @@ class Frames:
             ratio = np.log(measured[1][1] / self.found) / math.log(measured[1][0] / self.count)
             self.power = ratio.clip(0, 1)
 
-    def at(self, count):
-        """int[K, 2]: (splats, pairs) of each of `indices`."""
-        return (self.found * (count / self.count) ** self.power).astype(int)
+    def at(self, count: int) -> list[list[int]]:
+        """[[splats, pairs], ...] of each of `indices`."""
+        found = self.found * (count / self.count) ** self.power
+        return np.minimum(found, [count, np.inf]).astype(int).tolist()
 
 
-def predicted_memory(device, scene, views, needs, gaussians, stretches):
-    """The Memory of a training on `device`.
+class Pool:
+    """The bytes that the device's pool keeps for short-lived arrays: of each size of block as many
+    as were in use at a time."""
 
-    scene: Scene as trained on; views: its training views; needs: train.needs.Needs; gaussians: the
-    initial ones; stretches: of its course. Raises DeviceError where a buffer would be too large.
+    def __init__(self, real: np.dtype) -> None:
+        self._real, self._most = real, Counter()
+
+    def add(self, arrays: Iterable[FrameArray]) -> None:
+        """A step allocates these."""
+        for alive in by_stage(arrays):
+            self._most |= Counter(block_bytes(array.nbytes(self._real)) for array in alive)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes kept."""
+        return sum(size * count for size, count in self._most.items())
+
+
+def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussians,
+                     segments: Sequence[Segment]) -> Memory:
+    """The Memory of a training; DeviceError where one of its arrays would be too large.
+
+    Parameters
+    ----------
+    device : of the training.
+    prepared : the scene.
+    gaussians : the initial ones.
+    segments : of the run, as its schedule is simulated.
     """
-    dry = DryDevice(device)
-    rehearsal = Rehearsal(dry, scene, views, needs, gaussians, _blank)
+    options, views = prepared.options, prepared.train_views
+    names, capacity = list(gaussians.rows), gaussians.count
+    terms, pool = terms_of(device, options), Pool(device.real)
     photo_budget = DEVICE_SHARE * device.handle.global_mem_size
     total = steps = most_photos = 0
-    level, all_resident = None, True
-    for stretch in stretches:
-        if stretch.level != level:
-            level = stretch.level
-            counts = [s.gaussians for s in stretches if s.level == level]
-            frames = Frames(device, scene, views, needs.options, level, (min(counts), max(counts)))
-            rehearsal.use(level)
-            photos = sum(3 * v.camera.width * v.camera.height for v in at_level(views, level))
-            all_resident &= photos <= photo_budget
-            photos *= photos <= photo_budget
-            most_photos = max(most_photos, photos)
-            dry.peak_bytes = 0
-        if stretch.gaussians != rehearsal.step.model.count:
-            rehearsal.grow(stretch.gaussians)
-        for index, (visible, pairs) in zip(frames.indices, frames.at(stretch.gaussians)):
-            dry.visible, dry.pairs = int(visible), int(pairs)
-            rehearsal.prepare(index, stretch.regularises)()
-        total = max(total, dry.peak_bytes + photos)
-        steps = max(steps, dry.memory_bytes + photos)
-    model, adam = rehearsal.step.model, rehearsal.step.model.adam
-    arrays = [*model.rows.values(), *adam.m.values(), *adam.v.values()]
-    held = sum(array.nbytes for array in arrays if hasattr(array, "buffer"))
-    return Memory(total, steps, most_photos, all_resident, held)
+    level, count, resident = None, gaussians.count, True
+
+    def model_of(capacity):
+        return model_arrays(names, options.sh_degree, capacity, options.engine)
+
+    for segment in segments:
+        if segment.level != level:
+            level = segment.level
+            counts = [s.gaussians for s in segments if s.level == level]
+            frames = Frames(device, prepared, level, (min(counts), max(counts)))
+            shown = at_level(views, level)
+            sizes = [photo_array(view).nbytes(device.real) for view in shown]
+            fits = sum(sizes) <= photo_budget
+            photos = sum(sizes) if fits else max(sizes)
+            resident &= fits
+            most_photos = max(most_photos, photos * fits)
+        others = photos + _bytes(device, other_arrays(prepared, segment.gaussians))
+        if segment.gaussians != count:
+            old, capacity = model_of(capacity), grown_capacity(capacity, segment.gaussians)
+            growing = _while_replaced(device, old, model_of(capacity))
+            total = max(total, others + growing + ArraySpec((segment.gaussians,)).nbytes(
+                np.dtype(np.uint32)))
+            count, pool = segment.gaussians, Pool(device.real)
+        for index, (splats, pairs) in zip(frames.indices, frames.at(count)):
+            camera, plan = shown[index].camera, trial_plan(options, level, segment.regularises)
+            pairs = min(pairs, pair_limit(device, camera.width, camera.height, True))
+            size = FrameSize(count, splats, pairs, camera.width, camera.height)
+            used = [term for term in terms if term.weight(plan) and (
+                not term.needs_source or len(prepared.decisions.neighbours[index]))]
+            pool.add(step_arrays(device, prepared, size, used))
+        steps = max(steps, others + _bytes(device, model_of(capacity)) + pool.nbytes)
+    return Memory(max(total, steps), steps, most_photos, resident,
+                  _bytes(device, model_of(capacity)))
 
 
-def _blank(device, view):
-    return device.hold((3, view.camera.height, view.camera.width), np.uint8)
+def model_arrays(names: Iterable[str], sh_degree: int, capacity: int,
+                 engine: str) -> list[ArraySpec]:
+    """Rows and moments of so many gaussians, in the order in which growth replaces them."""
+    rows = Model.arrays(names, sh_degree, capacity)
+    moments = ENGINES[engine].arrays({field.name: rows[field.name] for field in LEARNED})
+    return [spec for fields in (rows, *moments) for spec in fields.values()]
+
+
+def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:
+    """What else lasts while there are `count` gaussians, photos aside."""
+    options, views, scene = prepared.options, prepared.train_views, prepared.scene
+    neighbours = prepared.decisions.neighbours
+    return [*Statistics.arrays(count).values(), *Renderer.ARRAYS, *len(views) * [CAMERA],
+            *(Exposures.arrays(len(views)).values() if options.exposure == "on" else ()),
+            *(SourceViews.arrays(neighbours).values() if neighbours else ()),
+            *([ArraySpec((count,), np.uint32)] if scene.region else ())]  # which are frozen
+
+
+def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
+                terms: Iterable[LossTerm]) -> list[FrameArray]:
+    """What a step allocates for a view with these terms of the loss."""
+    options, terms = prepared.options, list(terms)
+    exposes, count, seen = options.exposure == "on", size.gaussians, size.splats
+    degree, image = options.sh_degree, (size.width, size.height)
+    arrays = frame_arrays(device, size, degree, any(term.needs_depth for term in terms))
+    for term in terms:
+        arrays += term.arrays(*image, "exposure" if exposes else "project adjoint")
+    if exposes:
+        arrays += Exposures.frame_arrays(*image)
+    if options.batch > 1:
+        arrays += batch.frame_arrays(count, seen, degree)
+    for array in arrays:
+        device.check_size(array.nbytes(device.real))
+    return arrays + ENGINES[options.engine].frame_arrays(count, seen, degree,
+                                                         options.optimizer == "dense")
+
+
+def block_bytes(size: int) -> int:
+    """What the pool takes for `size` bytes: the largest size of its bin, of which there are two an
+    octave."""
+    half = 1 << max(0, size.bit_length() - 2)  # half of the leading bit
+    return (size // half + 1) * half - 1
+
+
+def _bytes(device, specs):
+    for spec in specs:
+        device.check_size(spec.nbytes(device.real))
+    return sum(spec.nbytes(device.real) for spec in specs)
+
+
+def _while_replaced(device, old, new):
+    """Bytes at most, where each array is replaced by a new one in turn."""
+    held, most = _bytes(device, old), 0
+    for before, after in zip(old, new):
+        held += after.nbytes(device.real)
+        most = max(most, held)
+        held -= before.nbytes(device.real)
+    return most

@@ -1,81 +1,86 @@
-"""Steps of a training that is not begun: its own objects, on gaussians strewn about the points."""
+"""Steps of a training that is not begun: its own Session, on gaussians sampled about the points."""
 
-import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from clsplat.densify.grow import Growth
-from clsplat.estimate.dry_run import DryAdam, DryDevice
+from clsplat.camera import Camera
+from clsplat.device import Array, Device
 from clsplat.gaussians import Gaussians
-from clsplat.loss.exposure import Exposures
+from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
+from clsplat.scene import Scene, View
 from clsplat.schedule import Plan
-from clsplat.training.adjacent import Adjacent
-from clsplat.training.model import Model
-from clsplat.training.photos import at_level
-from clsplat.training.step import Step, TrainingSample
+from clsplat.training.photos import at_level, decode
+from clsplat.training.session import PreparedScene, Session
 
-A_SPLAT, A_TILE = 1.62, 114  # pairs
+PAIRS_A_SPLAT, PAIRS_A_TILE = 1.62, 114
 SIZES, HALVINGS = 2.0, 6  # logarithm of the size looked for, and how often its range is halved
 
 
-class Rehearsal:
-    """What `train.loop.Training` would step with, for any level and any of its views.
+class TrialSteps:
+    """Takes steps of a Session, one view at a time.
 
-    device: real or `dry.DryDevice`; scene: Scene as trained on; views: its training views; needs:
-    train.needs.Needs; gaussians: to begin with; photo: called with (device, View), gives the View's
-    photo uchar[3, H, W] there.
+    Attributes
+    ----------
+    session : what is stepped with.
+    plan : of every step; may be replaced.
     """
 
-    def __init__(self, device, scene, views, needs, gaussians, photo):
-        options = needs.options
-        self.device, self.views, self.photo = device, views, photo
-        renderer = Renderer(device, options.sh_degree, options.near or scene.near_plane,
-                            options.antialiased, options.background)
-        model = Model(device, gaussians, options.engine, options.optimizer == "dense")
-        if options.engine == "numpy" and isinstance(device, DryDevice):
-            model.adam = DryAdam(device, model.adam.dense)
-        exposures = Exposures(device, len(views)) if options.exposure == "on" else None
-        self.step = Step(renderer, model, scene.extent, options, exposures)
-        self.adjacent = needs.neighbours and Adjacent(device, needs.neighbours, exposures,
-                                                      options.seed)
-        self.plan = Plan(level=1.0, degree=options.sh_degree, gathers=True, grows=False,
-                         resets_opacity=False, prunes_large=False, decay=0.0)
-        self.iteration = 0
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.plan = trial_plan(session.options, session.level, False)
 
-    def use(self, level):
-        """From now on images are `level` times smaller."""
-        self.shown = at_level(self.views, level)
-        self.plan = dataclasses.replace(self.plan, level=level)
-        if self.adjacent:
-            self.adjacent.use([view.camera for view in self.shown])
-
-    def grow(self, count):
-        """From now on there are `count` gaussians, of whatever values."""
-        model = self.step.model
-        model.regrow(Growth(np.zeros(count, np.uint32), min(count, model.count), 0, 0, 0, {}))
-        self.step.statistics.clear(count)
-
-    def prepare(self, index, regularises=False):
+    def prepare(self, index: int, regularises: bool = False) -> Callable[[], object]:
         """A function that takes one step on a view, with its photo and camera in place; a batch is
         all of this view."""
-        camera = self.step.renderer.pack(self.shown[index].camera)
-        photo, pair = self.photo(self.device, self.shown[index]), None
-        if regularises and len(self.adjacent.neighbours[index]):
-            row = int(self.adjacent.first[index])
-            other = self.shown[self.adjacent.pairs[row][1]]
-            pair = (self.photo(self.device, other), self.adjacent.geometries,
-                    self.adjacent.colours, row)
-        plan = dataclasses.replace(self.plan, regularises=float(regularises))
-        samples = self.step.options.batch * [TrainingSample(index, camera, photo, pair)]
+        session, plan = self.session, replace(self.plan, regularises=float(regularises))
+        samples = session.options.batch * [session.sample(index, 1, plan)]
 
         def take():
-            self.iteration += 1
-            return self.step.run(self.iteration, plan, samples)
+            session.iteration += 1
+            return session.step.run(session.iteration, plan, samples)
         return take
 
 
-def strewn(scene, count, sh_degree, seed=0):
+def trial_plan(options: TrainOptions, level: float, regularises: bool) -> Plan:
+    """The Plan of a step with all harmonics, which gathers statistics."""
+    return Plan(level=level, degree=options.sh_degree, gathers=True, grows=False,
+                resets_opacity=False, prunes_large=False, decay=0.0,
+                regularises=float(regularises))
+
+
+class SizedPhotos:
+    """What `training.photos.Photos` is to a Session, where only the sizes of photos matter: one of
+    each size is read, and stands for all."""
+
+    resident = True
+
+    def __init__(self, device: Device, views: Sequence[View], level: float) -> None:
+        self.device, self.level = device, level
+        self.views = at_level(views, level)
+        self._photos: dict[tuple[int, int], Array] = {}
+
+    def use(self, level: float) -> None:
+        """There is one level."""
+
+    def __getitem__(self, index: int) -> Array:
+        view = self.views[index]
+        size = view.camera.width, view.camera.height
+        if size not in self._photos:
+            self._photos[size] = self.device.upload(decode(view))
+        return self._photos[size]
+
+
+def trial_session(prepared: PreparedScene, device: Device, gaussians: Gaussians,
+                  level: float) -> Session:
+    """A Session at a level whose photos have the right sizes."""
+    return Session(prepared, device, gaussians,
+                   photos=SizedPhotos(device, prepared.train_views, level))
+
+
+def sampled(scene: Scene, count: int, sh_degree: int, seed: int = 0) -> Gaussians:
     """Gaussians, `count` of them, as growth might leave them: the sparse points, or some of them,
     and more within half their distance to each other; sized anew by that distance."""
     points, colours = scene.points, scene.colours
@@ -92,7 +97,7 @@ def strewn(scene, count, sh_degree, seed=0):
     return Gaussians.from_points(points, colours, sh_degree)
 
 
-def sized(gaussians, renderer, cameras):
+def sized(gaussians: Gaussians, renderer: Renderer, cameras: Sequence[Camera]) -> Gaussians:
     """The gaussians made larger or smaller, all alike, so that the cameras' frames have as many
     pairs together as `settled` says. Pairs are counted, nothing is rendered."""
     low, high = -SIZES, SIZES
@@ -111,18 +116,19 @@ def sized(gaussians, renderer, cameras):
     return Gaussians({**gaussians.rows, "log_scales": log_scales}, gaussians.sh_degree)
 
 
-def settled(renderer, rows, camera):
-    """(splats, pairs) of a Camera's frame, were the gaussians trained: A_SPLAT pairs a splat and
-    A_TILE a tile. Of the trained models of five scenes that was off by 26 % at most, in the mean of
-    the views and in the largest; strewn gaussians had up to 2.5 times as many."""
+def settled(renderer: Renderer, rows: dict[str, Array], camera: Camera) -> tuple[int, float]:
+    """(splats, pairs) of a frame, were the gaussians trained: PAIRS_A_SPLAT a splat and
+    PAIRS_A_TILE a tile. Of the trained models of five scenes that was off by 26 % at most, in the
+    mean of the views and in the largest; sampled gaussians had up to 2.5 times as many."""
     splats = renderer.count_splats(rows, renderer.pack(camera))
     return splats, _settled_pairs(splats, camera, renderer.device)
 
 
 def _settled_pairs(splats, camera, device):
-    return A_SPLAT * splats + A_TILE * camera.width * camera.height / device.tile**2
+    return (PAIRS_A_SPLAT * splats
+            + PAIRS_A_TILE * camera.width * camera.height / device.tile**2)
 
 
-def spread_out(count, most):
+def spread_out(count: int, most: int) -> list[int]:
     """Indices of at most `most` of `count` things, evenly spread."""
     return sorted(set(np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()))

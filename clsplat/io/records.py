@@ -23,7 +23,7 @@ KEYS = (
         "rounds", "pixel_pairs", "kernel_bytes")),
     (str, ("event", "scene", "fingerprint", "opencl_device", "kernel_form", "version", "commit",
            "schedule")),
-    (dict, ("reasons", "needs")))
+    (dict, ("reasons", "decisions")))
 
 
 def object_of(data: bytes) -> dict[str, Any]:

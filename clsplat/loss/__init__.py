@@ -1,1 +1,1 @@
-"""What training minimises. A loss returns its value and its gradient by the image together."""
+"""What training minimises: the terms of the loss (`terms`), and the exposures of the photos."""

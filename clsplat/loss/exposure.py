@@ -3,8 +3,9 @@
 import numpy as np
 
 from clsplat.constants import EXPOSURE_BLOCK, TRANSFORM_REALS
-from clsplat.device import Forms, Kernel, each, groups, items
+from clsplat.device import ArraySpec, Forms, Kernel, each, groups, items
 from clsplat.primitives.reduce import sum_columns
+from clsplat.rendering.frame_arrays import FrameArray
 
 IDENTITY = np.eye(3, 4)
 LEARNED = ("transforms", "m", "v", "counts")
@@ -37,9 +38,25 @@ class Exposures:
         self.device, self.rate, self.pull, self.learns = device, rate, pull, learns
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
         self._mean = self._recentred.reshape(views, TRANSFORM_REALS).mean(axis=0)
-        self.transforms = device.upload(self._recentred.reshape(views, TRANSFORM_REALS))
-        self.m, self.v = (device.zeros(self.transforms.shape) for _ in range(2))
-        self.counts, self.skipped = (device.zeros(n, np.uint32) for n in (views, 1))
+        for name, spec in self.arrays(views).items():
+            setattr(self, name, device.zeros(*spec))
+        self.transforms.write(self._recentred.reshape(views, TRANSFORM_REALS))
+
+    @staticmethod
+    def arrays(views: int) -> dict[str, ArraySpec]:
+        """The arrays of so many views."""
+        rows, counts = ArraySpec((views, TRANSFORM_REALS)), ArraySpec((views,), np.uint32)
+        return {"transforms": rows, "m": rows, "v": rows, "counts": counts,
+                "skipped": ArraySpec((1,), np.uint32)}
+
+    @staticmethod
+    def frame_arrays(width: int, height: int) -> list[FrameArray]:
+        """What `apply` and `adjoint` allocate for an image."""
+        image, blocks = (3, height, width), -(-width * height // EXPOSURE_BLOCK)
+        return [FrameArray("exposed", image, None, "loss", "project adjoint"),
+                FrameArray("grad_rendered", image, None, "exposure", "project adjoint"),
+                FrameArray("partials", (blocks, TRANSFORM_REALS), None, "exposure",
+                           "project adjoint")]
 
     def apply(self, view, image):
         """real[3, H, W]: the image real[3, H, W] as view number `view` would have taken it."""
@@ -49,22 +66,26 @@ class Exposures:
         return result
 
     def adjoint(self, view, image, grad):
-        """real[3, H, W]: the gradient by `image`, from that by `apply(view, image)`.
-
-        Then takes one step on the view's own row, unless its gradient is not finite: that leaves
-        the row, its moments and its count as they were, and is counted in `skipped`. Nothing waits
-        for the device.
-        """
+        """(real[3, H, W], real[P, 12]): the gradient by `image`, and partial sums of that by the
+        view's row, from the gradient by `apply(view, image)`."""
         device, pixels = self.device, _pixels(image)
         blocks = -(-pixels // EXPOSURE_BLOCK)
         grad_image, partials = device.empty(image.shape), device.empty((blocks, TRANSFORM_REALS))
         device.launch(ADJOINT, pixels=pixels, view=view, blocks=blocks, transforms=self.transforms,
                       image=image, grad=grad, grad_image=grad_image, partials=partials)
+        return grad_image, partials
+
+    def step(self, view, partials):
+        """Take one step of Adam on the view's own row, by the partial sums of `adjoint`.
+
+        A gradient that is not finite leaves the row, its moments and its count as they were, and
+        is counted in `skipped`. Nothing waits for the device.
+        """
         if self.learns:
-            device.launch(STEP, view=view, rate=self.rate, pull=self.pull,
-                          totals=sum_columns(device, partials), transforms=self.transforms,
-                          m=self.m, v=self.v, counts=self.counts, skipped=self.skipped)
-        return grad_image
+            self.device.launch(
+                STEP, view=view, rate=self.rate, pull=self.pull,
+                totals=sum_columns(self.device, partials), transforms=self.transforms, m=self.m,
+                v=self.v, counts=self.counts, skipped=self.skipped)
 
     def recentre(self):
         """Move all rows alike, so that their mean is again what it was at the start; waits.

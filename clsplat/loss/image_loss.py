@@ -1,7 +1,11 @@
 """L1 and D-SSIM against a photo, with the gradient (cl/image_loss.cl)."""
 
+import numpy as np
+
 from clsplat.device import Forms, Kernel, groups, items
+from clsplat.loss.term import LossTerm
 from clsplat.primitives.reduce import sum_columns
+from clsplat.rendering.frame_arrays import FrameArray
 
 STRIP = 128  # rows a work-item of the item form slides down
 CHANNELS = Forms(item=1, group=3)  # a launch: a CPU's cache holds the maps of one
@@ -41,3 +45,29 @@ def loss_value(sums, values, ssim_weight):
     """(loss, mean |x - y|, mean SSIM) from the sums of `image_loss` over so many values; waits."""
     l1, ssim = (float(v) / values for v in sums.download())
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim
+
+
+class ImageLoss(LossTerm):
+    """The image against its photo: what every training minimises."""
+
+    name = "image"
+
+    def add_to(self, grad, frame, image, sample, weight):
+        """As `LossTerm.add_to`; measures the sums of `image_loss`, and over how many values."""
+        sums, grad_image = image_loss(self.device, image, sample.photo, self.options.ssim_weight)
+        grad.add(image=grad_image)
+        _, height, width = image.shape
+        return sums, 3 * height * width
+
+    def arrays(self, width, height, last):
+        """As `LossTerm.arrays`."""
+        rows = VALUE.units(self.device, M=3, W=width, H=height, strip=STRIP)
+        return [FrameArray("maps", (CHANNELS.of(self.device), 3, height, width), None, "loss",
+                           "loss"),
+                FrameArray("partials", (rows, 2), None, "loss", "loss"),
+                FrameArray("grad_image", (3, height, width), None, "loss", last)]
+
+    def values(self, measured):
+        """The loss, mean |x - y| and mean SSIM, each a mean over the views."""
+        found = [loss_value(sums, count, self.options.ssim_weight) for sums, count in measured]
+        return dict(zip(("loss", "l1", "ssim"), np.mean(found, axis=0).tolist()))

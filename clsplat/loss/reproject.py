@@ -1,4 +1,4 @@
-"""Densification regularisation: a view's rendered depth against an adjacent photo
+"""Densification regularisation: a view's rendered depth against a source view's photo
 (cl/reproject.cl).
 
 A pixel of view i at depth z = depth / (1 - T) is found again in photo j; the squared difference of
@@ -9,7 +9,9 @@ import numpy as np
 
 from clsplat.constants import GEOMETRY_REALS, TRANSFORM_REALS
 from clsplat.device import Forms, Kernel, each, groups, items
+from clsplat.loss.term import LossTerm
 from clsplat.primitives.reduce import sum_columns
+from clsplat.rendering.frame_arrays import FrameArray
 
 _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W"))
 REPROJECT = Kernel(
@@ -70,3 +72,33 @@ def reproject(device, depth, transmittance, photo, neighbour, geometries, colour
     sums = sum_columns(device, partials)
     device.launch(SCALE, count=height * width, weight=weight, sums=sums, **grads)
     return sums, grads["grad_depth"], grads["grad_transmittance"]
+
+
+class Reprojection(LossTerm):
+    """A view's depth against a source view, while the schedule gives it a weight."""
+
+    name = "reprojection"
+    needs_depth = needs_source = True
+
+    @classmethod
+    def is_used(cls, options):
+        """Whether source views are compared with at all."""
+        return options.reproject == "on"
+
+    def weight(self, plan):
+        """That of the schedule."""
+        return plan.regularises
+
+    def add_to(self, grad, frame, image, sample, weight):
+        """As `LossTerm.add_to`; measures the sums of `reproject`."""
+        blended = frame.blended
+        sums, grad_depth, grad_transmittance = reproject(
+            self.device, blended.depth, blended.transmittance, sample.photo, *sample.source, weight)
+        grad.add(depth=grad_depth, transmittance=grad_transmittance)
+        return sums
+
+    def arrays(self, width, height, last):
+        """As `LossTerm.arrays`."""
+        return [FrameArray("partials", (height, 2), None, "reproject", "reproject"),
+                *(FrameArray(name, (height, width), None, "reproject", "project adjoint")
+                  for name in ("grad_depth", "grad_transmittance"))]

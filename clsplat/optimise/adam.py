@@ -12,9 +12,10 @@ import math
 import numpy as np
 
 from clsplat.constants import ADAM_EPSILON, NO_ROW, ONE_MINUS_BETA1, ONE_MINUS_BETA2
-from clsplat.device import Forms, Kernel, each
+from clsplat.device import ArraySpec, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import gather, scatter
+from clsplat.rendering.frame_arrays import FrameArray
 
 _COLUMNS = Forms(item=each("count"), group=each("count used"))
 _ARGUMENTS = dict(count="uint", stride="uint", used="uint", rate="real", correction="real")
@@ -54,8 +55,19 @@ class DeviceAdam:
 
     def __init__(self, device, rows, dense=False):
         self.device, self.dense, self.count = device, dense, len(rows["positions"])
-        self.m = {name: device.zeros(array.shape) for name, array in rows.items()}
-        self.v = {name: device.zeros(array.shape) for name, array in rows.items()}
+        self.m, self.v = ({name: device.zeros(*spec) for name, spec in moments.items()}
+                          for moments in self.arrays(rows))
+
+    @staticmethod
+    def arrays(rows):
+        """The arrays of m and of v by field, for `rows` with a shape each."""
+        moments = {name: ArraySpec(array.shape) for name, array in rows.items()}
+        return moments, moments
+
+    @staticmethod
+    def frame_arrays(count, seen, sh_degree, dense):
+        """What a step allocates for `count` rows, `seen` of them in the view."""
+        return [FrameArray("places", (count,), np.uint32, "adam", "adam")] if dense else []
 
     def step(self, rows, gradients, step, rates, used, frozen=None):
         """Update parameters `rows` (field -> real[N, ...]) in place.
@@ -119,6 +131,19 @@ class DeviceAdam:
 
 class NumpyAdam:
     """Moments in host memory; only gradients and changed parameters cross to the device."""
+
+    @staticmethod
+    def arrays(rows):
+        """As `DeviceAdam.arrays`: none on the device."""
+        return {}, {}
+
+    @staticmethod
+    def frame_arrays(count, seen, sh_degree, dense):
+        """As `DeviceAdam.frame_arrays`; what is learned goes to the host and back."""
+        moved = count if dense else seen
+        return [FrameArray("touched", (moved,), np.uint32, "adam", "adam"),
+                *(FrameArray(field.name, (moved, *field.row_shape(sh_degree)), None, "adam", "adam")
+                  for field in LEARNED)]
 
     def __init__(self, device, rows, dense=False):
         self.device, self.dense = device, dense

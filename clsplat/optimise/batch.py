@@ -6,7 +6,9 @@ import math
 import numpy as np
 
 from clsplat.device import Forms, Kernel, each
+from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import compact, gather
+from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
 
 MARK = Kernel("batch.cl", "batch_mark", each("count"), count="uint", visible=("uint", "V"),
@@ -14,6 +16,25 @@ MARK = Kernel("batch.cl", "batch_mark", each("count"), count="uint", visible=("u
 ADD = Kernel("batch.cl", "batch_add", Forms(item=each("count"), group=each("count width")),
              count="uint", width="uint", share="real", rows=("uint", "V"),
              gradient=("real", "V", "W"), sums=("real", "N", "W"))
+
+
+def frame_arrays(count, seen, sh_degree):
+    """What `batch_mean` holds for `count` gaussians, `seen` of them in a view, beside the arrays of
+    a view: those of the view before, and sums."""
+    def fields(rows, what, first, last):
+        return [FrameArray(f"{what}_{field.name}", (rows, *field.row_shape(sh_degree)), None, first,
+                           last) for field in LEARNED]
+
+    def numbers(rows, names, first, last):
+        return [FrameArray(name, (rows,), np.uint32, first, last) for name in names.split()]
+
+    return [*numbers(count, "flags keys", "cull", "adam"), *fields(count, "sum", "cull", "adam"),
+            *fields(seen, "before", "cull", "project adjoint"),
+            *numbers(seen, "before_rows", "cull", "project adjoint"),
+            *numbers(count, "before_visible", "cull", "project adjoint"),
+            FrameArray("before_means", (seen, 2), None, "cull", "project adjoint"),
+            *numbers(count, "offsets kept_keys kept", "adam", "adam"),
+            *fields(seen, "mean", "adam", "adam")]
 
 
 def batch_mean(device, count, views, found, used):

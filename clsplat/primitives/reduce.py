@@ -1,9 +1,13 @@
 """Sums in a fixed order (cl/reduce.cl)."""
 
-from clsplat.device import Kernel, groups
+import math
+
+from clsplat.device import Kernel, each, groups
 
 SUM_COLUMNS = Kernel("reduce.cl", "sum_columns", groups("width", "SCAN_GROUP"), count="uint",
                      width="uint", rows=("real", "N", "W"), totals=("real", "W"))
+ADD = Kernel("reduce.cl", "add_to", each("count"), count="uint", values=("real", "N"),
+             totals=("real", "N"))
 
 
 def sum_columns(device, rows):
@@ -12,3 +16,9 @@ def sum_columns(device, rows):
     totals = device.empty(width)
     device.launch(SUM_COLUMNS, count=count, width=width, rows=rows, totals=totals)
     return totals
+
+
+def add_to(device, totals, values):
+    """totals += values, in place; both real, of one shape."""
+    count = math.prod(totals.shape)
+    device.launch(ADD, count=count, values=values.reshaped(count), totals=totals.reshaped(count))

@@ -16,6 +16,12 @@ SCATTER = Kernel("sort.cl", "sort_scatter", _CHUNKS, **_SIZES, first="uint", key
 LARGEST_DIGIT = Forms(item=13, group=8)
 
 
+def digits(device, bits):
+    """(passes, bits a pass) of a sort by so many bits."""
+    passes = max(1, -(-bits // LARGEST_DIGIT.of(device)))
+    return passes, -(-bits // passes)
+
+
 def stable_sort(device, keys, bits=32):
     """(sorted keys, permutation), both uint[N]: sorted[i] = keys[permutation[i]]; equal keys keep
     their order.
@@ -23,8 +29,7 @@ def stable_sort(device, keys, bits=32):
     bits: the keys' significant bits; higher ones must be zero.
     """
     count = len(keys)
-    passes = count_passes(device, bits)
-    digit_bits = -(-bits // passes)
+    passes, digit_bits = digits(device, bits)
     chunk = chunk_size(device, count)
     chunks = max(1, -(-count // chunk))
     defines = (("DIGIT_BITS", digit_bits),)
@@ -39,8 +44,3 @@ def stable_sort(device, keys, bits=32):
                       table=places, sorted_keys=sorted_keys, sorted_values=sorted_values)
         keys, values = sorted_keys, sorted_values
     return keys, values
-
-
-def count_passes(device, bits):
-    """How often keys of so many bits are sorted by a digit."""
-    return max(1, -(-bits // LARGEST_DIGIT.of(device)))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clsplat.device import Array
+from clsplat.device import Array, ArraySpec
 from clsplat.primitives.gather import compact
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bands import choose_bands, pair_limit
@@ -69,13 +69,15 @@ class Renderer:
     is rendered in bands, to the same bytes. None: what the device has room for (bands.py).
     """
 
+    ARRAYS = ArraySpec((3,)), ArraySpec((1,), np.uint32), ArraySpec((1, 1))
+
     def __init__(self, device, sh_degree, near, antialiased=False, background=(0.0, 0.0, 0.0),
                  smooth_cutoff=False, pair_limit=None):
         self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
         self.pair_limit = pair_limit
-        self.background = device.upload(np.asarray(background, np.float64))
-        self.skipped = device.zeros(1, np.uint32)
-        self._token = device.zeros((1, 1))
+        self.background, self.skipped, self._token = (
+            device.zeros(*spec) for spec in self.ARRAYS)
+        self.background.write(background)
         self._project_defines = (("SH_REST", (sh_degree + 1) ** 2 - 1),
                                  ("ANTIALIASED", int(antialiased)))
 

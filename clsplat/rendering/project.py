@@ -3,7 +3,7 @@
 import numpy as np
 
 from clsplat.constants import CAMERA_REALS, SPLAT_REALS
-from clsplat.device import Kernel, each
+from clsplat.device import ArraySpec, Kernel, each
 from clsplat.gaussians import LEARNED
 
 BORDER = 0.15  # of the photo, beyond its borders: how far a Jacobian follows
@@ -26,6 +26,9 @@ ADJOINT = Kernel("project.cl", "project_adjoint", each("count"), count="uint", d
                  grad_sh_rest=("real", "V", "K", 3), grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1))
+
+
+CAMERA = ArraySpec((CAMERA_REALS,))
 
 
 def pack_camera(device, camera, near, low_pass=LOW_PASS):

@@ -5,8 +5,8 @@ follows the scene's frequency, `constant` is 3DGS's, `dash` and `taming` are the
 SIG paper. Other packages register theirs (registry.py).
 """
 
-from clsplat.schedule.plan import Plan, Schedule, Subject
+from clsplat.schedule.plan import Plan, SceneFacts, Schedule
 from clsplat.schedule.registry import OURS, schedule_of
 from clsplat.schedule.steps import laid_over, scaled_steps
 
-__all__ = ["OURS", "Plan", "Schedule", "Subject", "laid_over", "scaled_steps", "schedule_of"]
+__all__ = ["OURS", "Plan", "SceneFacts", "Schedule", "laid_over", "scaled_steps", "schedule_of"]

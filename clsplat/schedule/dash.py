@@ -44,13 +44,13 @@ class Dash(Constant):
     def planned_levels(cls, options, size):
         return None, "found in the photos' spectra, where training begins"
 
-    def __init__(self, options, subject):
-        super().__init__(options, subject)
-        self.times, self.sharpness = resolution_curve(subject)
+    def __init__(self, options, facts):
+        super().__init__(options, facts)
+        self.times, self.sharpness = resolution_curve(facts)
         self.factor = self._factor(0)
         self.levels = tuple(float(factor) for factor in range(self.factor, 0, -1))
         self.decay_began = None  # steps taken before
-        self.final_growth = FIRST_GROWTH * subject.count
+        self.final_growth = FIRST_GROWTH * facts.count
 
     def scale(self, steps):
         """The down-sampling factor after so many steps, before it is rounded down."""
@@ -82,7 +82,7 @@ class Dash(Constant):
 
     def target(self, iteration, count, above):
         """See `Schedule.target`; to be asked once a round: it moves the final number."""
-        o, steps, initial = self.options, iteration - 1, self.subject.count
+        o, steps, initial = self.options, iteration - 1, self.facts.count
         self.final_growth = max(
             self.final_growth, int(MOMENTUM * self.final_growth + min(MOST_ADDED, above)))
         growth = self.final_growth
@@ -107,7 +107,7 @@ class Dash(Constant):
         self.final_growth = state["final_growth"]
 
 
-def resolution_curve(subject):
+def resolution_curve(facts):
     """(times, sharpness), each float64[32] or of one element: when, as a share of the steps until
     `densify_until`, 1 / factor^2 shall be so much; it is linear in between and ends at 1.
 
@@ -117,8 +117,8 @@ def resolution_curve(subject):
     """
     grid = np.arange(BINS + 1) / BINS  # 1 / factor
     total = np.zeros(BINS + 1)
-    start = 1 / max(1, min(LARGEST_FACTOR, min(subject.size) / TILE))
-    for photo in subject.photos():
+    start = 1 / max(1, min(LARGEST_FACTOR, min(facts.size) / TILE))
+    for photo in facts.photos():
         held = held_spectrum(photo)
         start = max(start, np.interp(START_SHARE * held[-1], held, grid))
         total += held

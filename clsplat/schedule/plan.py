@@ -42,7 +42,7 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class SceneFacts:
     """What a schedule may know of the scene before training.
 
     size: (width, height) of the smallest training image, pixels; count: initial gaussians;
@@ -74,7 +74,7 @@ class Schedule:
     latest : what the last `observe` found, for the record.
     options : TrainOptions with scaled steps; may be replaced between steps (a time budget moves the
         end).
-    subject : what is known of the scene.
+    facts : what is known of the scene.
     """
 
     levels: tuple[float, ...] = (1.0,)
@@ -85,8 +85,8 @@ class Schedule:
     observe_every = 100
     latest: Any = None
 
-    def __init__(self, options: TrainOptions, subject: Subject) -> None:
-        self.options, self.subject = options, subject
+    def __init__(self, options: TrainOptions, facts: SceneFacts) -> None:
+        self.options, self.facts = options, facts
 
     @classmethod
     def grows_until(cls, options: TrainOptions) -> int:

@@ -114,14 +114,14 @@ class Sig(Schedule):
         """The coarse run, at half size, has been through the other levels."""
         return {} if options.levels else {"levels": (1.0,)}
 
-    def __init__(self, options, subject):
-        super().__init__(options, subject)
-        self.levels = chosen_levels(options.levels, subject.size)
+    def __init__(self, options, facts):
+        super().__init__(options, facts)
+        self.levels = chosen_levels(options.levels, facts.size)
         self.index = 0
         self.began = 0  # steps taken before this level
         self.rounds_taken = self.carried = 0
         self.grown_at = 0  # step of the last round
-        self.full = subject.count >= self.ceiling
+        self.full = facts.count >= self.ceiling
         self.samples = []
         self.hits = 0
 
@@ -147,7 +147,7 @@ class Sig(Schedule):
         """Gaussians that this level's pixels can tell apart."""
         if not self.options.pixels_per_gaussian:
             return math.inf
-        pixels = self.subject.pixels / self.levels[self.index] ** 2
+        pixels = self.facts.pixels / self.levels[self.index] ** 2
         return math.floor(pixels / self.options.pixels_per_gaussian)
 
     @property
@@ -227,7 +227,7 @@ class Sig(Schedule):
         self.samples.append((iteration, value))
         since = iteration - self.began
         verdict = judge(o.convergence, self.samples, o.convergence_rate,
-                        self.subject.inverse_distance)
+                        self.facts.inverse_distance)
         disturbed = self.guarded and not self._settled(iteration)
         self.hits = 0 if disturbed or not verdict.converged else self.hits + 1
         self.latest = {"frequency": value, "slope": verdict.slope,

@@ -32,7 +32,7 @@ class Taming(Constant):
         return max(EVERY, options.iterations // ROUNDS)
 
     def target(self, iteration, count, above):
-        o, start = self.options, self.subject.count
+        o, start = self.options, self.facts.count
         end = o.taming_budget * start
         if o.max_gaussians:
             end = min(end, o.max_gaussians)

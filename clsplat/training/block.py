@@ -14,12 +14,12 @@ MOVES = "init"  # a path in the block's folder
 
 
 def decided_by(coarse):
-    """{option: value} that the needs of a coarse run, a RunFolder, have decided for all blocks."""
-    needs, path = coarse.read_options().get("needs"), coarse.path / OPTIONS
-    if not isinstance(needs, dict) or not set(DECIDED) <= set(needs):
-        raise InputError(f"{path}: damaged (needs is {str(needs)[:20]!r}); remove "
+    """{option: value} that a coarse run, a RunFolder, has decided for all blocks."""
+    decisions, path = coarse.read_options().get("decisions"), coarse.path / OPTIONS
+    if not isinstance(decisions, dict) or not set(DECIDED) <= set(decisions):
+        raise InputError(f"{path}: damaged (decisions is {str(decisions)[:20]!r}); remove "
                          f"{coarse.path}, and train it again")
-    return {name: checked(str(path), name, needs[name]) for name in DECIDED}
+    return {name: checked(str(path), name, decisions[name]) for name in DECIDED}
 
 
 def options_of_blocks(given, decided):

@@ -1,8 +1,9 @@
 """A time budget instead of a number of steps: the schedule is laid over measured step times.
 
 The number of steps is estimated again and again from what steps take at the levels seen so far and
-from those the schedule still has to come; the schedule's shares, rates and degrees follow it. Time
-is wall time from the start of `clsplat.training.loop.train`, evaluations and files included.
+from those the schedule still has to come; the schedule's shares, rates and degrees follow it. The
+budget is of wall time from the start of `clsplat.training.loop.train`, evaluations and files
+included; steps are measured by the time of training alone. `deadline.Deadline` applies it.
 
 Lowered opacities, new levels and growth make a model worse before they make it better. Each begins
 only while the time that is left allows the steps to recover from it: measured on boruszyn (400 and
@@ -13,8 +14,10 @@ not begin; the run ends at the level that it has.
 
 import math
 from dataclasses import replace
+from typing import Any
 
 from clsplat.errors import InputError
+from clsplat.schedule import Plan
 
 EVERY = 0.005  # of the budget passes between estimates
 MEMORY = 0.5  # weight of the newest measurement of a level
@@ -30,18 +33,29 @@ TOO_LITTLE = 0.5  # share of the budget that all but training may take
 
 
 class TimeBudget:
-    """seconds: all there is; evaluation_seconds: of evaluating once, to be kept up to date;
-    elapsed: seconds spent before the first step; saved_bytes: of checkpoint and model;
-    evaluations: wanted, evenly over the time, of which those are made that EVALUATION_SHARE allows.
+    """How many steps a time allows.
+
+    Parameters
+    ----------
+    seconds : all there is.
+    evaluation_seconds : of evaluating once, to be kept up to date.
+    elapsed : seconds spent before the first step.
+    saved_bytes : of checkpoint and model.
+    evaluations : wanted, evenly over the time; those are made that EVALUATION_SHARE allows.
+
+    Attributes
+    ----------
+    last_level : the level that the run stays at, once another does not fit; None before.
     """
 
-    def __init__(self, seconds, evaluation_seconds, elapsed, saved_bytes, evaluations=1):
+    def __init__(self, seconds: float, evaluation_seconds: float, elapsed: float,
+                 saved_bytes: float, evaluations: int = 1) -> None:
         self.seconds, self.evaluation_seconds = seconds, evaluation_seconds
         self.rate = BYTES_PER_SECOND
         self.pending = 0  # evaluations still to come before the last
-        self.step_seconds = {}  # level -> seconds
+        self.step_seconds: dict[float, float] = {}  # level -> seconds
         self.change_seconds = 0.0  # of going to another level: reading its photos
-        self.last_level = None  # the level that the run stays at, once another does not fit
+        self.last_level: float | None = None
         self._since = None  # (iteration, seconds) of the last measurement
         needed = elapsed + self.reserve(saved_bytes)
         if needed > TOO_LITTLE * seconds:
@@ -53,12 +67,12 @@ class TimeBudget:
         self._evaluations = max(1, int(min(evaluations, affordable)))
         self.pending = self._evaluations - 1
 
-    def reserve(self, saved_bytes):
+    def reserve(self, saved_bytes: float) -> float:
         """Seconds to keep for the evaluations to come, the files and the page."""
         return (self.evaluation_seconds * (1 + self.pending) + saved_bytes / self.rate
                 + REPORT_SECONDS + SPARE * self.seconds)
 
-    def evaluates(self, elapsed):
+    def evaluates(self, elapsed: float) -> bool:
         """Whether it is time for an evaluation, one of those before the last."""
         passed = int(self._evaluations * elapsed / self.seconds)
         if not self.pending or passed < self._evaluations - self.pending:
@@ -66,15 +80,15 @@ class TimeBudget:
         self.pending = max(0, self._evaluations - 1 - passed)
         return True
 
-    def is_due(self, elapsed):
+    def is_due(self, elapsed: float) -> bool:
         """Whether it is time for another estimate."""
         return self._since is None or elapsed - self._since[1] > EVERY * self.seconds
 
-    def begin_steps(self, iteration, elapsed):
+    def begin_steps(self, iteration: int, elapsed: float) -> None:
         """What comes from now on are steps."""
         self._since = iteration, elapsed
 
-    def note_steps(self, iteration, level, elapsed):
+    def note_steps(self, iteration: int, level: float, elapsed: float) -> None:
         """Measure the steps since the last note, all at `level`."""
         if self._since and iteration > self._since[0]:
             latest = (elapsed - self._since[1]) / (iteration - self._since[0])
@@ -82,33 +96,33 @@ class TimeBudget:
             self.step_seconds[level] = before + MEMORY * (latest - before)
         self._since = iteration, elapsed
 
-    def note_change(self, seconds, iteration, elapsed):
+    def note_change(self, seconds: float, iteration: int, elapsed: float) -> None:
         """Going to another level took so long, which is no time of a step."""
         self.change_seconds = max(self.change_seconds, seconds)
         self.begin_steps(iteration, elapsed)
 
-    def note_saved(self, saved_bytes, seconds):
+    def note_saved(self, saved_bytes: float, seconds: float) -> None:
+        """Writing so many bytes took so long."""
         self.rate = max(saved_bytes / max(seconds, 1e-3), 1e6)
 
-    def steps(self, iteration, ahead, elapsed, saved_bytes):
-        """The number of steps of the whole run, as of `iteration`.
-
-        ahead: [(level, steps still to come by the present estimate)].
-        """
+    def steps(self, iteration: int, ahead: list[tuple[float, int]], elapsed: float,
+              saved_bytes: float) -> int:
+        """The number of steps of the whole run, as of `iteration`; ahead: (level, steps) still to
+        come by the present estimate."""
         left = self.seconds - elapsed - self.reserve(saved_bytes)
         predicted = sum(self._step_seconds(level) * steps for level, steps in ahead)
         steps = sum(steps for _, steps in ahead)
         return iteration + max(0, int(steps * left / predicted)) if predicted > 0 else iteration
 
-    def left(self, level, changes, elapsed, saved_bytes):
-        """Steps at `level` for which there is time, `changes`: after going there, carefully judged.
-        """
+    def left(self, level: float, changes: bool, elapsed: float, saved_bytes: float) -> int:
+        """Steps at `level` for which there is time, carefully judged; changes: whether the level
+        is still to be gone to."""
         seconds = self.seconds - elapsed - self.reserve(saved_bytes)
         if changes:
             seconds -= self.change_seconds
         return max(0, int(seconds / self._step_seconds(level, power=2)))
 
-    def allowed(self, plan, level, left):
+    def allowed(self, plan: Plan, level: float, left: int) -> Plan:
         """The Plan of a step, less what `left` steps do not allow to recover from; level: that of
         the step before."""
         if self.last_level is None and plan.level != level and left < SETTLING:
@@ -128,13 +142,14 @@ class TimeBudget:
         nearest = min(self.step_seconds, key=lambda seen: abs(seen - level))
         return self.step_seconds[nearest] * (nearest / level) ** power
 
-    def state(self):
+    def state(self) -> dict[str, Any]:
         """What a checkpoint must hold, for JSON."""
         return {"step_seconds": list(self.step_seconds.items()), "rate": self.rate,
                 "change_seconds": self.change_seconds, "last_level": self.last_level}
 
-    def load(self, state):
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from the `state` that a checkpoint held."""
         self.step_seconds = {level: seconds for level, seconds in state["step_seconds"]}
         self.rate = state["rate"]
-        self.change_seconds = state.get("change_seconds", 0.0)
-        self.last_level = state.get("last_level")
+        self.change_seconds = state["change_seconds"]
+        self.last_level = state["last_level"]

@@ -1,42 +1,61 @@
-"""The end of a training: the model that others open, and the page that people read."""
+"""What a training leaves: models that others open, and the page that people read."""
 
 import logging
+from typing import Any
 
 from clsplat.errors import ClsplatError
 from clsplat.evaluation.views import pictures_of
 from clsplat.io.reason import reason
+from clsplat.io.run import RunFolder
 from clsplat.report.run import write_report
+from clsplat.training.frequency import VARIANTS, scene_frequency
 from clsplat.training.interrupt import was_interrupted
+from clsplat.training.session import Session
 
 
-def save_model(training):
-    """Write the finished model of a `loop.Training`, and what was learned of its photos' colours.
+def save_model(run: RunFolder, session: Session) -> None:
+    """Write the finished model, and what was learned of its photos' colours."""
+    if session.step.exposures:
+        rows = session.step.exposures.transforms.download().reshape(-1, 3, 4)
+        run.save_exposures({view.name: row for view, row in zip(session.train_views, rows)})
+    gaussians = session.model.download().scaled(session.scene.unit)
+    run.save_model(gaussians, session.scene.offset, _comments(session),
+                   session.options.sphere_columns)
+
+
+def save_snapshot(run: RunFolder, session: Session) -> None:
+    """Write the model as a level leaves it: what clsplat/city/lod.py draws far away.
+
+    The header tells the level's factor, the steps taken and the scene frequencies, in 1 / world
+    unit.
     """
-    if training.step.exposures:
-        training.run.save_exposures(learned_exposures(training))
-    gaussians = training.step.model.download().scaled(training.scene.unit)
-    training.run.save_model(gaussians, training.scene.offset, comments(training),
-                            training.options.sphere_columns)
+    unit = session.scene.unit
+    frequency = scene_frequency(session.device, session.model.rows, unit)
+    run.save_snapshot(
+        session.level, session.model.download().scaled(unit), session.scene.offset,
+        (*_comments(session), f"level {session.level:g}",
+         *(f"frequency {name} {frequency[f'{name}_mean']:.9g}" for name in VARIANTS)))
 
 
-def learned_exposures(training):
-    """View name -> float[3, 4]."""
-    rows = training.step.exposures.transforms.download().reshape(-1, 3, 4)
-    return {view.name: row for view, row in zip(training.train_views, rows)}
-
-
-def comments(training):
+def _comments(session):
     """Lines for the PLY header that other tools read."""
-    mode = "mip" if training.options.antialiased else "default"
-    return (f"iterations {training.iteration}", f"SplatRenderMode: {mode}")
+    mode = "mip" if session.options.antialiased else "default"
+    return (f"iterations {session.iteration}", f"SplatRenderMode: {mode}")
 
 
-def draw_report(training):
-    """Write the page of a run. A page that cannot be drawn is a warning: the model is complete."""
+def draw_report(run: RunFolder, session: Session, per_view: list[dict[str, Any]] | None) -> None:
+    """Draw the page of a run. A page that cannot be drawn is a warning: the model is complete.
+
+    Parameters
+    ----------
+    run : where it is written.
+    session : whose views are shown.
+    per_view : scores of the held-out views, where they are known.
+    """
     try:
-        write_report(training.run, pictures=pictures_of(
-            training.renderer, training.step.model.rows, training.options.sh_degree,
-            training.test_views, training.train_views, training.per_view))
+        write_report(run, pictures=pictures_of(
+            session.renderer, session.model.rows, session.options.sh_degree,
+            session.test_views, session.train_views, per_view))
     except ClsplatError:
         raise
     except Exception as error:  # noqa: BLE001  (fonts, locales, settings of matplotlib)
@@ -44,4 +63,4 @@ def draw_report(training):
             raise
         logging.getLogger(__name__).warning(
             "%s: the report could not be drawn (%s: %s); the model is complete",
-            training.run.path, type(error).__name__, reason(error))
+            run.path, type(error).__name__, reason(error))

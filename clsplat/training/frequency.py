@@ -1,7 +1,7 @@
 """How fine the detail is that a model holds: its scene frequency (cl/frequency.cl)."""
 
 from clsplat.constants import FREQUENCY_SUMS, FREQUENCY_TERMS, LANES
-from clsplat.device import Forms, Kernel, groups, items
+from clsplat.device import Array, Device, Forms, Kernel, groups, items
 from clsplat.primitives.reduce import sum_columns
 
 VARIANTS = ("paper", "release", "robust")
@@ -22,11 +22,18 @@ VALUES = Kernel("frequency.cl", "frequency_values", items("1"), **_MAXIMA,
                 sums=("real", FREQUENCY_SUMS), values=("real", len(VARIANTS), len(AXES)))
 
 
-def scene_frequency(device, rows, unit=1.0):
+def scene_frequency(device: Device, rows: dict[str, Array],
+                    unit: float = 1.0) -> dict[str, float]:
     """{"paper_mean": float, ...}: nine scene frequencies, in 1 / world unit; waits.
 
-    rows: field name -> Array, of which log_scales real[N, 3] and opacity_logits real[N] are read;
-    unit: world units that one of theirs stands for.
+    Parameters
+    ----------
+    device : of the rows.
+    rows : field name -> Array, of which log_scales real[N, 3] and opacity_logits real[N] are read.
+    unit : world units that one of theirs stands for.
+
+    Notes
+    -----
     Keys are a variant and an axis. Variants: `paper`, weighted by squared opacity and determinant
     (SIG, ICLR 2026); `release`, one over the mean sigma, as its released code; `robust`, ours, one
     over the mean sigma weighted by opacity, so that what cannot be seen does not count. Axis: what

@@ -1,23 +1,43 @@
 """The gaussians in training: device rows that grow and shrink, and everything aligned to them."""
 
-import numpy as np
+from __future__ import annotations
 
-from clsplat.gaussians import LEARNED, Gaussians
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.densify.grow import Growth
+from clsplat.device import Array, ArraySpec, Device
+from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.optimise.adam import DeviceAdam, NumpyAdam
 from clsplat.primitives.gather import gather
 
 GROWTH_ROOM = 1.5  # capacity over need, so that most growth reallocates nothing new
 # share of the device's memory that parameters and moments may take before moments move to the host
 DEVICE_SHARE = 0.5
+ENGINES = {"device": DeviceAdam, "numpy": NumpyAdam}
 
 
 class Model:
     """Rows by field on the device and an Adam engine whose moments follow them.
 
-    `rows`: field name -> Array real[count, *row shape], the first `count` rows of `capacity`.
+    Parameters
+    ----------
+    device : of the training.
+    gaussians : to begin with.
+    engine : where moments are kept, "device" or "numpy"; "auto": on the device, where they fit now.
+    dense : whether Adam moves all rows, or those that a view saw.
+
+    Attributes
+    ----------
+    count : gaussians.
+    capacity : rows that there is memory for.
+    adam : the engine.
     """
 
-    def __init__(self, device, gaussians, engine="auto", dense=False):
+    def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto",
+                 dense: bool = False) -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.capacity = 0
         self.adopt(gaussians)
@@ -26,46 +46,63 @@ class Model:
         if engine == "auto":
             fits = needed < DEVICE_SHARE * device.handle.global_mem_size
             engine = "device" if fits else "numpy"
-        learned = {field.name: self._arrays[field.name] for field in LEARNED}
-        self.adam = {"device": DeviceAdam, "numpy": NumpyAdam}[engine](device, learned, dense)
+        self.adam = ENGINES[engine](
+            device, {field.name: self._arrays[field.name] for field in LEARNED}, dense)
 
-    def adopt(self, gaussians):
+    @staticmethod
+    def arrays(names: Iterable[str], sh_degree: int, capacity: int) -> dict[str, ArraySpec]:
+        """The arrays of the fields of these names."""
+        shapes = {field.name: field.row_shape(sh_degree) for field in FIELDS}
+        return {name: ArraySpec((capacity, *shapes[name])) for name in names}
+
+    def adopt(self, gaussians: Gaussians) -> None:
         """Take rows from the host; moments, if there are any, are not touched."""
         self.count = gaussians.count
         self.capacity = max(self.count, self.capacity)
-        self._arrays = {}
+        self._arrays = {name: self.device.hold(*spec) for name, spec in self.arrays(
+            gaussians.rows, self.sh_degree, self.capacity).items()}
         for name, values in gaussians.rows.items():
-            self._arrays[name] = self.device.hold((self.capacity, *values.shape[1:]))
             self._arrays[name].write(values)
 
     @property
-    def rows(self):
+    def rows(self) -> dict[str, Array]:
+        """Field name -> real[count, *row shape]."""
         return {name: array.narrow(self.count) for name, array in self._arrays.items()}
 
-    def download(self):
-        """The rows as host Gaussians."""
+    def download(self) -> Gaussians:
+        """The rows on the host."""
         rows = {name: array.download() for name, array in self.rows.items()}
         return Gaussians(rows, self.sh_degree)
 
-    def regrow(self, growth):
-        """Replace the rows by those a `densify.grow.Growth` names; new rows have no moments."""
+    def regrow(self, growth: Growth) -> None:
+        """Replace the rows by those that a Growth names; new rows have no moments."""
         count = len(growth.source)
         self.device.trim()  # frames of another number of gaussians ask for other sizes
-        if count > self.capacity:
-            self.capacity = int(count * GROWTH_ROOM)
+        self.capacity = grown_capacity(self.capacity, count)
         source = self.device.upload(growth.source)
-        for name, old in self._arrays.items():
-            new = self.device.hold((self.capacity, *old.shape[1:]))
-            self._arrays[name] = gather(self.device, old.narrow(self.count), source, new)
+        for name, spec in self.arrays(self._arrays, self.sh_degree, self.capacity).items():
+            self._arrays[name] = gather(self.device, self._arrays[name].narrow(self.count), source,
+                                        self.device.hold(*spec))
         self.adam.regrow(source, growth.kept, self.capacity)
         self.count = count
         for name, (first, values) in growth.changes.items():
             self._arrays[name].write(values, first)
 
-    def limit_opacity(self, logit, which=None):
+    def limit_opacity(self, logit: float, which: NDArray[np.bool_] | None = None) -> None:
         """No opacity logit stays above `logit`, of all or of those where `which` bool[N]; their
         moments are forgotten (Kerbl et al. 2023)."""
         logits = self.rows["opacity_logits"]
         values = logits.download()
         logits.write(np.minimum(values, logit, out=values, where=True if which is None else which))
         self.adam.reset("opacity_logits")
+
+
+def grown_capacity(capacity: int, count: int) -> int:
+    """Rows that there is memory for, after growth to `count`."""
+    return int(count * GROWTH_ROOM) if count > capacity else capacity
+
+
+def checkpoint_bytes(model: Model) -> int:
+    """About how many bytes checkpoint and finished model take."""
+    floats = sum(field.width(model.sh_degree) for field in LEARNED)
+    return 4 * 4 * floats * model.count  # parameters, two moments, and the PLY

@@ -3,29 +3,34 @@
 import functools
 import time
 from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.device import Array, ArraySpec, Device
 from clsplat.io.images import read_photo
+from clsplat.options import TrainOptions
+from clsplat.scene import View
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
 THREADS = 2  # each may hold a whole photo as floats
 
 
 @functools.lru_cache(maxsize=2)  # this step's epoch, and the next one's
-def epoch_order(seed, epoch, count):
+def epoch_order(seed: int, epoch: int, count: int) -> NDArray[np.int64]:
     """int[count]: the order of the views in an epoch."""
     return np.random.default_rng([seed, 1, epoch]).permutation(count)
 
 
-def decode(view):
+def decode(view: View) -> NDArray[np.uint8]:
     """uint8[3, H, W]: the view's photo at its camera's size."""
     return np.ascontiguousarray(read_photo(view).transpose(2, 0, 1))
 
 
-def decoded(views):
+def decoded(views: Iterable[View]) -> Iterator[NDArray[np.uint8]]:
     """Yields `decode` of each view, by a few threads; raises InputError at a damaged photo."""
     with ThreadPoolExecutor(THREADS) as threads:
         ahead = deque()  # no longer than the threads need: photos are large
@@ -37,10 +42,13 @@ def decoded(views):
             yield ahead.popleft().result()
 
 
-def size_note(views, options):
-    """A line for the user where --max-resolution makes the photos of `views` smaller, or None.
+def size_note(views: Sequence[View], options: TrainOptions) -> str | None:
+    """A line for the user where --max-resolution makes photos smaller, or None.
 
-    views: Views as read; options: TrainOptions, of which -r is no surprise and is not mentioned.
+    Parameters
+    ----------
+    views : as they were read.
+    options : of which -r is no surprise and is not mentioned.
     """
     limited = [view.camera for view in views
                if view.camera.reduced(options.downscale, options.max_resolution).width
@@ -53,22 +61,40 @@ def size_note(views, options):
             f"{small.height}; --max-resolution none keeps their size")
 
 
-def at_level(views, level):
+def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
     """The views with cameras of images `level` times smaller."""
     return tuple(replace(view, camera=view.camera.reduced(level)) for view in views)
+
+
+def photo_array(view: View) -> ArraySpec:
+    """The array of a view's photo."""
+    return ArraySpec((3, view.camera.height, view.camera.width), np.uint8)
 
 
 class Photos:
     """`photos[i]` is view i's photo at the present level, uchar[3, H, W] on the device.
 
-    views: Views whose cameras have the size of level 1; levels: the factors that will come, in
-    order; budget_bytes: what may stay on the device, by default a quarter of its memory. A level
-    within it is resampled once, and read ahead by a thread while the level before it trains; past
-    it each photo is decoded anew at each use, one ahead: `expect` says which comes next. All
-    photos are decoded at the start, so that a damaged one is refused before a run begins.
+    A level that fits the budget is resampled once, and read ahead by a thread while the level
+    before it trains; past it each photo is decoded anew at each use, one ahead: `expect` says which
+    comes next. All photos are decoded at the start, so that a damaged one is refused before a run
+    begins.
+
+    Parameters
+    ----------
+    device : where they stay.
+    views : whose cameras have the size of level 1.
+    levels : the factors that will come, in order.
+    budget_bytes : what may stay on the device; None: DEVICE_SHARE of its memory.
+
+    Attributes
+    ----------
+    level, views : the present level, and the views at it.
+    resident : whether the photos of this level stay on the device.
+    read_seconds : that going to this level took.
     """
 
-    def __init__(self, device, views, levels=(1.0,), budget_bytes=None):
+    def __init__(self, device: Device, views: Sequence[View], levels: Sequence[float] = (1.0,),
+                 budget_bytes: int | None = None) -> None:
         self.device, self._full, self._levels = device, views, levels
         self._budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
                         else budget_bytes)
@@ -81,7 +107,7 @@ class Photos:
                 pass
         self.use(levels[0])
 
-    def use(self, level):
+    def use(self, level: float) -> None:
         """Go to a level, and begin to read the one that follows it."""
         if level == self.level:
             return
@@ -102,18 +128,19 @@ class Photos:
                                         for view in at_level(self._full, following[0])]
 
     def _fits(self, views):
-        return sum(3 * v.camera.width * v.camera.height for v in views) <= self._budget
+        return sum(photo_array(v).nbytes(self.device.real) for v in views) <= self._budget
 
-    def expect(self, index):
-        """Begin decoding a photo that will be asked for soon; None: of none."""
-        if index is not None and not self.resident and index not in self._ahead:
+    def expect(self, index: int) -> None:
+        """Begin decoding a photo that will be asked for soon."""
+        if not self.resident and index not in self._ahead:
             self._ahead[index] = self._thread.submit(decode, self.views[index])
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int) -> Array:
         if self.resident:
             return self._arrays[index]
         pending = self._ahead.pop(index, None)
         return self.device.upload(pending.result() if pending else decode(self.views[index]))
 
-    def close(self):
+    def close(self) -> None:
+        """Read nothing more."""
         self._thread.shutdown(wait=False, cancel_futures=True)

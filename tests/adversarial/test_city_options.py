@@ -19,7 +19,7 @@ from clsplat.io.lock import LockTaken
 from clsplat.io.scenes import read_scene
 from clsplat.partition.options import PartitionOptions
 from clsplat.training import loop
-from clsplat.training.silent import WARNING, Silent
+from clsplat.training.progress import WARNING, SilentProgress
 from tests.city.test_merge import (  # noqa: F401  (fixtures)
     city,
     scene,
@@ -254,7 +254,7 @@ def test_which_block_is_trained_is_told(city, monkeypatch, workers):  # noqa: F8
 
 
 def test_warnings_of_photos_are_shown_with_q(capsys):
-    silent = Silent()
+    silent = SilentProgress()
     silent.message("a line")
     silent.phase("reading")
     silent.message(f"{WARNING}all photos are black")

@@ -41,7 +41,7 @@ def made(tmp_path_factory):
 
 def finish(path, scene, options, gaussians):
     run = RunFolder.create(path)
-    run.write_options({"scene": scene.path, **dataclasses.asdict(options), "needs": NEEDS,
+    run.write_options({"scene": scene.path, **dataclasses.asdict(options), "decisions": NEEDS,
                        "fingerprint": fingerprint(scene)})
     run.log({"event": "plan", "iteration": 20, "train_seconds": 1.0, "wall_seconds": 2.0})
     run.save_model(gaussians, scene.offset)
@@ -145,11 +145,11 @@ def test_a_hand_edited_file_is_refused_by_merge(city, capsys, name, changes, sai
 
 
 PARTITION_EDITS = [
-    ("coarse/options.json", {"needs": None}, "needs is 'None'"),
-    ("coarse/options.json", {"needs": [1]}, "needs is '[1]'"),
-    ("coarse/options.json", {"needs": {}}, "needs is '{}'"),
-    ("coarse/options.json", {"needs": {"exposure": 3, "sh_degree": 1}}, "'exposure' wants"),
-    ("coarse/options.json", {"needs": {"exposure": "on", "sh_degree": 7}}, "'sh-degree' wants"),
+    ("coarse/options.json", {"decisions": None}, "decisions is 'None'"),
+    ("coarse/options.json", {"decisions": [1]}, "decisions is '[1]'"),
+    ("coarse/options.json", {"decisions": {}}, "decisions is '{}'"),
+    ("coarse/options.json", {"decisions": {"exposure": 3, "sh_degree": 1}}, "'exposure' wants"),
+    ("coarse/options.json", {"decisions": {"exposure": "on", "sh_degree": 7}}, "'sh-degree' wants"),
     ("coarse/options.json", {"downscale": "x"}, "'downscale' wants"),
     ("coarse/options.json", {"downscale": 0.5}, "'downscale' wants"),
     ("partition.json", {"asked": [1]}, "asked is '[1]'"),

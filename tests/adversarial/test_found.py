@@ -52,12 +52,12 @@ def test_a_model_of_nothing_is_not_rendered(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("needs", [[], "x", 3, {"sh_degree": "x"}, {"sh_degree": 9}], ids=str)
-def test_needs_of_another_kind_are_refused(tmp_path, needs):
+@pytest.mark.parametrize("decisions", [[], "x", 3, {"sh_degree": "x"}, {"sh_degree": 9}], ids=str)
+def test_decisions_of_another_kind_are_refused(tmp_path, decisions):
     run = RunFolder.create(tmp_path / "run")
     scene = read_scene(CITY)
     run.write_options({"scene": CITY, "fingerprint": fingerprint(scene)})
-    record = json.loads((run.path / "options.json").read_text()) | {"needs": needs}
+    record = json.loads((run.path / "options.json").read_text()) | {"decisions": decisions}
     (run.path / "options.json").write_text(json.dumps(record))
     state = {key: {} if dict in np.atleast_1d(kinds) else 1
              for key, (kinds, _) in checkpoint.STATE.items()}

@@ -21,7 +21,7 @@ from clsplat.options import resolve
 from clsplat.partition.make import make_partition
 from tests.data.tiny_training import CITY
 
-pytestmark = pytest.mark.slow  # each needs a city that is trained
+pytestmark = pytest.mark.slow  # each decisions a city that is trained
 
 # PoCL where the tests are not told otherwise
 DEVICE = os.environ.get("CLSPLAT_TEST_DEVICES", "all").replace("all", "Portable")
@@ -231,7 +231,8 @@ def test_what_ten_times_the_photos_take():
                              handle=SimpleNamespace(global_mem_size=2**30))
     view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
     options = resolve({}, {"iterations": 1000})
-    planned = SimpleNamespace(views=[view] * 100, needs=SimpleNamespace(options=options))
+    planned = SimpleNamespace(prepared=SimpleNamespace(train_views=[view] * 100,
+                                                       options=options))
     limit = gaussians_that_fit(device, options)
     forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0)
     head, *_ = table = scale_table(planned, forecast, device, 0.5, [200, 2000]).rows

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from clsplat.cli.progress import Progress, clock, fitted
-from clsplat.training.silent import Silent
+from clsplat.training.progress import SilentProgress
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLD = {"loss": 0.1542, "gaussians": 1_229_336, "memory_bytes": 9 << 30, "level": 3.0}
@@ -141,8 +141,8 @@ def test_characters_that_a_terminal_lacks(monkeypatch):
 
 def test_silence_takes_all_that_progress_takes():
     for name in ("__call__", "message", "phase"):
-        assert hasattr(Progress, name) and hasattr(Silent, name)
-    Silent().phase("planning")
+        assert hasattr(Progress, name) and hasattr(SilentProgress, name)
+    SilentProgress().phase("planning")
 
 
 def test_synth_says_which_photo(tmp_path):

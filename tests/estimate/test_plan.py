@@ -1,9 +1,8 @@
-"""What is foretold of a training: its course, its memory, its time."""
+"""What is predicted of a training: its course, its memory, its time."""
 
 import os
 
 import numpy as np
-import pyopencl.tools
 import pytest
 from click.testing import CliRunner
 from scipy.spatial import cKDTree
@@ -11,24 +10,41 @@ from scipy.spatial import cKDTree
 from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.cli.plan import duration
-from clsplat.device.device import Held
+from clsplat.densify.grow import Growth
+from clsplat.device import Device
 from clsplat.estimate.detail import photo_detail
-from clsplat.estimate.dry_run import DryDevice, block_bytes
 from clsplat.estimate.forecast import Planned
-from clsplat.estimate.memory import Memory
-from clsplat.estimate.step_time import MOST_PIXELS, fitted, foretold, load, pixels, stepped_with
-from clsplat.estimate.trial_steps import Rehearsal, strewn
-from clsplat.gaussians import Gaussians
+from clsplat.estimate.memory import (
+    Memory,
+    Pool,
+    block_bytes,
+    model_arrays,
+    other_arrays,
+    step_arrays,
+)
+from clsplat.estimate.step_time import MOST_PIXELS, fitted, load, pixels, predicted, stepped_with
+from clsplat.estimate.trial_steps import (
+    SizedPhotos,
+    TrialSteps,
+    sampled,
+    trial_plan,
+    trial_session,
+)
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
+from clsplat.rendering.frame_arrays import FrameSize
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
-from clsplat.schedule import OURS, Subject, scaled_steps, schedule_of
-from clsplat.schedule.course import Stretch, course, largest
-from clsplat.training.needs import find_needs
-from clsplat.training.photos import size_note
+from clsplat.schedule import OURS, SceneFacts, scaled_steps, schedule_of
+from clsplat.schedule.simulate import Segment, largest, simulate
+from clsplat.training.model import grown_capacity
+from clsplat.training.photos import photo_array, size_note
+from clsplat.training.session import prepare
 from tests.data.tiny_training import CITY, options_of, records, trained
+
+LEARNED_NAMES = [field.name for field in LEARNED]
 
 
 @pytest.fixture(scope="module")
@@ -36,39 +52,29 @@ def city():
     return read_scene(CITY).reduced(4)
 
 
-def emptied(device, monkeypatch):
-    """The device, as if nothing had been allocated on it; what is built stays. Older pytest leaves
-    methods on it that another test had replaced, which a DryDevice would take over."""
-    for name in [name for name in vars(device) if callable(getattr(type(device), name, None))]:
-        delattr(device, name)
-    monkeypatch.setattr(device, "_pool", pyopencl.tools.MemoryPool(
-        pyopencl.tools.ImmediateAllocator(device.queue), leading_bits_in_bin_id=1))
-    monkeypatch.setattr(device, "_held", Held())
-    return device
-
-
 @pytest.fixture
-def own_device(float_device, monkeypatch):
-    return emptied(float_device, monkeypatch)
+def own_device(float_device):
+    """A device on which nothing is allocated yet."""
+    return Device(float_device.handle, form=float_device.form)
 
 
-# --- course
+# --- the simulated schedule
 
 
 def course_of(count, pixels, size=(512, 382), **options):
     options = scaled_steps(resolve({}, options))
-    subject = Subject(size, count, 20.0, tuple, pixels)
-    return course(schedule_of(options.schedule)(options, subject))
+    facts = SceneFacts(size, count, 20.0, tuple, pixels)
+    return simulate(schedule_of(options.schedule)(options, facts))
 
 
 @pytest.mark.parametrize("count, views, size, steps, ended", [
     (15689, 24, (512, 382), 7000, 117_220), (25683, 65, (509, 383), 30000, 316_781),
     (4400, 28, (320, 240), 7000, 53_677)], ids=["boruszyn", "caliterra", "city"])
 def test_runs_that_meet_their_ceiling_end_as_foretold(count, views, size, steps, ended):
-    stretches = course_of(count, views * size[0] * size[1], size, iterations=steps)
-    assert largest(stretches) == pytest.approx(ended, rel=0.01)
-    assert sum(stretch.steps for stretch in stretches) == steps
-    levels = list(dict.fromkeys(stretch.level for stretch in stretches))
+    segments = course_of(count, views * size[0] * size[1], size, iterations=steps)
+    assert largest(segments) == pytest.approx(ended, rel=0.01)
+    assert sum(segment.steps for segment in segments) == steps
+    levels = list(dict.fromkeys(segment.level for segment in segments))
     assert levels == sorted(levels, reverse=True) and levels[-1] == 1
 
 
@@ -79,8 +85,8 @@ def test_taming_ends_at_its_budget():
 
 def test_a_limit_is_kept():
     for schedule in OURS:
-        stretches = course_of(4400, 10**7, schedule=schedule, iterations=7000, max_gaussians=9000)
-        assert 8900 < largest(stretches) <= 9000
+        segments = course_of(4400, 10**7, schedule=schedule, iterations=7000, max_gaussians=9000)
+        assert 8900 < largest(segments) <= 9000
 
 
 def test_demand_is_that_of_fine_detail():
@@ -88,8 +94,8 @@ def test_demand_is_that_of_fine_detail():
     positions have settled."""
     def counts(detail=None, **limits):
         options = scaled_steps(resolve({}, {"schedule": "constant", "iterations": 30000, **limits}))
-        schedule = schedule_of("constant")(options, Subject((512, 382), 1000, 20.0, tuple, 10**6))
-        return [s.gaussians for s in course(schedule, detail)]
+        facts = SceneFacts((512, 382), 1000, 20.0, tuple, 10**6)
+        return [s.gaussians for s in simulate(schedule_of("constant")(options, facts), detail)]
 
     sharp = counts()
     assert sharp[1] == 1400
@@ -118,8 +124,8 @@ def test_detail_is_what_half_the_size_would_not_show(tmp_path):
 
 
 def test_photos_are_compared_while_growing_only():
-    stretches = course_of(4400, 10**6, iterations=3000, reproject="on")
-    assert {s.regularises for s in stretches} == {True, False} and not stretches[-1].regularises
+    segments = course_of(4400, 10**6, iterations=3000, reproject="on")
+    assert {s.regularises for s in segments} == {True, False} and not segments[-1].regularises
     assert not any(s.regularises for s in course_of(4400, 10**6, iterations=3000))
 
 
@@ -141,40 +147,43 @@ PARTS = [{}, {"exposure": "on", "reproject": "on"}, {"batch": 3},
 
 
 @pytest.mark.parametrize("options", PARTS, ids=str)
-def test_counting_is_exact(own_device, city, options):
-    """The same steps on a device and on one that counts, growth between them, are the same bytes.
-    """
-    views = city.views[:6]
-    options = scaled_steps(resolve({}, {"exposure": "off", **options}))
-    needs = find_needs(city, views, options)
-    gaussians = strewn(city, 3000, options.sh_degree)
-    dry = DryDevice(own_device)
-    real, counted = (
-        Rehearsal(device, city, views, needs, gaussians,
-                  lambda device, view: device.upload(
-                      np.full((3, view.camera.height, view.camera.width), 90, np.uint8)))
-        for device in (own_device, dry))
-    frames = []
-    bin_splats_of = real.step.renderer.render
+def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
+    """What lasts to the byte, at two levels and after growth; of what the pool keeps for steps
+    all but the last numbers of the loss."""
+    device, regularises = own_device, options.get("reproject") == "on"
+    prepared = prepare(read_scene(CITY), resolve({}, {
+        "exposure": "off", "downscale": 4.0, "test_every": 0, "sphere": False, **options}), device)
+    views, degree = prepared.train_views, prepared.options.sh_degree
+    session = trial_session(prepared, device, sampled(prepared.scene, 3000, degree), 2.0)
+    trial, pool, found = TrialSteps(session), Pool(device.real), []
+    render = session.renderer.render
 
     def noted(*arguments, **more):
-        frame = bin_splats_of(*arguments, **more)
-        dry.visible, dry.pairs = len(frame.visible), frame.pairs.count
-        frames.append(dry.pairs)
+        frame = render(*arguments, **more)
+        found.append((len(frame.visible), frame.pairs.count))
         return frame
-    real.step.renderer.render = noted
+
+    session.renderer.render = noted
+    capacity = 3000
     for level, count in ((2.0, 3000), (1.0, 3000), (1.0, 5000)):
-        for rehearsal in (real, counted):
-            rehearsal.use(level)
-            if count != rehearsal.step.model.count:
-                rehearsal.grow(count)
+        session.photos = SizedPhotos(device, views, level)
+        session.use_level(level)
+        if count != session.model.count:
+            session.model.regrow(Growth(np.zeros(count, np.uint32), 3000, 0, 0, 0, {}))
+            session.step.statistics.clear(count)
+            capacity, pool = grown_capacity(capacity, count), Pool(device.real)
+        lasting = [photo_array(session.photos.views[0])] + other_arrays(prepared, count)
+        lasting += model_arrays(LEARNED_NAMES, degree, capacity, prepared.options.engine)
         for index in (0, 3):
-            regularises = options.reproject == "on"
-            real.prepare(index, regularises)()
-            counted.prepare(index, regularises)()
-            assert dry.memory_bytes == own_device.memory_bytes > 0
-    assert dry.peak_bytes > dry.memory_bytes - dry._pool.managed_bytes
-    assert len(frames) == 6 * options.batch
+            trial.prepare(index, regularises)()
+            camera = session.photos.views[index].camera
+            size = FrameSize(count, *found[-1], camera.width, camera.height)
+            plan = trial_plan(prepared.options, level, regularises)
+            pool.add(step_arrays(device, prepared, size, session.step.terms_in(plan)))
+        assert device._held.nbytes == sum(spec.nbytes(device.real) for spec in lasting)
+        bound = 0.05 if "batch" in options or "engine" in options else 0.01
+        kept = device._pool.managed_bytes
+        assert kept == pytest.approx(pool.nbytes, rel=bound), (level, count)
 
 
 def measured_peak(device, monkeypatch):
@@ -199,8 +208,9 @@ def test_a_run_takes_what_was_foretold(tmp_path, own_device, monkeypatch, option
     options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,
                "densify_every": 25, "grow_threshold": 2e-5, "densify_until": 0, **options}
     forecast = Planned(scene, options_of(**options), own_device).forecast()
-    peaks = measured_peak(emptied(own_device, monkeypatch), monkeypatch)
-    run = trained(tmp_path, scene, own_device, **options)
+    fresh = Device(own_device.handle, form=own_device.form)
+    peaks = measured_peak(fresh, monkeypatch)
+    run = trained(tmp_path, scene, fresh, **options)
     steps = records(run, "step")
     assert steps[-1]["gaussians"] == pytest.approx(forecast.gaussians, rel=0.15)
     assert forecast.memory.steps == pytest.approx(
@@ -223,16 +233,16 @@ def test_three_costs_are_found_again():
 
 
 def test_a_course_costs_what_its_steps_do(city):
-    stretches = [Stretch(10, 2.0, 100, False), Stretch(5, 1.0, 200, False)]
+    segments = [Segment(10, 2.0, 100, False), Segment(5, 1.0, 200, False)]
     small, large = pixels(city.views, 2.0), pixels(city.views, 1.0)
     assert (small, large) == (40 * 30, 80 * 60)
-    assert foretold((1.0, 0.1, 0.01), city.views, stretches) == pytest.approx(
+    assert predicted((1.0, 0.1, 0.01), city.views, segments) == pytest.approx(
         10 * (1 + 0.1 * small + 1) + 5 * (1 + 0.1 * large + 2))
 
 
 @pytest.mark.parametrize("count", [50, 4400, 6000])
 def test_strewn_gaussians_are_about_the_points(city, count):
-    gaussians = strewn(city, count, 1)
+    gaussians = sampled(city, count, 1)
     assert gaussians.count == count and gaussians.sh_degree == 1
     away, _ = cKDTree(city.points).query(gaussians.positions)
     size = np.exp(Gaussians.from_points(city.points, city.colours).log_scales[:, 0])
@@ -247,19 +257,19 @@ def sized_views(width, height):
 
 @pytest.mark.parametrize("levels", [(1.0,), (5.0, 1.0)], ids=str)
 def test_large_photos_are_timed_at_two_smaller_sizes(levels):
-    stretches = [Stretch(10, level, 50_000, False) for level in levels]
+    segments = [Segment(10, level, 50_000, False) for level in levels]
     for views in (sized_views(5472, 4088), sized_views(54720, 40880)):
-        sizes = stepped_with(views, 1000, stretches)
+        sizes = stepped_with(views, 1000, segments)
         images = {round(pixels(views, level)) for level, _ in sizes}
         assert max(images) < 1.001 * MOST_PIXELS and len(images) == 2
         assert min(images) < 0.26 * max(images)  # far enough apart to extrapolate from
-    small = stepped_with(sized_views(1600, 1195), 1000, stretches)
+    small = stepped_with(sized_views(1600, 1195), 1000, segments)
     assert {level for level, _ in small} == set(levels)
 
 
 def test_pairs_are_counted_as_rendering_finds_them(float_device, city):
     renderer, camera = Renderer(float_device, 0, city.near_plane), city.views[3].camera
-    gaussians = strewn(city, 3000, 0)
+    gaussians = sampled(city, 3000, 0)
     rows = {name: float_device.upload(values) for name, values in gaussians.rows.items()}
     packed = renderer.pack(camera)
     frame = renderer.render(rows, packed, camera.width, camera.height, 0)
@@ -320,7 +330,7 @@ def test_the_command_says_it_all(monkeypatch, item_device):
 
 
 @pytest.mark.parametrize("words, complaint", [
-    ((CITY / "nothing",), "no such scene"), ((CITY, "--test-every", 1), "0 photos to train on"),
+    ((CITY / "nothing",), "no such scene"), ((CITY, "--test-every", 1), "holds out every view"),
     ((CITY, "--sh-degree", "x"), "--sh-degree x: wants auto or a whole number"),
     ((CITY, "--levels", "90,1"), "less than a tile")])
 def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):

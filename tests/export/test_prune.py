@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clsplat.estimate.trial_steps import strewn
+from clsplat.estimate.trial_steps import sampled
 from clsplat.evaluation.run import Run
 from clsplat.export import prune as thin
 from clsplat.gaussians import Gaussians
@@ -23,7 +23,7 @@ def faint(gaussians, rows, logit):
 
 
 def test_dead_gaussians_change_no_pixel(float_device, city):
-    gaussians = strewn(city, 3000, 0)
+    gaussians = sampled(city, 3000, 0)
     threshold = np.log(1 / 254)  # of the logit of 1/255
     dead = np.arange(0, 3000, 3)
     gaussians = faint(gaussians, dead, threshold - 1e-3)
@@ -55,13 +55,13 @@ def test_the_lowest_degree_that_costs_little(tmp_path, item_device, city, monkey
         assert len(views) == 4  # those held out
         return {"psnr": scores[of_degree]}
     monkeypatch.setattr(thin, "evaluate_views", evaluated)
-    run = run_with(tmp_path, strewn(city, 20, 3))
+    run = run_with(tmp_path, sampled(city, 20, 3))
     assert thin.needed_sh_degree(Run(run), item_device, cost) == (degree, list(scores))
 
 
 @pytest.mark.slow
 def test_harmonics_that_carry_nothing_are_found(tmp_path, item_device, city):
-    gaussians = strewn(city, 4400, 3)
+    gaussians = sampled(city, 4400, 3)
     gaussians.sh_rest[:, :3] = 0.3  # of the first degree
     run = run_with(tmp_path, gaussians)
     degree, scores = thin.needed_sh_degree(Run(run), item_device, 0.01)
@@ -70,7 +70,7 @@ def test_harmonics_that_carry_nothing_are_found(tmp_path, item_device, city):
 
 
 def test_export_leaves_out_what_carries_nothing(tmp_path, city):
-    gaussians = strewn(city, 300, 3)
+    gaussians = sampled(city, 300, 3)
     gaussians.sh_rest[:] = np.random.default_rng(0).normal(size=gaussians.sh_rest.shape)
     gaussians = faint(gaussians, [7, 9], -20)
     run, output = run_with(tmp_path / "run", gaussians), tmp_path / "model.ply"

@@ -8,17 +8,17 @@ import pyopencl as cl
 import pyopencl.tools
 import pytest
 
-from clsplat.constants import BUCKET, SPLAT_REALS
+from clsplat.constants import BUCKET
 from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError
-from clsplat.gaussians import LEARNED
 from clsplat.io.scenes import read_scene
-from clsplat.rendering.bands import INDEX_BYTES, choose_bands, pair_limit, pair_reals
+from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.bin import PAIR_LIMIT, count_tiles, tile_grid
+from clsplat.rendering.frame_arrays import FrameSize, by_stage, frame_arrays
 from tests import cases
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
-from tests.kernels.chain import gradients_by_row, render, size_of, stored_degree
+from tests.kernels.chain import gradients_by_row, render, size_of
 from tests.kernels.test_pipeline import assert_same, cotangents
 
 SPREAD = "giants"  # 61 x 37 pixels: each gaussian has pairs in most tiles, so in most bands
@@ -116,8 +116,9 @@ def test_the_limit_follows_from_the_devices_memory(device, monkeypatch):
     monkeypatch.setattr(device, "largest_buffer", 1 << 60)
     limit = pair_limit(device, 61, 37, True)
     assert 0 < limit < PAIR_LIMIT
-    share = frame_bytes(device, limit, 0, 0, with_depth=True)
-    assert 0.24 < share / device.handle.global_mem_size < 0.2501
+    share = max(live_bytes(frame_arrays(device, FrameSize(1, 1, limit, 61, 37), 1, True),
+                           device.real))
+    assert 0.24 < share / device.handle.global_mem_size < 0.2505
 
 
 def test_the_limit_leaves_room_in_the_largest_buffer(device, monkeypatch):
@@ -161,39 +162,9 @@ class ExactPool:
         return buffer
 
 
-def frame_bytes(device, pairs, splats, pixels, with_depth, sh_degree=1):
-    """Most bytes that rendering a frame and its adjoint hold at a time, the gradients included.
-
-    With indices of 4 bytes, reals of r, s = 9 sums a pair and c = 0 reals of checkpoints a pair in
-    the item form, 32 in the group form (with depth 10, and 40), g reals a gaussian:
-    pairs (8 + r s + r c) + splats (16 + r (12 + s)) in the blend adjoint, or
-    pairs (8 + r c) + splats (20 + r (14 + s + g)) behind it, and
-    pixels (4 + 4 r), with depth 5 r, and again a pixel's checkpoint in the group form.
-    In single precision, without depth: 44 or 172 bytes a pair at most, 20 or 36 a pixel.
-    pairs: of the largest band. What the device's pool takes for this is more: it rounds sizes up
-    (by a fifth on average), and keeps what frames of other sizes took.
-    """
-    (sums, checkpoints), real = pair_reals(device, with_depth), device.real.itemsize
-    lists = 2 * INDEX_BYTES + real * checkpoints  # of a pair, as long as the frame is kept
-    splat = 4 * INDEX_BYTES + real * (SPLAT_REALS + sums)
-    gradients = INDEX_BYTES + real * (2 + sum(f.width(sh_degree) for f in LEARNED))
-    pixel = INDEX_BYTES + real * (4 + with_depth) * (1 + (device.form == "group"))
-    return (pairs * lists + splats * splat + pixels * pixel
-            + max(pairs * real * sums, splats * gradients))
-
-
-@pytest.mark.parametrize("with_depth", [False, True])
-@pytest.mark.parametrize("name, count", [(SPREAD, 400), ("many", 3000), ("specks", 2000)])
-def test_frame_bytes_are_what_a_frame_holds(device, monkeypatch, name, count, with_depth):
-    """Pairs, pixels or gaussians are what most of the memory goes to."""
-    pool = ExactPool(device)
-    monkeypatch.setattr(device, "_pool", pool)
-    case = cases.gaussians(name, count=count)
-    frame, _ = rendered_and_back(device, case, with_depth)
-    (width, height), degree = size_of(case), stored_degree(case)
-    foretold = frame_bytes(device, frame.pairs.count, len(frame.visible), width * height,
-                           with_depth, degree)
-    assert abs(foretold / pool.most - 1) < 0.05, (foretold, pool.most)
+def live_bytes(arrays, real):
+    """Bytes that arrays hold together in each stage of a step."""
+    return [sum(array.nbytes(real) for array in alive) for alive in by_stage(arrays)]
 
 
 def test_bands_hold_no_more_than_the_largest_of_them(device, monkeypatch):
@@ -202,8 +173,8 @@ def test_bands_hold_no_more_than_the_largest_of_them(device, monkeypatch):
     monkeypatch.setattr(device, "_pool", pool)
     frame, _ = rendered_and_back(device, case, pair_limit=1300)
     assert len(frame.bands) > 2
-    (width, height), visible = size_of(case), len(frame.visible)
-    assert pool.most < 1.05 * frame_bytes(device, 1300, visible, width * height, with_depth=True)
+    size = FrameSize(400, len(frame.visible), 1300, *size_of(case))
+    assert pool.most < 1.05 * max(live_bytes(frame_arrays(device, size, 1, True), device.real))
 
 
 # --- the choice

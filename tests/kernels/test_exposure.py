@@ -31,8 +31,8 @@ class Run:
     def step(self, view, image, grad):
         """The gradient by the image, checked; then a step by both."""
         expected, by_transform = reference.apply_adjoint(self.state[0][view], image, grad)
-        actual = self.exposures.adjoint(
-            view, self.device.upload(image), self.device.upload(grad))
+        actual = stepped(
+            self.exposures, view, self.device.upload(image), self.device.upload(grad))
         close(actual.download(), expected, precision_of(self.device), "gradient")
         self.state = reference.step(*self.state, view, by_transform, RATE, self.pull)
 
@@ -42,6 +42,13 @@ class Run:
             close(saved[name], expected.reshape(-1, 12), precision_of(self.device),
                   f"{what}: {name}")
         assert np.array_equal(saved["counts"], self.state[3]), what
+
+
+def stepped(exposures, view, image, grad):
+    """The gradient by the image, and a step by it."""
+    grad_image, partials = exposures.adjoint(view, image, grad)
+    exposures.step(view, partials)
+    return grad_image
 
 
 def a_pair(width, height, seed=0):
@@ -100,7 +107,11 @@ def test_at_the_start_nothing_changes(device):
     assert np.array_equal(exposures.apply(1, device.upload(image)).download(),
                           image.astype(device.real))
     grad = device.upload(np.zeros(image.shape))
-    assert not exposures.adjoint(1, device.upload(image), grad).download().any()
+    before = exposures.download()
+    grad_image, _ = exposures.adjoint(1, device.upload(image), grad)
+    assert not grad_image.download().any()
+    after = exposures.download()  # the adjoint alone changes nothing
+    assert all(np.array_equal(after[name], before[name]) for name in before)
     assert np.array_equal(exposures.download()["transforms"], np.tile(np.eye(3, 4).ravel(), (2, 1)))
 
 
@@ -122,8 +133,8 @@ def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot):
         run = Run(float_device)
         before = run.exposures.download()
         with np.errstate(all="ignore"):
-            actual = run.exposures.adjoint(
-                0, *(float_device.upload(arrays[name]) for name in ("image", "grad"))).download()
+            actual = stepped(run.exposures, 0, *(
+                float_device.upload(arrays[name]) for name in ("image", "grad"))).download()
             expected, sums = reference.apply_adjoint(
                 run.state[0][0], arrays["image"], arrays["grad"])
             usable = np.isfinite(np.float32(sums)**2).all()
@@ -200,7 +211,7 @@ def test_what_is_saved_is_taken_over_and_goes_on_the_same(device):
     run.step(1, image, grad)
     other.exposures.upload(run.exposures.download())
     for each in (run, other):
-        each.exposures.adjoint(1, device.upload(image), device.upload(grad))
+        stepped(each.exposures, 1, device.upload(image), device.upload(grad))
     saved, taken = run.exposures.download(), other.exposures.download()
     assert all(saved[name].tobytes() == taken[name].tobytes() for name in saved)
     assert saved["counts"].tolist() == [0, 2, 0]
@@ -211,7 +222,7 @@ def test_the_same_bytes_every_time(device):
     results = []
     for _ in range(2):
         exposures = Run(device).exposures
-        results.append([exposures.adjoint(0, image, grad).download(),
+        results.append([stepped(exposures, 0, image, grad).download(),
                         *exposures.download().values()])
     assert all(a.tobytes() == b.tobytes() for a, b in zip(*results))
 
@@ -223,7 +234,7 @@ def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
     for group in (device.scan_group, 32, 128):
         monkeypatch.setattr(device, "scan_group", group)
         exposures = Run(device).exposures
-        results.append([exposures.adjoint(0, image, grad).download(),
+        results.append([stepped(exposures, 0, image, grad).download(),
                         *exposures.download().values()])
     for other in results[1:]:
         assert all(a.tobytes() == b.tobytes() for a, b in zip(results[0], other))

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from clsplat.primitives.reduce import sum_columns
+from clsplat.primitives.reduce import add_to, sum_columns
 from tests.checks import close
 from tests.kernels.chain import precision_of
+from tests.reference import reduce as reference
 
 
 @pytest.mark.oclgrind
@@ -41,3 +42,13 @@ def test_groups_of_any_size_add_in_the_same_order(float_device, monkeypatch, cou
         with monkeypatch.context() as patch:
             patch.setattr(device, "scan_group", group)
             assert sum_columns(device, rows).download().tobytes() == expected.tobytes(), group
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("shape", [(1,), (3, 17, 5), (0, 4), (70_001,)], ids=str)
+def test_arrays_are_added_in_place(device, shape):
+    totals, values = np.random.default_rng(4).normal(size=(2, *shape))
+    sums, added = device.upload(totals), device.upload(values)
+    add_to(device, sums, added)
+    close(sums.download(), reference.add_to(totals, values), precision_of(device), "sums")
+    assert np.array_equal(added.download(), values.astype(device.real))

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from clsplat.options import resolve
-from clsplat.schedule import Subject, scaled_steps
+from clsplat.schedule import SceneFacts, scaled_steps
 from clsplat.schedule.sig import Sig
 
-SUBJECT = Subject(size=(640, 480), count=1000, inverse_distance=20.0, photos=None,
+FACTS = SceneFacts(size=(640, 480), count=1000, inverse_distance=20.0, photos=None,
                   pixels=10 * 640 * 480)
 # what the defaults may become must not matter
 SHORT = {"iterations": 6000, "levels": (4.0, 2.0, 1.0), "level_share": 0.5, "level_reset": False,
@@ -36,7 +36,7 @@ def options_of(**changes):
 
 
 def sig(**changes):
-    return Sig(options_of(**changes), SUBJECT)
+    return Sig(options_of(**changes), FACTS)
 
 
 def drive(schedule, frequency=flat, first=1, until=None):

@@ -5,10 +5,10 @@ import dataclasses
 import pytest
 
 from clsplat.options import resolve
-from clsplat.schedule import Subject, scaled_steps, schedule_of
+from clsplat.schedule import SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.constant import Constant
 
-SUBJECT = Subject((640, 480), 1000, 1.0, photos=None, pixels=10**8)
+FACTS = SceneFacts((640, 480), 1000, 1.0, photos=None, pixels=10**8)
 
 
 def options_of(**given):
@@ -18,7 +18,7 @@ def options_of(**given):
 
 def steps(options, asked):
     """The steps whose plan says so."""
-    schedule = Constant(options, SUBJECT)
+    schedule = Constant(options, FACTS)
     return [i for i in range(1, options.iterations + 1) if getattr(schedule.plan(i), asked)]
 
 
@@ -51,20 +51,20 @@ def test_large_ones_are_pruned_after_the_first_reset_only():
 
 
 def test_degree_rises_to_the_highest():
-    schedule = Constant(DEFAULTS, SUBJECT)
+    schedule = Constant(DEFAULTS, FACTS)
     assert [schedule.plan(i).degree for i in (1, 1000, 1001, 2001, 3000, 3001, 7000)] == [
         0, 0, 1, 2, 2, 3, 3]
-    low = Constant(options_of(sh_degree=1), SUBJECT)
+    low = Constant(options_of(sh_degree=1), FACTS)
     assert low.plan(30000).degree == 1
 
 
 def test_full_resolution_throughout():
-    schedule = Constant(DEFAULTS, SUBJECT)
+    schedule = Constant(DEFAULTS, FACTS)
     assert {schedule.plan(i).level for i in (1, 3000, 7000)} == {1.0} == set(schedule.levels)
 
 
 def test_the_position_rate_decays_evenly_over_the_run():
-    schedule = Constant(DEFAULTS, SUBJECT)
+    schedule = Constant(DEFAULTS, FACTS)
     assert [schedule.plan(i).decay for i in (1, 1751, 3501, 7000)] == [0, 0.25, 0.5, 6999 / 7000]
     schedule.options = dataclasses.replace(DEFAULTS, iterations=3500)  # a time budget moves the end
     assert [schedule.plan(i).decay for i in (1, 1751, 3500, 3501, 9000)] == [
@@ -72,7 +72,7 @@ def test_the_position_rate_decays_evenly_over_the_run():
 
 
 def test_it_asks_for_nothing_else():
-    schedule = Constant(DEFAULTS, SUBJECT)
+    schedule = Constant(DEFAULTS, FACTS)
     assert schedule.selection == "threshold"
     assert schedule.target(601, 50, 20) is None and not schedule.spares_half(601)
     assert schedule.observe(100, {"robust_mean": 1.0}) is None and schedule.latest is None

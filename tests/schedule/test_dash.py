@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clsplat.options import TrainOptions
-from clsplat.schedule import Subject, registry, scaled_steps
+from clsplat.schedule import SceneFacts, registry, scaled_steps
 from clsplat.schedule.dash import Dash, held_spectrum
 
 OPTIONS = scaled_steps(TrainOptions(iterations=30000, schedule="dash", reset_every=3000))
@@ -28,12 +28,12 @@ def a_photo(width=SIZE[0], height=SIZE[1], seed=0, slope=1.5):
 PHOTOS = [a_photo(seed=seed, slope=slope) for seed, slope in enumerate((1.3, 1.1, 1.2))]
 
 
-def subject_of(photos=PHOTOS, size=SIZE, count=START):
-    return Subject(size, count, 1.0, photos=lambda: iter(photos), pixels=10**8)
+def scene_facts(photos=PHOTOS, size=SIZE, count=START):
+    return SceneFacts(size, count, 1.0, photos=lambda: iter(photos), pixels=10**8)
 
 
 def schedule_of(photos=PHOTOS, size=SIZE, **changes):
-    return Dash(dataclasses.replace(OPTIONS, **changes), subject_of(photos, size))
+    return Dash(dataclasses.replace(OPTIONS, **changes), scene_facts(photos, size))
 
 
 @pytest.fixture(scope="module")

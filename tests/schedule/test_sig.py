@@ -20,8 +20,8 @@ from clsplat.schedule.sig import (
     chosen_levels,
 )
 from tests.schedule.driven_sig import (
+    FACTS,
     PRESETS,
-    SUBJECT,
     decisions,
     drive,
     flat,
@@ -273,7 +273,7 @@ def test_without_rounds_growth_is_that_of_constant():
     changes = {"densify_from": 500, "densify_until": 2600, "densify_every": 100}
     schedule = sig(rounds=0, **changes)
     constant = schedule_of("constant")(
-        scaled_steps(TrainOptions(iterations=6000, schedule="constant", **changes)), SUBJECT)
+        scaled_steps(TrainOptions(iterations=6000, schedule="constant", **changes)), FACTS)
     for iteration, plan, _ in drive(schedule, rising):
         expected = constant.plan(iteration)
         assert (plan.grows, plan.gathers) == (expected.grows, expected.gathers), iteration

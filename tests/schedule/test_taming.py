@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clsplat.options import TrainOptions
-from clsplat.schedule import Subject, registry, scaled_steps
+from clsplat.schedule import SceneFacts, registry, scaled_steps
 from clsplat.schedule.constant import Constant
 from clsplat.schedule.taming import Taming
 
@@ -17,7 +17,7 @@ OPTIONS = scaled_steps(TrainOptions(
 
 def schedule_of(**changes):
     return Taming(dataclasses.replace(OPTIONS, **changes),
-                  Subject((640, 480), START, 1.0, photos=None, pixels=10**8))
+                  SceneFacts((640, 480), START, 1.0, photos=None, pixels=10**8))
 
 
 def targets(schedule, count=0):
@@ -66,8 +66,8 @@ def test_a_moved_end_moves_the_curve():
 
 
 def test_everything_else_is_as_in_3dgs():
-    subject = Subject((640, 480), START, 1.0, photos=None, pixels=10**8)
-    constant = Constant(OPTIONS, subject)
+    facts = SceneFacts((640, 480), START, 1.0, photos=None, pixels=10**8)
+    constant = Constant(OPTIONS, facts)
     for iteration in (1, 501, 1001, 1002, 3001, 15001, 30000):
         assert schedule_of().plan(iteration) == constant.plan(iteration)
     assert schedule_of().levels == (1.0,)

@@ -6,7 +6,8 @@ import pytest
 
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.run import RunFolder
-from clsplat.training import finish, loop
+from clsplat.training import evaluator, finish, loop
+from clsplat.training.photos import Photos
 from tests.data.tiny_training import STILL, model_digest, records, resumed, trained
 
 OPTIONS = {**STILL, "iterations": 12, "test_every": 16}
@@ -51,7 +52,7 @@ def test_a_report_that_finds_the_disk_full_is_an_error_and_the_model_is_there(
 def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monkeypatch, moment,
                                        error):
     """Fault C6: Ctrl-C in the final evaluation came before the final checkpoint."""
-    monkeypatch.setattr(loop, moment, broken(error))
+    monkeypatch.setattr(evaluator if moment == "evaluate_views" else loop, moment, broken(error))
     with pytest.raises(Interrupted if isinstance(error, KeyboardInterrupt) else InputError):
         trained(tmp_path / "run", city, item_device, **OPTIONS)
     run = RunFolder(tmp_path / "run")
@@ -75,7 +76,7 @@ def test_ctrl_c_before_the_first_step_says_how_to_go_on(
 
 def test_an_interrupt_that_became_another_error_can_go_on(
         item_device, city, tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "evaluate_views", broken(SystemError("no exception set")))
+    monkeypatch.setattr(evaluator, "evaluate_views", broken(SystemError("no exception set")))
     monkeypatch.setattr(loop, "was_interrupted", lambda error: True)
     with pytest.raises(Interrupted):
         trained(tmp_path / "run", city, item_device, **OPTIONS)
@@ -100,7 +101,7 @@ def test_ctrl_c_before_a_run_is_recorded_names_no_run(item_device, city, tmp_pat
     """With --overwrite, --resume would go on with the old run."""
     monkeypatch.setattr(loop, "find_warnings", broken(KeyboardInterrupt()))
     closed = []
-    monkeypatch.setattr(loop.Photos, "close", lambda photos: closed.append(photos))
+    monkeypatch.setattr(Photos, "close", lambda photos: closed.append(photos))
     with pytest.raises(KeyboardInterrupt):
         trained(tmp_path / "run", city, item_device, **OPTIONS)
     assert closed and not RunFolder(tmp_path / "run").is_begun

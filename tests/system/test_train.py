@@ -12,12 +12,13 @@ from clsplat.errors import Interrupted
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.loss.exposure import Exposures
-from clsplat.loss.image_loss import loss_value
 from clsplat.options import resolve
 from clsplat.scene import Scene, View
-from clsplat.training import budget, clock, loop
-from clsplat.training.begin import initial_gaussians
+from clsplat.training import budget, evaluator, loop
+from clsplat.training.clock import Clock
 from clsplat.training.frequency import AXES, VARIANTS
+from clsplat.training.initialise import initial_gaussians
+from clsplat.training.session import Session
 from clsplat.training.step import Step
 from tests.data.tiny_training import (
     CITY,
@@ -188,7 +189,7 @@ def test_evaluations(item_device, city, tmp_path, options, expected):
 def test_all_views_are_trained_on_where_none_is_held_out(item_device, city):
     options = options_of(test_every=0)
     made = loop.Training(city, options, item_device, None, None, initial_gaussians(city, options))
-    assert len(made.train_views) == len(city.views) == 32
+    assert len(made.session.train_views) == len(city.views) == 32
     epoch = [made.view_of(i) for i in range(1, 33)]
     assert sorted(epoch) == list(range(32))
     assert epoch != [made.view_of(i) for i in range(33, 65)] != list(range(32))
@@ -204,7 +205,7 @@ def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path,
         shots = list(shots)
         seen.append([shot.view for shot in shots])
         found = take(step, iteration, plan, shots)
-        losses.append([loss_value(sums, values, 0.2)[0] for sums, values in found])
+        losses.append([step.values([one])["loss"] for one in found])
         return found
 
     monkeypatch.setattr(Step, "run", watched)
@@ -224,7 +225,7 @@ def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):
         time.sleep(0.5)
         return {"views": 1, "psnr": 1, "ssim": 1, "psnr_cc": 1, "ssim_cc": 1, "per_view": []}
 
-    monkeypatch.setattr(loop, "evaluate_views", slow)
+    monkeypatch.setattr(evaluator, "evaluate_views", slow)
     begin = time.perf_counter()
     run = trained(tmp_path / "run", city, item_device, **STILL, iterations=30, eval_every=10,
                   checkpoint_every=7)
@@ -288,13 +289,12 @@ def test_frequencies_are_recorded_every_hundred_steps(item_device, city, tmp_pat
 
 def test_a_level_change_clears_the_statistics(item_device, city):
     """Gradients at another size are others."""
-    made = loop.Training(city, options_of(**LEVELLED), item_device, None, None)
-    statistics = made.step.statistics
-    for _ in range(2):
-        made.take_step()
-    made.use_level(2.0)
+    made = Session.build(city, options_of(**LEVELLED), item_device)
+    statistics, plan = made.step.statistics, made.schedule.plan(1)
+    made.step.run(1, plan, [made.sample(0, 1, plan)])
+    assert made.level == plan.level == 2.0 and not made.use_level(2.0)
     assert statistics.seen_count.download().any() and statistics.grad_norm_sum.download().any()
-    made.use_level(1.0)
+    assert made.use_level(1.0)
     assert not statistics.seen_count.download().any()
     assert not statistics.grad_norm_sum.download().any()
     made.photos.close()
@@ -378,11 +378,9 @@ def test_a_budget_leaves_the_best_model(item_device, city, tmp_path, monkeypatch
 
 def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, monkeypatch):
     """The clock jumps to the end of the budget two steps after opacities were lowered."""
-    class Jumping(loop.Training):
-        def elapsed(self):
-            return 0.0 if self.iteration < 52 else 1e6
-
-    monkeypatch.setattr(loop, "Training", Jumping)
+    steps, taken = Step.densify, []
+    monkeypatch.setattr(Step, "densify", lambda *given: (taken.append(1), steps(*given))[1])
+    monkeypatch.setattr(Clock, "elapsed", lambda clock: 0.0 if len(taken) < 52 else 1e6)
     run = trained(tmp_path / "run", city, item_device, time_budget="100s", iterations=30000,
                   eval_at=(50,), **{**STILL, "reset_every": 50})
     assert records(run, "restored")[0]["since"] == 50
@@ -392,9 +390,9 @@ def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, 
 
 @pytest.mark.slow
 def test_eight_evaluations_by_default(item_device, city, tmp_path, monkeypatch):
-    monkeypatch.setattr(clock, "EVALUATION_SHARE", 1e9)
+    monkeypatch.setattr(evaluator, "EVALUATION_SHARE", 1e9)
     run = trained(tmp_path / "all", city, item_device, **STILL, iterations=30, eval_every="auto")
     assert evaluated(run) == [4, 8, 12, 15, 19, 23, 27, 30]
-    monkeypatch.setattr(clock, "EVALUATION_SHARE", 0.0)
+    monkeypatch.setattr(evaluator, "EVALUATION_SHARE", 0.0)
     run = trained(tmp_path / "few", city, item_device, **STILL, iterations=30, eval_every="auto")
     assert evaluated(run) == [4, 30]  # what the first takes is not known before

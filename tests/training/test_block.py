@@ -124,7 +124,7 @@ def test_the_schedule_is_asked_about_the_block_only(item_device, city, tmp_path,
     """Or the surroundings would count against what the block's own pixels can tell apart."""
     asked = []
     monkeypatch.setattr(Constant, "target", lambda self, iteration, count, above: asked.append(
-        (self.subject.count, self.subject.pixels, count, above)))
+        (self.facts.count, self.facts.pixels, count, above)))
     scene = block_of(city)
     trained(tmp_path / "run", scene, item_device, engine="device", **SHORT)
     first, pixels = asked[0][:2]
@@ -242,7 +242,7 @@ def test_exposures_keep_the_mean_they_started_with(float_device):
     expected = initial[1, :, :3] @ flat + initial[1, :, 3:]
     assert np.allclose(before.reshape(3, -1), expected, atol=1e-5)
     for _ in range(3):
-        exposures.adjoint(1, image, image)
+        exposures.step(1, exposures.adjoint(1, image, image)[1])
     exposures.recentre()
     transforms = exposures.download()["transforms"].reshape(3, 3, 4)
     assert np.abs(transforms[1] - initial[1]).max() > 0.05
@@ -285,7 +285,7 @@ def test_a_coarse_run_has_smaller_photos(schedule):
 
 def test_blocks_follow_the_coarse_run(tmp_path):
     coarse, given = RunFolder(tmp_path), {"exposure": "auto", "coarse": True, "iterations": 9}
-    coarse.write_options({"needs": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}})
+    coarse.write_options({"decisions": {"exposure": "on", "sh_degree": 2, "levels": [2.0, 1.0]}})
     options = resolve({}, options_of_blocks(given, decided_by(coarse)))
     assert (options.exposure, options.sh_degree, options.test_every) == ("on", 2, 0)
     assert (options.coarse, options.downscale, options.iterations) == (False, 1, 9)

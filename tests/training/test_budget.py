@@ -9,9 +9,8 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.options import resolve
-from clsplat.schedule import Subject, scaled_steps, schedule_of
+from clsplat.schedule import SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.plan import Plan
-from clsplat.training import checkpoint
 from clsplat.training.budget import (
     RECOVERY,
     REPORT_SECONDS,
@@ -20,7 +19,9 @@ from clsplat.training.budget import (
     TOO_LITTLE,
     TimeBudget,
 )
-from clsplat.training.loop import Training
+from clsplat.training.deadline import Deadline
+from clsplat.training.model import checkpoint_bytes
+from clsplat.training.session import Session
 
 COUNT = 100_000  # gaussians at the start
 FREQUENCIES = {f"{variant}_mean": 30.0 for variant in ("paper", "release", "robust")}
@@ -39,78 +40,86 @@ class Clock:
         self.now = 3.0  # of loading
 
 
-class Simulated:
-    """The parts of a `loop.Training` that a budget reads and moves, without a device."""
-
-    lay_over, estimate_end = Training.lay_over, Training.estimate_end
-    allowed = Training.allowed
-    stepped = Training.stepped
+class Simulated(Deadline):
+    """A Deadline of a session without a device, whose steps take what a Clock says."""
 
     def __init__(self, seconds, clock, **options):
-        self.options = scaled_steps(resolve({}, {"time_budget": f"{seconds}s", **options}))
-        self.schedule = schedule_of(self.options.schedule)(
-            self.options, Subject(
-                size=(1600, 1200), count=COUNT, inverse_distance=20.0, photos=None,
-                pixels=100 * 1600 * 1200))
-        self.model = SimpleNamespace(count=COUNT, sh_degree=3)
-        self.step = SimpleNamespace(model=self.model, options=self.options)
-        self.level = self.schedule.levels[0]
-        self.device = SimpleNamespace(finish=lambda: None, build_seconds=0.0)
-        self.clock, self.iteration, self.steps_at = clock, 0, {}
+        options = scaled_steps(resolve({}, {"time_budget": f"{seconds}s", **options}))
+        schedule = schedule_of(options.schedule)(options, SceneFacts(
+            size=(1600, 1200), count=COUNT, inverse_distance=20.0, photos=None,
+            pixels=100 * 1600 * 1200))
+        self.session = Unbuilt(options, schedule)
+        self.made, self.clock = clock, SimpleNamespace(
+            elapsed=lambda: clock.now, trained=lambda: clock.now - self.apart)
+        self.apart = 0.0  # seconds so far that are not of training
+        self.steps_at, self.kept_at = {}, []
         self.upheavals = {"lowered": 0, "level": 0, "grown": 0}  # the last step of each
-        self.kept_at = []
-        self.needs = SimpleNamespace(options=self.options)
-        self.budget = TimeBudget(seconds, clock.evaluation, clock.now, checkpoint.size(self.model))
-
-    def elapsed(self):
-        return self.clock.now
+        self.budget = TimeBudget(seconds, clock.evaluation, clock.now,
+                                 checkpoint_bytes(self.session.model))
 
     def take_step(self):
-        iteration = self.iteration + 1
-        plan = self.allowed(self.schedule.plan(iteration))
-        for name, happens in (("level", plan.level != self.level), ("grown", plan.grows),
+        session, clock = self.session, self.made
+        iteration = session.iteration + 1
+        plan = self.allowed(session.schedule.plan(iteration))
+        for name, happens in (("level", plan.level != session.level), ("grown", plan.grows),
                               ("lowered", plan.resets_opacity)):
             if happens:
                 self.upheavals[name] = iteration
-        if plan.level != self.level:
-            self.clock.now += self.clock.change
-            self.level = plan.level
-            self.budget.note_change(self.clock.change, self.iteration, self.stepped())
+        if plan.level != session.level:
+            clock.now += clock.change
+            session.level, session.photos.read_seconds = plan.level, clock.change
+            self.note_change()
         if iteration == 1:
-            self.clock.now += self.clock.build
-            self.device.build_seconds += self.clock.build
-        self.clock.now += self.clock.step(plan.level, self.model.count, iteration)
+            clock.now += clock.build
+            self.apart += clock.build
+        clock.now += clock.step(plan.level, session.model.count, iteration)
         if plan.grows:
-            self.schedule.target(iteration, self.model.count, 0)
-            self.model.count = min(4 * COUNT, self.model.count * 21 // 20)
-        self.iteration = iteration
+            session.schedule.target(iteration, session.model.count, 0)
+            session.model.count = min(4 * COUNT, session.model.count * 21 // 20)
+        session.iteration = iteration
         self.steps_at[plan.level] = self.steps_at.get(plan.level, 0) + 1
-        if iteration % self.schedule.observe_every == 0:
-            self.schedule.observe(iteration, FREQUENCIES)
-        if self.budget.is_due(self.stepped()):
-            self.estimate_end()
+        if iteration % session.schedule.observe_every == 0:
+            session.schedule.observe(iteration, FREQUENCIES)
+        self.estimate()
 
     def keep(self):
-        self.kept_at.append(self.iteration)
+        self.kept_at.append(self.session.iteration)
 
     def run(self, checkpoint_every=0, until=None):
         """Seconds until the model is written, or until a step."""
-        self.budget.begin_steps(self.iteration, self.stepped())
-        while self.iteration < min(until or self.options.iterations, self.options.iterations):
+        self.begin()
+        session = self.session
+        while session.iteration < min(until or session.options.iterations,
+                                      session.options.iterations):
             self.take_step()
-            if checkpoint_every and self.iteration % checkpoint_every == 0:
+            if checkpoint_every and session.iteration % checkpoint_every == 0:
                 self.save()
         if until:
-            return self.clock.now
-        self.clock.now += self.clock.evaluation + REPORT_SECONDS
+            return self.made.now
+        self.made.now += self.made.evaluation + REPORT_SECONDS
         self.save()
-        return self.clock.now
+        return self.made.now
 
     def save(self):
-        size = checkpoint.size(self.model)
-        self.clock.now += size / self.clock.disk
-        self.budget.note_saved(size, size / self.clock.disk)
-        self.budget.begin_steps(self.iteration, self.stepped())
+        seconds = checkpoint_bytes(self.session.model) / self.made.disk
+        self.made.now += seconds
+        self.apart += seconds
+        self.note_saved(seconds)
+
+
+class Unbuilt(Session):
+    """What a Deadline reads and moves of a Session."""
+
+    model = None  # an attribute, not a property
+
+    def __init__(self, options, schedule):
+        self.options, self.schedule, self.iteration = options, schedule, 0
+        self.model = SimpleNamespace(count=COUNT, sh_degree=3)
+        self.step = SimpleNamespace(options=options)
+        self.level = schedule.levels[0]
+        self.decisions = SimpleNamespace(options=options)
+        self.device = SimpleNamespace(finish=lambda: None)
+        self.photos = SimpleNamespace(read_seconds=0.0)
 
 
 def by_pixels(level, count, iteration, unit=0.03):
@@ -133,7 +142,7 @@ def slowing(level, count, iteration):
 def test_a_run_ends_when_it_should(step, options):
     training = Simulated(240, Clock(step), **options)
     assert 0.97 * 240 < training.run() < 1.01 * 240
-    assert set(training.steps_at) == set(training.schedule.levels)
+    assert set(training.steps_at) == set(training.session.schedule.levels)
 
 
 @pytest.mark.parametrize("seconds, unit", [(60, 0.001), (60, 0.01), (3600, 0.5), (20, 0.05)])
@@ -151,17 +160,18 @@ def test_checkpoints_on_the_way_are_paid_for():
 def test_the_schedule_is_laid_over_the_whole_run():
     training = Simulated(240, Clock(by_pixels), schedule="constant", densify_every=50)
     training.run()
-    assert training.options.iterations == training.iteration
-    assert training.schedule.options is training.step.options is training.options
-    assert training.options.densify_until == pytest.approx(training.iteration / 2, rel=0.02)
-    assert training.schedule.plan(training.iteration).decay == pytest.approx(1, abs=0.01)
+    session = training.session
+    assert session.options.iterations == session.iteration
+    assert session.schedule.options is session.step.options is session.options
+    assert session.options.densify_until == pytest.approx(session.iteration / 2, rel=0.02)
+    assert session.schedule.plan(session.iteration).decay == pytest.approx(1, abs=0.01)
 
 
 def test_the_finest_level_gets_its_share_of_the_steps():
     training = Simulated(240, Clock(by_pixels))
     training.run()
-    share = training.steps_at[1.0] / training.iteration
-    assert share > 0.9 * (1 - training.options.level_share)
+    share = training.steps_at[1.0] / training.session.iteration
+    assert share > 0.9 * (1 - training.session.options.level_share)
 
 
 def test_a_resumed_run_keeps_to_the_budget():
@@ -169,18 +179,18 @@ def test_a_resumed_run_keeps_to_the_budget():
     first = Simulated(240, Clock(by_pixels))
     first.run(until=3000)
     first.save()
-    state = json.loads(json.dumps({
-        "budget": first.budget.state(), "schedule": first.schedule.state(),
-        "iterations": first.options.iterations}))
-    again = Simulated(240, first.clock)
-    again.budget.load(state["budget"])
-    again.schedule.load(state["schedule"])
-    again.lay_over(state["iterations"])
-    again.model.count, again.iteration = first.model.count, first.iteration
+    before = first.session
+    state = json.loads(json.dumps({"budget": first.state(),
+                                   "schedule": before.schedule.state()}))
+    again = Simulated(240, first.made)
+    after = again.session
+    again.load(state["budget"])
+    after.schedule.load(state["schedule"])
+    after.model.count, after.iteration = before.model.count, before.iteration
     assert again.budget.step_seconds == first.budget.step_seconds
     assert again.budget.rate == first.budget.rate
-    assert again.options.iterations == first.options.iterations
-    again.level = first.level
+    assert after.options.iterations == before.options.iterations
+    after.level = before.level
     assert 0.97 * 240 < again.run() < 1.01 * 240
 
 
@@ -205,7 +215,7 @@ def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
     training = Simulated(seconds, clock, **options)
     training.budget.change_seconds = clock.change  # the first level's photos were read, too
     assert training.run() < 1.1 * seconds
-    since = {name: training.iteration - at for name, at in training.upheavals.items() if at}
+    since = {name: training.session.iteration - at for name, at in training.upheavals.items() if at}
     assert since.get("lowered", RECOVERY) >= 0.8 * RECOVERY
     assert min(since.get(name, SETTLING) for name in ("level", "grown")) >= 0.8 * SETTLING
 

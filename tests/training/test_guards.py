@@ -7,10 +7,11 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
+from clsplat.loss import image_loss
 from clsplat.options import resolve
-from clsplat.training import checkpoint, loop, skipped, step
-from clsplat.training.silent import Silent
-from clsplat.training.skipped import Skipped
+from clsplat.training import checkpoint, loop, recorder, skipped_gradients, step
+from clsplat.training.progress import SilentProgress
+from clsplat.training.skipped_gradients import SkippedGradients
 from tests.data.tiny_model import write_scene
 from tests.data.tiny_training import model_digest, records
 
@@ -33,7 +34,7 @@ class Counter:
 def test_counting():
     """Since the last record and over all, each look told of the first only."""
     counter = Counter()
-    counts = Skipped(counter)
+    counts = SkippedGradients(counter)
     assert not counts.poll() and counts.total == 0
     told = []
     for rows, asked in ((0, 50), (3, 50), (4, 20)):
@@ -50,11 +51,11 @@ def test_counting():
 def test_counting_past_what_32_bits_hold():
     """Also by a resumed run, whose counters begin at zero again."""
     counter, other = Counter(), Counter()
-    counts = Skipped(counter)
+    counts = SkippedGradients(counter)
     for _ in range(3):
         counter.add(2**31)
         counts.poll()
-    again = Skipped(other)
+    again = SkippedGradients(other)
     again.load(counts.state())
     other.add(1)
     again.poll()
@@ -63,7 +64,7 @@ def test_counting_past_what_32_bits_hold():
 
 def test_counting_on_several_counters():
     rows, exposures = Counter(), Counter(2**32 - 1)
-    counts = Skipped(rows, exposures)
+    counts = SkippedGradients(rows, exposures)
     assert counts.poll() and counts.close() == (2**32 - 1, 0)
     rows.add(3)
     exposures.add(2)  # past its 32 bits
@@ -92,13 +93,14 @@ def scene(tmp_path_factory):
 def often(monkeypatch):
     """Records and looks as often as a run of a few steps wants."""
     monkeypatch.setattr(loop, "LOG_EVERY", EVERY)
-    monkeypatch.setattr(loop, "REPORT_EVERY", EVERY // 2)
+    monkeypatch.setattr(recorder, "LOG_EVERY", EVERY)
+    monkeypatch.setattr(recorder, "REPORT_EVERY", EVERY // 2)
 
 
 @pytest.fixture
 def train(item_device, often, scene, tmp_path):
     """train(**options): a run of its own, on the device; .messages: what the user was told."""
-    class Progress(Silent):
+    class Progress(SilentProgress):
         def message(self, text):
             messages.append(text)
 
@@ -123,20 +125,18 @@ def poison(monkeypatch):
     """poison(first, last, share): in those steps, so much of the image's gradient is nan."""
     def poison(first, last, share=1.0):
         calls = []
-        image_loss = original
-
         def poisoned(device, image, photo, weight):
             calls.append(1)
-            sums, grad_image = image_loss(device, image, photo, weight)
+            sums, grad_image = original(device, image, photo, weight)
             if first <= len(calls) <= last:
                 values = grad_image.download()
                 values[:, :int(np.ceil(share * values.shape[1]))] = np.nan
                 grad_image.write(values)
             return sums, grad_image
 
-        monkeypatch.setattr(step, "image_loss", poisoned)
+        monkeypatch.setattr(image_loss, "image_loss", poisoned)
 
-    original = step.image_loss
+    original = image_loss.image_loss
     return poison
 
 
@@ -149,7 +149,7 @@ def assert_finite(run):
 @pytest.mark.slow
 def test_some_are_skipped_counted_and_told_of_once(train, poison, monkeypatch):
     """A poisoned step of ten is more than one in a hundred: the limit is moved, see below."""
-    monkeypatch.setattr(loop, "TOO_MANY", 0.5)
+    monkeypatch.setattr(recorder, "TOO_MANY", 0.5)
     poison(13, 13)
     run = train()
     steps = {record["iteration"]: record for record in records(run, "step")}
@@ -166,7 +166,7 @@ def test_some_are_skipped_counted_and_told_of_once(train, poison, monkeypatch):
 @pytest.mark.slow
 def test_a_resumed_run_counts_on(train, poison, monkeypatch):
     """Stopped between two records, after some were skipped and told of."""
-    monkeypatch.setattr(loop, "TOO_MANY", 0.5)
+    monkeypatch.setattr(recorder, "TOO_MANY", 0.5)
     poison(13, 13)
     whole = train("whole")
     poison(13, 13)
@@ -204,9 +204,9 @@ def test_how_many_are_too_many(train, poison, monkeypatch):
         train()
     many, asked = (int(word.replace(",", "")) for word in
                    str(caught.value).partition(": ")[2].split()[0:3:2])
-    assert 0 < many < asked and skipped.TOO_MANY == loop.TOO_MANY == 0.01
+    assert 0 < many < asked and skipped_gradients.TOO_MANY == recorder.TOO_MANY == 0.01
     for limit, folder in ((many / asked, "below"), (0.999 * many / asked, "above")):
-        monkeypatch.setattr(loop, "TOO_MANY", limit)
+        monkeypatch.setattr(recorder, "TOO_MANY", limit)
         poison(13, 13)
         if folder == "above":
             with pytest.raises(InputError):
@@ -251,8 +251,8 @@ def test_spoilt_parameters_are_not_saved(train, monkeypatch):
 @pytest.mark.slow
 def test_a_spoilt_end_leaves_no_model(train, monkeypatch):
     """The last steps are checked, too, wherever the run ends."""
-    monkeypatch.setattr(loop, "loss_value", lambda *_: (np.nan,) * 3)
-    monkeypatch.setattr(loop.Training, "report", lambda self: None)
+    monkeypatch.setattr(image_loss, "loss_value", lambda *_: (np.nan,) * 3)
+    monkeypatch.setattr(recorder.Recorder, "stepped", lambda *_: None)
     with pytest.raises(InputError, match="run: the loss at step 13 is nan; there is no") as caught:
         train(iterations=13, checkpoint_every=0)
     run = RunFolder.open(caught.value.args[0].partition(":")[0])
@@ -263,7 +263,7 @@ def test_a_spoilt_end_leaves_no_model(train, monkeypatch):
 def test_exposures_stay_as_they_are(train, poison, monkeypatch):
     """In poisoned steps a view's transform, its moments and its count do not move; each is counted
     as a row beside those of gaussians."""
-    monkeypatch.setattr(loop, "TOO_MANY", 1.0)
+    monkeypatch.setattr(recorder, "TOO_MANY", 1.0)
     counted = []
     for exposure in ("off", "on"):
         poison(1, STEPS, share=0.1)

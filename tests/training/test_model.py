@@ -6,13 +6,12 @@ import pytest
 from clsplat.densify.grow import Growth
 from clsplat.device import Device
 from clsplat.gaussians import FIELDS, LEARNED, SPHERE, Gaussians
+from clsplat.loss import image_loss
 from clsplat.loss.exposure import Exposures
-from clsplat.loss.image_loss import loss_value
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
-from clsplat.schedule import Plan, Subject
+from clsplat.schedule import Plan, SceneFacts
 from clsplat.schedule.constant import Constant
-from clsplat.training import step as train_step
 from clsplat.training.model import Model
 from clsplat.training.step import Step, TrainingSample
 from tests import cases
@@ -178,7 +177,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
                 decay=0.5)
 
     def spoilt(*arguments):
-        sums, grad_image = image_loss(*arguments)
+        sums, grad_image = whole(*arguments)
         values = grad_image.download()
         values[:, :height // 3] = np.nan
         grad_image.write(values)
@@ -188,9 +187,9 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
         found.append(adjoint(*arguments))
         return found[0]
 
-    found, adjoint, image_loss = [], renderer.adjoint, train_step.image_loss
+    found, adjoint, whole = [], renderer.adjoint, image_loss.image_loss
     monkeypatch.setattr(renderer, "adjoint", kept)
-    monkeypatch.setattr(train_step, "image_loss", spoilt)
+    monkeypatch.setattr(image_loss, "image_loss", spoilt)
     before = model.download().rows, *model.adam.download(count)
     step.run(1, plan, [TrainingSample(0, renderer.pack(camera_of(case)), photo)])
     after = model.download().rows, *model.adam.download(count)
@@ -258,7 +257,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
                 decay=0.5)
     camera = renderer.pack(camera_of(case))
     losses = step.run(1, plan, (TrainingSample(0, camera, photos[i > 2]) for i in range(4)))
-    values = [loss_value(sums, pixels, 0.2)[0] for sums, pixels in losses]
+    values = [step.values([found])["loss"] for found in losses]
     assert len(values) == 4 and values[0] == values[2] != values[3]
     [mean], seen = taken, found[0].visible.download()
     assert np.array_equal(mean.rows.download(), seen)
@@ -294,7 +293,8 @@ def follow(device, gradients, scales, opacities=0.5, fields=LEARNED, **changes):
     # a mean over the views that saw each: sums of two views
     step.statistics.grad_norm_sum.write(np.array(gradients, np.float32) * 2)
     step.statistics.seen_count.write(np.full(given.count, 2, np.uint32))
-    schedule = Constant(options, Subject((640, 480), given.count, 1.0, photos=None, pixels=10**8))
+    facts = SceneFacts((640, 480), given.count, 1.0, photos=None, pixels=10**8)
+    schedule = Constant(options, facts)
     event = step.densify(7, GROWS, schedule, scoring_views=None)
     assert len(step.statistics.grad_norm_sum) == step.model.count
     assert not step.statistics.grad_norm_sum.download().any()

@@ -2,7 +2,7 @@
 
     python -m tools.studies.leave_out OUT SCENE[:DOWNSCALE][@VIEWS] ...
 
-Times steps of the real training at full size on --gaussians gaussians strewn about the sparse
+Times steps of the real training at full size on --gaussians gaussians sampled about the sparse
 points: with everything on, without one part each, with everything off, and then with what a scene
 may need besides. A scene's first VIEWS photos stand for all where so many are asked for. Each row
 has a device of its own, so that memory is that of the row, and rows step in turn. Take it on a
@@ -25,14 +25,13 @@ from clsplat.bench.timing import in_turn
 from clsplat.densify.sphere import with_spheres
 from clsplat.device import choose_device
 from clsplat.errors import InputError
-from clsplat.estimate.trial_steps import Rehearsal, spread_out, strewn
+from clsplat.estimate.trial_steps import TrialSteps, sampled, spread_out
 from clsplat.io.atomic import replacing
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.report.page import Table
-from clsplat.schedule import scaled_steps
-from clsplat.training.needs import find_needs
-from clsplat.training.photos import decode
+from clsplat.training.photos import Photos
+from clsplat.training.session import Session, prepare
 from tools.studies.evidence import markdown, outermost
 from tools.studies.runs import Scene
 
@@ -123,24 +122,21 @@ def _scene(text):
 def prepared(given, scene, options, parts):
     """(device, a function that takes the next step on it) of one row."""
     device = choose_device(given.device, form=given.form)
-    options = scaled_steps(resolve({}, options))
-    needs = find_needs(scene, scene.views, options)
-    gaussians = strewn(scene, given.gaussians, options.sh_degree)
-    if options.sphere:
-        gaussians = with_spheres(gaussians, options.sphere_neighbours)
-    rehearsal = Rehearsal(device, scene, scene.views, needs, gaussians,
-                          lambda device, view: device.upload(decode(view)))
-    rehearsal.use(1.0)
-    rehearsal.plan = dataclasses.replace(rehearsal.plan, gathers="growth statistics" in parts)
-    indices, regularises = spread_out(len(scene.views), VIEWS), options.reproject == "on"
-    if "photos streamed" in parts:
-        def steps(index):
-            rehearsal.prepare(index, regularises)()
-    else:
-        ready = {index: rehearsal.prepare(index, regularises) for index in indices}
+    ready = prepare(scene, resolve({}, {"test_every": 0, "max_resolution": 0, **options}), device)
+    gaussians = sampled(ready.scene, given.gaussians, ready.options.sh_degree)
+    if ready.options.sphere:
+        gaussians = with_spheres(gaussians, ready.options.sphere_neighbours)
+    streamed = "photos streamed" in parts
+    photos = Photos(device, ready.train_views, budget_bytes=0 if streamed else None)
+    trial = TrialSteps(Session(ready, device, gaussians, photos=photos))
+    trial.plan = dataclasses.replace(trial.plan, gathers="growth statistics" in parts)
+    indices = spread_out(len(ready.train_views), VIEWS)
+    regularises = ready.options.reproject == "on"
+    taken = {} if streamed else {index: trial.prepare(index, regularises) for index in indices}
 
-        def steps(index):
-            ready[index]()
+    def steps(index):
+        (taken.get(index) or trial.prepare(index, regularises))()
+
     turns = itertools.cycle(indices)
     return device, lambda: steps(next(turns))
 

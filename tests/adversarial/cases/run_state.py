@@ -57,9 +57,9 @@ CASES = [
     either("options-key-unknown", GO_ON, setup=edited(OPTIONS, new_in_version_9=[1]), **HALF),
     either("options-other-version", GO_ON, setup=edited(OPTIONS, version="99.0"), **HALF),
     *(either(f"options-without-{key}", GO_ON, setup=without(OPTIONS, key), **HALF)
-      for key in ("needs", "version", "seed", "scene", "fingerprint", "extent", "offset")),
+      for key in ("decisions", "version", "seed", "scene", "fingerprint", "extent", "offset")),
     *(either(f"options-{key}-of-kind-{kind}", GO_ON, setup=edited(OPTIONS, **{key: value}), **HALF)
-      for key in ("needs", "extent", "offset", "scene", "opencl_device", "version")
+      for key in ("decisions", "extent", "offset", "scene", "opencl_device", "version")
       for kind, value in (("null", None), ("list", [1]), ("number", -3))),
     *(refused(f"eval-options-{name}", EVAL, "options.json|run", setup=written(
         "run/options.json", text), needs=("sy", "run"), writes=()) for name, text in (

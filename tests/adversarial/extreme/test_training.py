@@ -9,9 +9,9 @@ from clsplat.gaussians import mean_inverse_distance, neighbour_distance
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.scenes import read_scene
 from clsplat.training import step
-from clsplat.training.begin import initial_gaussians
 from clsplat.training.frequency import scene_frequency
-from clsplat.training.warn import find_warnings
+from clsplat.training.initialise import initial_gaussians
+from clsplat.training.scene_checks import find_warnings
 from tests.adversarial.extreme import stiff
 from tests.adversarial.extreme.stiff import CASES, copies_of_a_view, moved, rescaled
 from tests.data.tiny_training import CITY, LEVELLED, options_of, records, trained

@@ -16,7 +16,7 @@ import numpy as np
 from clsplat.cli.main import main
 from clsplat.io.run import METRICS, RunFolder
 from clsplat.optimise.adam import DeviceAdam
-from clsplat.training import loop
+from clsplat.training import evaluator
 from clsplat.training.step import Step
 
 # moment -> what is called then; "after": once it has returned
@@ -25,7 +25,7 @@ BEFORE = {
     "growth": (DeviceAdam, "regrow"),  # the rows have grown, their moments have not
     "checkpoint": (np.lib.format, "write_array"),  # the arrays before it are in the file
     "rename": (os, "replace"),
-    "evaluation": (loop, "evaluate_views"),
+    "evaluation": (evaluator, "evaluate_views"),
     "model": (RunFolder, "save_model"),
     "record": (RunFolder, "log"),
 }

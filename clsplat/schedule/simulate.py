@@ -1,16 +1,17 @@
-"""The course of a run, foretold: a schedule driven to its end without a model.
+"""A schedule driven to its end without a model, to predict levels and numbers of gaussians.
 
-What only training can tell is taken as it was in our runs: the frequency has converged as soon as
-its schedule would believe it, and in a round of growth so many gaussians ask for more as the photos
-have fine detail. The four numbers of that were fitted to runs of 7000 steps on caliterra (half and
-full size), boruszyn, lund and the city. There the most gaussians are foretold to 1.00 to 1.05 of
-what came under sig, 0.73 to 1.42 under constant, 0.52 to 1.01 under dash, 1.00 to 1.26 under
-taming; other scenes may be off by more. `--max-gaussians` makes the end certain.
-`python -m tools.studies.foretold` compares.
+We assume that each level ends at the earliest test that its schedule allows, and that the number of
+gaussians densified in a round is proportional to a power of the photos' fine detail. The four
+numbers of that were fitted to runs of 7000 steps on caliterra (half and full size), boruszyn, lund
+and the city. There the most gaussians are predicted to 1.00 to 1.05 of what came under sig, 0.73 to
+1.42 under constant, 0.52 to 1.01 under dash, 1.00 to 1.26 under taming; other scenes may be off by
+more. `--max-gaussians` makes the end certain. `python -m tools.studies.predicted` compares.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from clsplat.schedule.plan import Schedule
 from clsplat.schedule.sig import VARIANTS
 
 ASKS = 0.4  # share of the gaussians at most that asks for more in a round of growth
@@ -20,9 +21,16 @@ ASKED, SHARP, POWER, SETTLES = 0.009, 0.0125, 3, 0.03
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Equal steps in a row: their number, level, gaussians, and whether they compare adjacent
-    photos."""
+class Segment:
+    """Equal steps in a row.
+
+    Attributes
+    ----------
+    steps : their number.
+    level : down-sampling factor.
+    gaussians : in the model.
+    regularises : whether they compare with source views.
+    """
 
     steps: int
     level: float
@@ -30,16 +38,19 @@ class Stretch:
     regularises: bool
 
 
-def course(schedule, detail=None):
-    """[Stretch, ...] of a whole run; `schedule`, a new one, is used up.
+def simulate(schedule: Schedule, detail: Callable[[float], float] | None = None) -> list[Segment]:
+    """The segments of a whole run.
 
-    detail: called with a level, gives the mean difference of a photo, at that level and in 0..1, to
-    its blocks of 2 x 2 pixels; None takes photos for sharp.
+    Parameters
+    ----------
+    schedule : a new one, which is used up.
+    detail : called with a level, gives the mean difference of a photo, at that level and in 0..1,
+        to its blocks of 2 x 2 pixels; None takes photos for sharp.
     """
     options = schedule.options
     flat = {f"{variant}_mean": 1.0 for variant in VARIANTS}
-    count, taken = schedule.subject.count, []
-    pixels = schedule.subject.pixels
+    count, taken = schedule.facts.count, []
+    pixels = schedule.facts.pixels
     for iteration in range(1, options.iterations + 1):
         plan = schedule.plan(iteration)
         kind = plan.level, count, plan.regularises > 0
@@ -53,16 +64,16 @@ def course(schedule, detail=None):
             count = _grown(schedule, iteration, count, asked)
         if iteration % schedule.observe_every == 0:
             schedule.observe(iteration, flat)
-    return [Stretch(steps, *kind) for kind, steps in taken]
+    return [Segment(steps, *kind) for kind, steps in taken]
 
 
-def largest(stretches):
+def largest(segments: Sequence[Segment]) -> int:
     """The most gaussians at a time."""
-    return max(stretch.gaussians for stretch in stretches)
+    return max(segment.gaussians for segment in segments)
 
 
 def _grown(schedule, iteration, count, asked):
-    """Gaussians after a round of growth, as `train.step.Step` chooses them."""
+    """Gaussians after a round of growth, as `training.step.Step` chooses them."""
     above = int(min(asked, ASKS * count))
     target, limit = schedule.target(iteration, count, above), schedule.options.max_gaussians
     if limit:

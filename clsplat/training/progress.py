@@ -5,7 +5,7 @@ from contextlib import suppress
 
 WARNING = "warning: "  # begins a message that is shown nevertheless
 
-class Silent:
+class SilentProgress:
     """Takes everything that a progress line takes, and shows nothing but warnings."""
 
     def __call__(self, **told) -> None:

@@ -1,20 +1,24 @@
 """What a training starts from."""
 
 import os
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.densify.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.loss.exposure import IDENTITY
+from clsplat.options import TrainOptions
+from clsplat.scene import Scene, View
 from clsplat.schedule import schedule_of
 
 FEWEST = 2  # gaussians: the distance between them sizes what grows
 
 
-def initial_gaussians(scene, options):
+def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
     """Gaussians on the sparse points, on random points within their bounds, or from a PLY file.
 
     With spheres where the options want them. Raises InputError for fewer gaussians allowed than
@@ -52,9 +56,9 @@ def initial_gaussians(scene, options):
     return gaussians
 
 
-def initial_exposures(scene, views):
-    """float64[V, 3, 4]: the colour transforms that a block's `views` start from, the identity for
-    one that has none; None where the scene is no block, or brings none."""
+def initial_exposures(scene: Scene, views: Iterable[View]) -> NDArray[np.float64] | None:
+    """[V, 3, 4]: the colour transforms that a block's `views` start from, the identity for one that
+    has none; None where the scene is no block, or brings none."""
     if not scene.exposures:
         return None
     return np.array([scene.exposures.get(view.name, IDENTITY) for view in views])

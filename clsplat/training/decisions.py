@@ -1,21 +1,28 @@
-"""What this scene needs of what is optional, found out before training, with the reasons."""
+"""What of the optional parts this scene needs, decided before training, with the reasons."""
+
+from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from clsplat.config.option import AUTO
 from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
 from clsplat.covisibility.source_views import choose_source_views, view_spread
+from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
-from clsplat.schedule import Subject, schedule_of
-from clsplat.schedule.course import course, largest
+from clsplat.options import TrainOptions
+from clsplat.scene import Scene, View
+from clsplat.schedule import SceneFacts, schedule_of
+from clsplat.schedule.simulate import largest, simulate
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM
 from clsplat.training.photos import at_level, decoded
 
-LOOKED_AT = 64  # photos that stand for all
+SAMPLED_PHOTOS = 64  # photos that stand for all
 SMALL_SIDE = 256  # pixels; brightness needs no more
 HIGHEST_DEGREE = 3
 SHINE = 0.1  # amplitude of what depends on the direction, of full brightness
@@ -24,41 +31,59 @@ SHARE = 0.99  # of the points that a degree must serve
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
-    """One decision. value: what is used; reason: a sentence that begins with it, and has the number
-    behind it; asked: whether an option overrode what would have been found."""
+class Decision:
+    """What is used of a part that is optional.
 
-    value: object
+    Attributes
+    ----------
+    value : what is used.
+    reason : a sentence that begins with it, and has the number behind it.
+    asked : whether an option overrode what would have been found.
+    """
+
+    value: Any
     reason: str
     asked: bool = False
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Needs:
-    """options: TrainOptions in which nothing is "auto" that the scene decides; neighbours: of each
-    training view, the indices of adjacent ones, or None where nothing asks for them; parts: name
-    -> Part."""
+class Decisions:
+    """What is decided of a training before it begins.
 
-    options: object
-    neighbours: list | None
-    parts: dict
+    Attributes
+    ----------
+    options : with values in place of "auto" where the scene decides.
+    neighbours : of each training view, the indices of its source views; None where no loss term
+        compares with them.
+    parts : name of a part -> its Decision.
+    """
+
+    options: TrainOptions
+    neighbours: list[list[int]] | None
+    parts: dict[str, Decision]
 
     @property
-    def reasons(self):
-        """Part -> sentence."""
+    def reasons(self) -> dict[str, str]:
+        """Name of a part -> sentence."""
         return {name: part.reason for name, part in self.parts.items()}
 
     @property
-    def found(self):
-        """Part -> what is used, for the record; what was asked for stands in the options."""
+    def values(self) -> dict[str, Any]:
+        """Name of a part -> what is used, for the record; the options have what was asked for."""
         return {name: part.value for name, part in self.parts.items()}
 
 
-def find_needs(scene, views, options, device=None):
-    """The Needs of a training on `views` of `scene`; InputError where an option cannot be met.
+def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
+                   device: Device | None = None) -> Decisions:
+    """Decide what is optional; InputError where an option cannot be met.
 
-    options: TrainOptions with scaled steps; device: that of the training. Without it, where the
-    moments are kept is left to train.model.Model, which knows the initial gaussians only.
+    Parameters
+    ----------
+    scene : at the size of training.
+    views : those of it that are trained on.
+    options : with scaled steps.
+    device : that of the training. Without it, where moments are kept is left to `model.Model`,
+        which knows the initial gaussians only.
     """
     exposure = _exposure(scene, views, options)
     neighbours, reproject = _neighbours(scene, views, options)
@@ -71,12 +96,12 @@ def find_needs(scene, views, options, device=None):
     if device is not None:
         parts["engine"] = _engine(scene, views, options, device)
         options = dataclasses.replace(options, engine=parts["engine"].value)
-    return Needs(options, neighbours, parts)
+    return Decisions(options, neighbours, parts)
 
 
-def needed_degree(cap):
-    """The lowest degree of harmonics with which colours seen from within `cap` degrees of a middle
-    direction are right to a step of 8 bits.
+def needed_degree(cap: float) -> int:
+    """The lowest degree of spherical harmonics with which colours seen from within `cap` degrees of
+    a middle direction are right to a step of 8 bits.
 
     A colour that harmonics up to L describe changes by at most L^k times its amplitude in k
     derivatives (Bernstein's inequality), so what its Taylor polynomial of degree n leaves over, a
@@ -92,27 +117,27 @@ def needed_degree(cap):
 
 
 def _asked(value):
-    return Part(value, f"{value}: asked for", asked=True)
+    return Decision(value, f"{value}: asked for", asked=True)
 
 
 def _levels(views, options):
     """Those that the schedule will take."""
-    return Part(*schedule_of(options.schedule).planned_levels(options, smallest_size(views)))
+    return Decision(*schedule_of(options.schedule).planned_levels(options, smallest_size(views)))
 
 
 def _degree(spread, options):
     """Of the harmonics."""
     if options.sh_degree == HIGHEST_DEGREE:
-        return Part(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: all, the default")
+        return Decision(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: all, the default")
     if options.sh_degree != AUTO:
         return _asked(options.sh_degree)
     if not len(spread.cap):
-        return Part(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: no point is seen by two views, nothing is "
-                    "known of angles")
+        return Decision(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: no point is seen by two views, nothing "
+                        "is known of angles")
     cap = float(np.quantile(spread.cap, SHARE))
     degree = needed_degree(cap)
-    return Part(degree, f"{degree}: {SHARE:.0%} of the points are seen from within {cap:.1f} "
-                "degrees of their mean direction")
+    return Decision(degree, f"{degree}: {SHARE:.0%} of the points are seen from within {cap:.1f} "
+                    "degrees of their mean direction")
 
 
 def _antialiased(spread, options):
@@ -121,59 +146,53 @@ def _antialiased(spread, options):
     ratios = spread.ratio[np.isfinite(spread.ratio)]
     seen = (f"; nine points in ten are seen at scales within a factor of "
             f"{np.quantile(ratios, 0.9):.1f}" if len(ratios) else "")
-    return Part(value, f"{value}: {'' if options.antialiased else 'not '}asked for{seen}",
-                asked=options.antialiased)
+    return Decision(value, f"{value}: {'' if options.antialiased else 'not '}asked for{seen}",
+                    asked=options.antialiased)
 
 
 def _exposure(scene, views, options):
     if options.exposure != AUTO:
         return _asked(options.exposure)
-    chosen = views[::-(-len(views) // LOOKED_AT)]
+    chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
     side = max(max(v.camera.width, v.camera.height) for v in chosen)
     small = at_level(chosen, max(1.0, side / SMALL_SIDE))
     drift = exposure_drift(small, decoded(small), scene.points, scene.colours)
     value = "on" if drift >= DRIFTS else "off"
-    return Part(value, f"{value}: the brightness of {len(chosen)} photos varies by "
-                f"{100 * drift:.1f} % ({100 * DRIFTS:.1f} % counts as drift)")
+    return Decision(value, f"{value}: the brightness of {len(chosen)} photos varies by "
+                    f"{100 * drift:.1f} % ({100 * DRIFTS:.1f} % counts as drift)")
 
 
 def _neighbours(scene, views, options):
-    """(indices of adjacent views by view or None, Part)."""
+    """(indices of adjacent views by view or None, Decision)."""
     if options.reproject == "off" or not options.reproject_weight:
-        return None, Part("off", "off: not asked for")
+        return None, Decision("off", "off: not asked for")
     found = choose_source_views(scene, views)
     paired = sum(len(adjacent) > 0 for adjacent in found)
     if paired:
-        return found, Part("on", f"on: {paired} of {len(views)} photos have an adjacent one",
-                           asked=options.reproject == "on")
+        return found, Decision("on", f"on: {paired} of {len(views)} photos have an adjacent one",
+                               asked=options.reproject == "on")
     if options.reproject == "on":
         raise InputError(f"{scene.name}: --reproject on needs two photos that share 20 sparse "
                          "points; there are none: use --reproject auto or off")
-    return None, Part("off", "off: no two photos share 20 sparse points")
+    return None, Decision("off", "off: no two photos share 20 sparse points")
 
 
 def _engine(scene, views, options, device):
     """Where the moments are kept: by the most gaussians there will be, and room to grow."""
     if options.engine != AUTO:
         return _asked(options.engine)
-    count = largest(course(schedule_of(options.schedule)(
-        options, subject_of(scene, views, photos=tuple))))
+    pixels = sum(view.camera.width * view.camera.height for view in views)
+    facts = SceneFacts(smallest_size(views), len(scene.points), 1.0, tuple, pixels)
+    count = largest(simulate(schedule_of(options.schedule)(options, facts)))
     floats = sum(field.width(options.sh_degree) for field in LEARNED)
     needed = 3 * floats * GROWTH_ROOM * count * device.real.itemsize
     there = device.handle.global_mem_size
     value = "device" if needed < DEVICE_SHARE * there else "numpy"
-    return Part(value, f"{value}: parameters and moments take up to {needed / 2**20:,.0f} MiB of "
-                f"the device's {there / 2**20:,.0f}")
+    return Decision(value, f"{value}: parameters and moments take up to {needed / 2**20:,.0f} MiB "
+                    f"of the device's {there / 2**20:,.0f}")
 
 
-def subject_of(scene, views, photos=None, inverse_distance=1.0):
-    """The Subject that a schedule is told of; photos: as there, by default those of `views`."""
-    return Subject(smallest_size(views), len(scene.points), inverse_distance,
-                   photos or (lambda: decoded(views)),
-                   sum(view.camera.width * view.camera.height for view in views))
-
-
-def smallest_size(views):
+def smallest_size(views: Sequence[View]) -> tuple[int, int]:
     """(width, height) of the training image with the shortest side, pixels."""
     sizes = [(view.camera.width, view.camera.height) for view in views]
     return sizes[int(np.argmin([min(size) for size in sizes]))]

@@ -3,14 +3,17 @@
 None of this stops a training; a user who knows better goes on.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.constants import ALPHA_STEPS
 from clsplat.covisibility.exposure_drift import LUMA
-from clsplat.scene import LEAST_PARALLAX
+from clsplat.scene import LEAST_PARALLAX, Scene, View
 from clsplat.training.photos import at_level, decoded
 
-LOOKED_AT = 16  # photos that stand for all
+SAMPLED_PHOTOS = 16  # photos that stand for all
 SMALL_SIDE = 256  # pixels of a photo that is looked at
 POINTS = 10_000  # projected into those photos
 CELLS = 8  # across a photo, for finding how much of it points cover
@@ -21,13 +24,17 @@ LEAST_SMOOTHNESS = 0.2  # correlation of neighbouring pixels: 0.65 to 0.98 there
 FAINTEST = -np.log(ALPHA_STEPS - 1.0)  # logit of 1 / ALPHA_STEPS: nothing fainter is drawn
 
 
-def find_warnings(scene, views, opacity_logits):
-    """list[str]: what will spoil a training, with the number behind it; empty where nothing will.
+def find_warnings(scene: Scene, views: Sequence[View],
+                  opacity_logits: NDArray[np.floating]) -> list[str]:
+    """What will spoil a training, with the number behind it; empty where nothing will.
 
-    scene: Scene; views: its training Views, of which some photos are read; opacity_logits:
-    float[N], of the initial gaussians.
+    Parameters
+    ----------
+    scene : as it is trained on.
+    views : of the training; some of their photos are read.
+    opacity_logits : [N], of the initial gaussians.
     """
-    chosen = views[::-(-len(views) // LOOKED_AT)]
+    chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
     # of a block its city's coarse run has said so
     found = (scene.notes if scene.region is None else (), _few(len(views), len(opacity_logits)),
              _faint(opacity_logits), _parallax(scene), _cover(scene.points, chosen),

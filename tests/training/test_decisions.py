@@ -11,13 +11,13 @@ from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import scaled_steps
-from clsplat.training import needs
-from clsplat.training.needs import (
-    LOOKED_AT,
+from clsplat.training import decisions
+from clsplat.training.decisions import (
+    SAMPLED_PHOTOS,
     SHINE,
     SMALL_SIDE,
     VISIBLE,
-    find_needs,
+    find_decisions,
     needed_degree,
     smallest_size,
 )
@@ -31,7 +31,7 @@ def city():
 
 
 def found(scene, **options):
-    return find_needs(scene, scene.views, resolve({}, options))
+    return find_decisions(scene, scene.views, resolve({}, options))
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def drift(monkeypatch):
         def measure(views, photos, points, colours):
             seen.append((views, photos, points))
             return value
-        monkeypatch.setattr(needs, "exposure_drift", measure)
+        monkeypatch.setattr(decisions, "exposure_drift", measure)
         return seen
     return set_to
 
@@ -70,8 +70,8 @@ def test_exposures_are_learned_where_photos_drift(city, drift, measured, answer)
 
 def test_the_city_does_not_drift_until_its_photos_are_darkened(city, monkeypatch):
     assert found(city).options.exposure == "off"
-    read = needs.decoded
-    monkeypatch.setattr(needs, "decoded", lambda views: (
+    read = decisions.decoded
+    monkeypatch.setattr(decisions, "decoded", lambda views: (
         (photo * (0.6 if i % 2 else 1)).astype(np.uint8) for i, photo in enumerate(read(views))))
     assert found(city).options.exposure == "on"
 
@@ -88,9 +88,9 @@ def test_few_small_photos_stand_for_all(city, drift):
     seen = drift(0.0)
     large = replace(city.views[0], camera=city.views[0].camera.resized(4 * SMALL_SIDE, 100))
     many = replace(city, views=(large, *city.views * 5))
-    find_needs(many, many.views, resolve({}, {"reproject": "off"}))
+    find_decisions(many, many.views, resolve({}, {"reproject": "off"}))
     (views, _, points), = seen
-    assert 0.5 * LOOKED_AT <= len(views) <= LOOKED_AT and points is many.points
+    assert 0.5 * SAMPLED_PHOTOS <= len(views) <= SAMPLED_PHOTOS and points is many.points
     assert [view.name for view in views] == [view.name for view in many.views[::3]]
     assert max(max(v.camera.width, v.camera.height) for v in views) <= SMALL_SIDE
 
@@ -108,7 +108,7 @@ def test_adjacent_photos_are_found(city, drift, asked):
     {}, {"reproject": "auto", "reproject_weight": 0.0}, {"schedule": "taming"}], ids=str)
 def test_adjacent_photos_are_not_looked_for(city, drift, monkeypatch, options):
     drift(0.0)
-    monkeypatch.delattr(needs, "choose_source_views")
+    monkeypatch.delattr(decisions, "choose_source_views")
     result = found(city, **options)
     assert (result.options.reproject, result.neighbours) == ("off", None)
     assert result.reasons["reproject"] == "off: not asked for"
@@ -139,7 +139,7 @@ def test_views_that_agree_need_fewer_harmonics(drift, degrees, degree, tracks):
     scene = circle(*degrees)
     scene = scene if tracks else replace(scene, observations=None)
     result = found(scene, sh_degree="auto")
-    assert result.options.sh_degree == result.found["sh_degree"] == degree
+    assert result.options.sh_degree == result.values["sh_degree"] == degree
     middle = f"{(max(degrees) - min(degrees)) / 2:.1f} degrees"
     assert result.reasons["sh_degree"].startswith(f"{degree}: 99% of the points are seen from "
                                                   "within ")
@@ -222,7 +222,7 @@ def test_scales_are_told(drift):
     result = found(scene)
     assert result.reasons["antialiased"] == (
         "off: not asked for; nine points in ten are seen at scales within a factor of 4.0")
-    assert found(scene, antialiased=True).found["antialiased"] == "on"
+    assert found(scene, antialiased=True).values["antialiased"] == "on"
 
 
 def test_levels_are_named(city, drift):
@@ -230,12 +230,12 @@ def test_levels_are_named(city, drift):
     large = replace(city, views=tuple(
         replace(view, camera=view.camera.resized(320, 240)) for view in city.views))
     result = found(large)
-    assert result.found["levels"] == (3.0, 2.0, 1.0)
+    assert result.values["levels"] == (3.0, 2.0, 1.0)
     assert result.reasons["levels"] == (
         "3 2 1: 106 x 80 to 320 x 240 pixels; sides below 64 are left out")
     assert found(large, levels=(4.0, 1.0)).reasons["levels"] == (
         "4 1: asked for; 80 x 60 to 320 x 240 pixels")
-    assert found(large, schedule="constant").found["levels"] == (1.0,)
+    assert found(large, schedule="constant").values["levels"] == (1.0,)
 
 
 def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift):
@@ -246,12 +246,12 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift):
     def engine(memory, **changes):
         device = SimpleNamespace(real=np.dtype(np.float32),
                                  handle=SimpleNamespace(global_mem_size=memory))
-        return find_needs(city, city.views, replace(options, **changes), device)
+        return find_decisions(city, city.views, replace(options, **changes), device)
 
     assert engine(2.02 * needed).options.engine == "device"
     result = engine(1.98 * needed)
-    assert result.options.engine == "numpy" == result.found["engine"]
+    assert result.options.engine == "numpy" == result.values["engine"]
     assert "take up to 67 MiB of the device's 132" in result.reasons["engine"]
     assert engine(1.98 * needed, sh_degree=2).options.engine == "device"
     assert engine(1.0, engine="device").reasons["engine"] == "device: asked for"
-    assert find_needs(city, city.views, options).options.engine == "auto"
+    assert find_decisions(city, city.views, options).options.engine == "auto"

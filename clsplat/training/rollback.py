@@ -1,24 +1,36 @@
-"""A copy of the model from before its opacities are lowered or its level changes, for a time budget
+"""A copy of the model from before its opacities are reset or its level changes, for a time budget
 that ends too soon after it."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
+from clsplat.device import Array
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.training.model import Model
+from clsplat.training.step import Step
 
 
-class Kept:
-    """Rows and moments of a `train.step.Step`'s model, in host memory; iteration: steps taken."""
+class Rollback:
+    """Rows and moments of a Step's model, in host memory.
 
-    def __init__(self, step, iteration):
+    Attributes
+    ----------
+    iteration : steps taken when it was copied.
+    """
+
+    def __init__(self, step: Step, iteration: int) -> None:
         model = step.model
         self.iteration = iteration
         self._gaussians, self._moments = model.download(), model.adam.download(model.count)
 
-    def restore_if_better(self, step, samples):
-        """Give the copy back to `step` where its loss is lower; whether it was.
+    def restore_if_better(self, step: Step, samples: Sequence[tuple[Array, Array]]) -> bool:
+        """Give the copy back to `step` where its loss is smaller; whether it was.
 
-        samples: [(packed camera, photo), ...], of training views.
+        Parameters
+        ----------
+        step : whose model it is compared with.
+        samples : packed cameras and photos of training views.
         """
         now, model = _loss(step, samples), step.model
         step.model = Model(step.device, self._gaussians, step.options.engine,
@@ -28,7 +40,7 @@ class Kept:
             return False
         step.model.adam.upload(*self._moments)
         step.statistics.clear(step.model.count)
-        step.find_frozen()
+        step.freeze()
         return True
 
 

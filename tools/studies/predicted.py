@@ -1,6 +1,6 @@
-"""What `clsplat plan` foretells beside what training then takes: writes OUT/foretold.md.
+"""What `clsplat plan` predicts beside what training then takes: writes OUT/predicted.md.
 
-    python -m tools.studies.foretold OUT SCENE[:DOWNSCALE] ... -- --schedule sig
+    python -m tools.studies.predicted OUT SCENE[:DOWNSCALE] ... -- --schedule sig
 
 Each scene is planned, then trained on the same device. Gaussians: the most at a time; memory: the
 most at a time, while the model grows too; time: of training. Take it on a machine that does
@@ -28,10 +28,10 @@ def main(argv):
             rows.append((scene, *compared(forecasts[scene], run.records)))
     within = ", ".join(f"{unit} within {bound:.0%}" for unit, bound in BOUNDS.items())
     table = Table("Foretold and taken", (
-        "scene", "gaussians foretold", "taken", "ratio", "MiB foretold", "taken", "ratio",
-        "s foretold", "taken", "ratio"), rows, range(1, 10), (
+        "scene", "gaussians predicted", "taken", "ratio", "MiB predicted", "taken", "ratio",
+        "s predicted", "taken", "ratio"), rows, range(1, 10), (
         f"Wanted: {within}.",))
-    write(given.out / "foretold.md", "What plan foretells", given, groups, [table])
+    write(given.out / "predicted.md", "What plan predicts", given, groups, [table])
     refuse(failed)
 
 
@@ -45,7 +45,7 @@ def forecast(run):
 
 
 def compared(forecast, records):
-    """Cells: foretold, taken and their ratio of gaussians, MiB, and seconds."""
+    """Cells: predicted, taken and their ratio of gaussians, MiB, and seconds."""
     steps = [record for record in records if record["event"] == "step"]
     pairs = ((forecast.gaussians, max(record["gaussians"] for record in records)),
              (forecast.memory.total / MIB, max(record["peak_bytes"] for record in steps) / MIB),

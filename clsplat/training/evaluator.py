@@ -1,0 +1,59 @@
+"""Metrics of the held-out views during a training, and when they are due."""
+
+import time
+from typing import Any
+
+from clsplat.config.option import AUTO
+from clsplat.evaluation.views import evaluate_views
+from clsplat.training.clock import Clock
+from clsplat.training.recorder import Recorder
+from clsplat.training.session import Session
+
+EVALUATIONS = 8  # of a run, by default
+EVALUATION_SHARE = 1 / 3  # of the time so far, that they may take
+
+
+class Evaluator:
+    """Evaluates a Session.
+
+    Attributes
+    ----------
+    evaluated_at : the step of the last evaluation of the run, or None.
+    per_view : scores of its views, where it was made in this process.
+    latest_seconds : that it took.
+    """
+
+    def __init__(self, session: Session, clock: Clock, recorder: Recorder) -> None:
+        self.session, self.clock, self.recorder = session, clock, recorder
+        self.evaluated_at: int | None = None
+        self.per_view: list[dict[str, Any]] | None = None
+        self.latest_seconds = self._all_seconds = 0.0
+
+    def is_due(self) -> bool:
+        """Whether an evaluation follows the latest step, by its number or the time so far."""
+        options, iteration = self.session.options, self.session.iteration
+        if options.eval_every != AUTO:
+            return options.eval_every > 0 and iteration % options.eval_every == 0
+        if EVALUATIONS * iteration % options.iterations >= EVALUATIONS:  # no eighth ends here
+            return False
+        return (self._all_seconds + self.latest_seconds
+                <= EVALUATION_SHARE * self.clock.elapsed())
+
+    def evaluate(self) -> None:
+        """Record the metrics, outside of training time; nothing where no view is held out."""
+        session, progress = self.session, self.recorder.progress
+        if not session.test_views:
+            return
+        begin = time.perf_counter()
+        with self.clock.paused():
+            progress.phase("evaluating")
+            result = evaluate_views(session.renderer, session.model.rows,
+                                    session.options.sh_degree, session.test_views)
+        self.latest_seconds = time.perf_counter() - begin
+        self._all_seconds += self.latest_seconds
+        self.evaluated_at, self.per_view = session.iteration, result.pop("per_view")
+        self.recorder.log("eval", **result)
+        progress.message(
+            f"step {session.iteration}: PSNR {result['psnr']:.2f} dB ({result['psnr_cc']:.2f} "
+            f"after the colour fit), SSIM {result['ssim']:.4f}, {result['views']} held-out views, "
+            f"{session.model.count:,} gaussians, {self.clock.trained():.1f} s of training")

@@ -1,0 +1,106 @@
+"""What a training tells: records of metrics.jsonl, the progress line, the functions of a user."""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from clsplat.errors import InputError, StopTraining
+from clsplat.io.run import RunFolder
+from clsplat.training.clock import Clock
+from clsplat.training.progress import SilentProgress
+from clsplat.training.session import Session
+from clsplat.training.skipped_gradients import TOO_MANY
+from clsplat.training.step import Measured
+
+REPORT_EVERY = 50  # steps between progress lines; each waits for the device
+LOG_EVERY = 100
+Callback = Callable[[dict[str, Any]], object]  # called with a record
+
+
+class Recorder:
+    """Tells of a Session's steps.
+
+    Attributes
+    ----------
+    progress : the progress line.
+    stop : whether a function of the user has raised StopTraining.
+    """
+
+    def __init__(self, session: Session, clock: Clock, run: RunFolder, progress: SilentProgress,
+                 callbacks: Iterable[Callback] = ()) -> None:
+        self.session, self.clock, self.run, self.progress = session, clock, run, progress
+        self._callbacks, self.stop = tuple(callbacks), False
+
+    def _place(self):
+        """What every record says of where the training is."""
+        session, clock = self.session, self.clock
+        return {"iteration": session.iteration, "train_seconds": round(clock.trained(), 3),
+                "wall_seconds": round(clock.elapsed(), 3), "level": session.level,
+                "gaussians": session.model.count}
+
+    def log(self, event: str, **values: Any) -> None:
+        """Write one record of metrics.jsonl; its first keys are those of every record."""
+        record = {"event": event, **self._place(), "pixel_pairs": self.session.step.pixel_pairs,
+                  "kernel_bytes": self.clock.moved(), **values}
+        self.run.log(record)
+        if event != "step":  # of which callbacks see each, by `stepped`
+            self._show(record)
+
+    def stepped(self, measured: list[Measured], frequency: dict[str, float] | None) -> None:
+        """Tell of a step where that is due; raises InputError where training cannot go on.
+
+        Parameters
+        ----------
+        measured : what the step returned.
+        frequency : scene frequencies, where they were measured.
+        """
+        iteration = self.session.iteration
+        if iteration % REPORT_EVERY == 0 or iteration == 1:
+            self._report(self.check(measured), frequency)
+        if self._callbacks:
+            self._show({"event": "step", **self._place(), **self.check(measured)})
+
+    def _show(self, record):
+        for function in self._callbacks:
+            try:
+                function(record)
+            except StopTraining:
+                self.stop = True
+
+    def _report(self, values, frequency):
+        session = self.session
+        iteration, skipped = session.iteration, session.step.skipped
+        memory = session.device.memory_bytes
+        self.progress(iteration=iteration, total=session.options.iterations, loss=values["loss"],
+                      gaussians=session.model.count, memory_bytes=memory, level=session.level)
+        if iteration % LOG_EVERY == 0 or iteration == 1:
+            since, asked = skipped.close()
+            self.log("step", **values, memory_bytes=memory, peak_bytes=session.device.peak_bytes,
+                     skipped_rows=skipped.total, skipped_since=since, frequency=frequency,
+                     convergence=session.schedule.latest)
+            if iteration > 1 and since > TOO_MANY * asked:  # one view alone says little
+                raise broken(self.run, f"{since:,} of {asked:,} gradients were not finite in the "
+                             f"{LOG_EVERY} steps to {iteration}")
+
+    def check(self, measured: list[Measured]) -> dict[str, float]:
+        """The numbers of a step, `loss` among them; waits. InputError where one is not finite;
+        gradients that were not are counted, and the first told of."""
+        step, iteration = self.session.step, self.session.iteration
+        values = step.values(measured)
+        for name, value in values.items():
+            if not np.isfinite(value):
+                raise broken(self.run, f"the {name} at step {iteration} is {value}")
+        if step.skipped.poll():
+            self.progress.message(f"step {iteration}: {step.skipped.total:,} gradients were not "
+                                  "finite and were skipped; metrics.jsonl counts on, as "
+                                  "skipped_rows")
+        return values
+
+
+def broken(run: RunFolder, what: str,
+           cure: str = "lower the learning rates or check the scene") -> InputError:
+    """The InputError of a training that cannot go on."""
+    kept = ("the last checkpoint is kept" if run.has_checkpoint
+            else "there is no checkpoint yet")
+    return InputError(f"{run.path}: {what}; {kept}: {cure}")
