@@ -264,7 +264,8 @@ def test_names_with_spaces(tmp_path):
 
 def test_points_that_cannot_be_trained_on(tmp_path):
     for name, value, words in (("nan", np.nan, ("1 of 30 points", "not finite")),
-                               ("inf", np.inf, ("1 of 30 points", "not finite"))):
+                               ("inf", np.inf, ("1 of 30 points", "not finite")),
+                               ("far", 2e15, ("1 of 30 points", "not below 1e+15"))):
         made = reconstruction()
         next(iter(made.points3D.values())).xyz = np.array([0, value, 0])
         refused(write_scene(tmp_path / name, made), *words)
