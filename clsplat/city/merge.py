@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
-from clsplat.io.lock import holder, is_held
+from clsplat.io.lock import holder, is_locked
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
 from clsplat.partition.input import world_of
@@ -156,7 +156,7 @@ def _block(folder, number, partition, scene):
         return "missing", 0, None, "it was never written"
     run = RunFolder(folder.run)
     if not run.has_model:
-        if is_held(folder.run):
+        if is_locked(folder.run):
             return TRAINS, 0, None, (f"{folder.path}: {holder(folder.run)} trains it; wait for it, "
                                      "or stop it")
         return "unfinished", 0, None, "its run has no model yet"

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from clsplat.distribute.task import GRACE_SECONDS, INPUT, INTERRUPTED, LOCKED
 from clsplat.errors import InputError
-from clsplat.io.lock import Held, exclusive
+from clsplat.io.lock import LockTaken, exclusive
 
 LOCK_SECONDS = 300  # to wait for another process in the folder, which may be saving its state
 
@@ -43,7 +43,7 @@ def main(done_path: str, module: str, *arguments: str) -> None:
         sys.exit(INTERRUPTED)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
-        sys.exit(LOCKED if isinstance(error, Held) else INPUT)
+        sys.exit(LOCKED if isinstance(error, LockTaken) else INPUT)
 
 
 def _follow_parent() -> None:
@@ -85,7 +85,7 @@ def _own_kernel_cache(stack: ExitStack) -> Path:
             folder.mkdir(exist_ok=True)
             stack.enter_context(exclusive(folder))
             return folder
-        except Held:
+        except LockTaken:
             pass
         except (OSError, InputError):  # of another user, or the disk is full
             break

@@ -2,27 +2,32 @@
 
 import errno
 import os
+from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedWriter
 from pathlib import Path
 
 from clsplat.errors import InputError
 
 PARTIAL = ".part"
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
-def replacing(path, content=None):
-    """A binary file beside `path` that takes its place, on disk, when the block ends.
+def replacing(path: str | Path, content: bytes | None = None) -> Iterator[BufferedWriter]:
+    """Open a binary file beside `path` that replaces it when the block ends.
 
-    Whatever goes wrong, the old file stays as it was and the new one is removed; a disk that is
-    full or may not be written raises InputError. content: the bytes that the file must hold then,
-    as read back; None checks its size only.
+    If anything fails, the old file stays as it was, the new one is removed, and a full disk or a
+    folder that may not be written raises InputError.
+
+    Parameters
+    ----------
+    content : what the file must hold when it is read back; None compares its size only.
     """
     path = Path(path)
     partial = path.with_name(path.name + PARTIAL)
     try:
-        _remove(partial)  # what a killed process left; were it a link, it would be followed
+        _remove(partial)  # a killed process may have left one; a link would be followed
         with open(partial, "wb") as file:
             yield file
             file.flush()
@@ -37,19 +42,21 @@ def replacing(path, content=None):
         if cause is None:
             raise
         cure = ("free some space and try again (a training: with --resume)"
-                if cause.errno in FULL else "check that the folder exists and may be written")
+                if cause.errno in DISK_FULL else "check that the folder exists and may be written")
         raise InputError(f"{path}: cannot be written ({cause.strerror}); {cure}") from error
 
 
-def _remove(path):
+def _remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError:
         pass  # the folder is missing or read-only: so is the file
 
 
-def _system_error(error):
-    """The OSError behind an exception, or None: zipfile hides it behind its own when it closes."""
-    while error is not None and not (isinstance(error, OSError) and error.strerror):
+def _system_error(error: BaseException | None) -> OSError | None:
+    """The OSError behind an exception, or None: zipfile raises its own error when it closes."""
+    while error is not None:
+        if isinstance(error, OSError) and error.strerror:
+            return error
         error = error.__context__
-    return error
+    return None

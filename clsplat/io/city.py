@@ -1,20 +1,26 @@
 """The folder of a large scene's training: the only code that knows its file names.
 
-Coarse run, partition, blocks and merged model meet here, on one machine or many. Every file
-replaces itself whole, and a block appears whole or not at all, so a kill at any moment leaves what
-the same command goes on from.
+It holds the coarse run, the partition, the blocks and the merged model, which may be made on
+several machines. Every file and every block appears whole or not at all, so that the same command
+can continue after a kill at any moment.
 """
+
+from __future__ import annotations
 
 import hashlib
 import json
 import os
 import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
@@ -25,66 +31,71 @@ from clsplat.io.records import object_of, write_object
 from clsplat.io.run import CITY, FILES, RunFolder
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region
+from clsplat.scene import Scene, View
 
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 WINDOWS = "windows"  # key of region.json
-REPLACES = "replaces"  # key of partition.json: the one before it, and which blocks it cut
+REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
 INITIAL, PACKED = "initial.ply", "scene.npz"
 
 
 class CityFolder:
-    """What `clsplat city` keeps: a run folder like any other, with the coarse run, the partition,
-    the blocks and the levels of detail in it. Errors are InputError.
+    """A run folder that also has the coarse run, the partition, the blocks and the levels of
+    detail of a city. Errors are InputError.
 
-    coarse, lod: folders; map, picture: the partition as GeoJSON and as an image.
+    Attributes
+    ----------
+    coarse, lod : folders of the coarse run and of the levels of detail.
+    map, picture : the partition as GeoJSON and as an image.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.coarse, self.lod = self.path / "coarse", self.path / "lod"
         self.map, self.picture = self.path / "partition.geojson", self.path / "partition.png"
 
     @property
-    def has_record(self):
+    def has_record(self) -> bool:
+        """Whether city.json exists."""
         return (self.path / CITY).is_file()
 
     @property
-    def has_partition(self):
+    def has_partition(self) -> bool:
+        """Whether partition.json exists."""
         return (self.path / PARTITION).is_file()
 
-    def write(self, record):
-        """Replace city.json: a dict for JSON, with at least `fingerprint`, of the whole scene."""
+    def write(self, record: dict[str, Any]) -> None:
+        """Replace city.json by a dict, with at least the `fingerprint` of the whole scene."""
         write_object(self.path / CITY, record)
 
-    def read(self, **kinds):
-        """What `write` wrote; kinds: the types of keys that are needed besides `fingerprint`."""
+    def read(self, **kinds: type) -> dict[str, Any]:
+        """Read city.json; `kinds` are the types of keys that are needed besides `fingerprint`."""
         return _read(self.path / CITY, {"fingerprint": str, **kinds},
                      "give a folder that `clsplat city` wrote")
 
-    def check_there(self):
-        """InputError where the folder holds neither a city nor a coarse run, with which one begins.
-        """
+    def check_there(self) -> None:
+        """InputError if the folder holds neither a city nor a coarse run, from which one begins."""
         if not (self.has_record or RunFolder(self.coarse).is_begun):
             raise InputError(f"{self.path}: holds no city ({CITY} is missing); give a folder that "
                              "`clsplat city` wrote")
 
-    def check_free(self):
-        """InputError where a city cannot begin here, as the folder holds a run or a block, or has
-        no coarse run but other files, such as a scene's."""
+    def check_free(self) -> None:
+        """InputError if a city cannot begin here, because the folder holds a run or a block, or
+        other files but no coarse run."""
         present = sorted(path.name for path in self.path.iterdir()) if self.path.is_dir() else []
-        found = [name for name in present if name in (*FILES, BLOCK, REGION)]
+        foreign = [name for name in present if name in (*FILES, BLOCK, REGION)]
         if not RunFolder(self.coarse).is_begun:
-            found += [name for name in present if name != self.coarse.name and name[0] != "."]
-        if found:
-            raise InputError(f"{self.path}: holds {found[-1]}, but no city ({CITY} is missing); "
+            foreign += [name for name in present if name != self.coarse.name and name[0] != "."]
+        if foreign:
+            raise InputError(f"{self.path}: holds {foreign[-1]}, but no city ({CITY} is missing); "
                              "choose another --output")
 
-    def write_partition(self, record):
-        """Replace partition.json by a Partition's record, a dict for JSON."""
+    def write_partition(self, record: dict[str, Any]) -> None:
+        """Replace partition.json by the record of a Partition."""
         write_object(self.path / PARTITION, record)
 
-    def read_partition(self):
-        """What `write_partition` wrote."""
+    def read_partition(self) -> dict[str, Any]:
+        """Read partition.json."""
         path, cure = self.path / PARTITION, f"make it with `clsplat partition {self.path}`"
         record = _read(path, {}, cure)
         replaces = record.get(REPLACES)
@@ -95,8 +106,8 @@ class CityFolder:
                              f"and {cure}")
         return record
 
-    def partition(self, scene=None):
-        """The Partition, where given of this whole Scene; InputError where it is damaged."""
+    def partition(self, scene: Scene | None = None) -> Partition:
+        """The partition; InputError if it is damaged, or not of this whole scene."""
         try:
             partition = Partition.from_record(self.read_partition())
             if scene is not None:
@@ -106,55 +117,69 @@ class CityFolder:
             raise InputError(f"{self.path / PARTITION}: damaged ({reason(error)}); make it again "
                              f"with `clsplat partition {self.path}`") from None
 
-    def identity(self):
-        """What a block must be of to belong here: `city`, the scene's fingerprint, and `partition`,
-        the SHA-256 of partition.json."""
+    def identity(self) -> dict[str, str]:
+        """What the record of a block of this city must hold: `city`, the scene's fingerprint, and
+        `partition`, the SHA-256 of partition.json."""
         self.read_partition()
         digest = hashlib.sha256((self.path / PARTITION).read_bytes()).hexdigest()
         return {"city": self.read()["fingerprint"], "partition": digest}
 
-    def replace_partition(self, record, numbers):
-        """`write_partition` where only the blocks `numbers` are others than before: their folders
-        go, the rest become blocks of the new partition, now or when `adopt` is called again."""
+    def replace_partition(self, record: dict[str, Any], numbers: Iterable[int]) -> None:
+        """Write a partition that differs in the blocks of these numbers only: their folders are
+        removed, and the other blocks become those of the new partition. After a kill `adopt`
+        finishes this."""
         self.write_partition({**record, REPLACES: {
             "partition": self.identity()["partition"], "blocks": [int(n) for n in numbers]}})
         self.adopt()
 
-    def adopt(self):
-        """Finish `replace_partition`, if one was cut short."""
+    def adopt(self) -> None:
+        """Finish a `replace_partition` that was interrupted."""
         replaces, identity = self.read_partition().get(REPLACES), self.identity()
-        for block in self.blocks() if replaces else ():
+        if not replaces:
+            return
+        for block in self.blocks():
             record = block.read()
             if record["partition"] != replaces["partition"]:
                 continue
             if record["number"] in replaces["blocks"]:
-                gone = block.path.with_name(block.path.name + PARTIAL)
-                shutil.rmtree(gone, ignore_errors=True)
-                os.rename(block.path, gone)
-                shutil.rmtree(gone, ignore_errors=True)
+                removed = block.path.with_name(block.path.name + PARTIAL)
+                shutil.rmtree(removed, ignore_errors=True)
+                os.rename(block.path, removed)
+                shutil.rmtree(removed, ignore_errors=True)
             else:
                 write_object(block.path / BLOCK, {**record, **identity})
 
-    def block(self, number):
-        """The BlockFolder of a block, there or not."""
+    def block(self, number: int) -> BlockFolder:
+        """The folder of a block, whether it exists or not."""
         return BlockFolder(self.path / "blocks" / f"{number:03d}")
 
-    def blocks(self):
-        """The BlockFolders that are there, by number."""
-        found = [file.parent for file in self.path.glob(f"blocks/*/{BLOCK}")
+    def blocks(self) -> list[BlockFolder]:
+        """The folders of the existing blocks, by number."""
+        paths = [file.parent for file in self.path.glob(f"blocks/*/{BLOCK}")
                  if file.parent.name.isdigit()]
-        return [BlockFolder(path) for path in sorted(found, key=lambda path: int(path.name))]
+        return [BlockFolder(path) for path in sorted(paths, key=lambda path: int(path.name))]
 
-    def write_block(self, number, scene, views, region, windows, initial, exposures, options,
-                    identity):
-        """Write a block as an ordinary scene folder, and return its BlockFolder.
+    def write_block(self, number: int, scene: Scene, views: Sequence[int] | NDArray[np.integer],
+                    region: Region, windows: Mapping[str, tuple[int, int, int, int]],
+                    initial: Gaussians, exposures: Mapping[str, ArrayLike] | None,
+                    options: Mapping[str, Any], identity: Mapping[str, Any]) -> BlockFolder:
+        """Write a block as an ordinary scene folder.
 
-        scene: the whole, as `read_scene` gave it; views: indices int[V] into its views; region:
-        Region; windows: parts of photos, see `Scene.cropped`; initial: Gaussians in the scene's
-        frame; exposures: name -> float[3, 4], or None;
-        options: dict of TrainOptions; identity: dict for block.json, that of `identity()` with
-        whatever is worth knowing. Photos are linked, or, where the scene is packed, copied. A block
-        that is there already is left alone; one of another partition is an InputError.
+        Photos are linked, or copied if the scene is packed. An existing block is left as it is.
+
+        Parameters
+        ----------
+        scene : the whole, as `read_scene` returned it.
+        views : indices into its views.
+        windows : parts of photos, see `Scene.cropped`.
+        initial : in the scene's frame.
+        exposures : name of a view -> float[3, 4].
+        options : of the block's training, for block.json.
+        identity : for block.json, `identity()` and other facts about the block.
+
+        Raises
+        ------
+        InputError : the existing block is of another partition, or the new one cannot be written.
         """
         block = self.block(number)
         record = json.loads(json.dumps({"number": number, **identity, "options": options}))
@@ -173,7 +198,7 @@ class CityFolder:
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir(parents=True)
             _write_scene(partial, part)
-            write_object(partial / REGION, {**region.record(), WINDOWS: windows})
+            write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows)})
             if exposures is not None:
                 write_exposures(partial / EXPOSURES, {
                     view.name: exposures[view.name] for view in part.views
@@ -191,30 +216,34 @@ class CityFolder:
 
 
 class BlockFolder:
-    """One block of a city: an ordinary scene folder with its region, what it starts from and its
+    """One block of a city: an ordinary scene folder with its region, its initial gaussians and its
     run. Errors are InputError.
 
-    initial: its first gaussians, PLY; run: the folder of its run.
+    Attributes
+    ----------
+    initial : the PLY of its initial gaussians.
+    run : the folder of its run.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.initial, self.run = self.path / INITIAL, self.path / "run"
 
     @property
-    def is_there(self):
+    def is_there(self) -> bool:
+        """Whether block.json exists, which is written last."""
         return (self.path / BLOCK).is_file()
 
-    def read(self, *counts):
-        """block.json: at least `number`, `city`, `partition` and `options`, a dict; counts: names
-        of more keys that are whole numbers."""
+    def read(self, *counts: str) -> dict[str, Any]:
+        """Read block.json: at least `number`, `city`, `partition` and `options`, a dict, and these
+        counts, which are integers."""
         kinds = {"number": int, "city": str, "partition": str, "options": dict}
         return _read(self.path / BLOCK, kinds | dict.fromkeys(counts, int),
                      "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
 
-    def check(self):
-        """InputError where the block lacks its region, or lies in a city that it is no block of,
-        be it by a link."""
+    def check(self) -> None:
+        """InputError if the block lacks its region, or if it lies, perhaps by a link, in a city to
+        which it does not belong."""
         record = self.read()
         if not (self.path / REGION).is_file():
             raise InputError(f"{self.path / REGION}: missing from the block; remove the block, and "
@@ -231,10 +260,9 @@ class BlockFolder:
                         f"remove it, and run `clsplat partition {city.path}` again")
 
 
-def attached(scene, folder):
-    """The scene with the region, the windows and the exposures that its folder holds, if it is a
-    block's."""
-    folder = Path(folder)
+def attached(scene: Scene, folder: Path) -> Scene:
+    """Add the region, the windows and the exposures of its folder to a scene, if it is a block's.
+    """
     if not (folder / REGION).is_file():
         return scene
     path = folder / REGION
@@ -250,19 +278,19 @@ def attached(scene, folder):
                    exposures=read_exposures(folder / EXPOSURES) if has_exposures else None)
 
 
-def _check_window(view, window):
-    """ValueError for what is no part of a view's photo."""
+def _check_window(view: View, window: Any) -> None:
+    """ValueError for a window that is not a part of a view's photo."""
     if window is None:
         return
     if type(window) is not list or [type(end) for end in window] != 4 * [int]:
-        raise ValueError(f"the window of {view.name} is not four numbers")
+        raise ValueError(f"the window of {view.name} is not four integers")
     left, top, right, bottom = window
     if not (0 <= left < right <= view.camera.width and 0 <= top < bottom <= view.camera.height):
         raise ValueError(f"the window of {view.name} is not within its photo")
 
 
-def _write_scene(folder, scene):
-    """`scene` as a folder that `read_scene` reads, in original coordinates."""
+def _write_scene(folder: Path, scene: Scene) -> None:
+    """Write a scene as a folder that `read_scene` reads, in original coordinates."""
     if isinstance(scene.views[0].source, bytes):
         write_packed(scene, folder / PACKED)
         return
@@ -275,27 +303,33 @@ def _write_scene(folder, scene):
         pixels[rows] = view.camera.project(scene.points[known[rows, 0]])[0]
     write_colmap(folder / "sparse" / "0", views, points, scene.colours,
                  Tracks(known[:, 0], known[:, 1], pixels))
-    for view in views:
-        link = folder / "images" / view.name
+    for photo, link in _photo_links(folder, views):
         link.parent.mkdir(parents=True, exist_ok=True)
-        _link(view.source.resolve(), link)
+        _link(photo, link)
 
 
-def _link_again(folder, views):
-    """Where the photos of a block were moved, link to where they are now."""
+def _photo_links(folder: Path, views: Iterable[View]) -> Iterator[tuple[Path, Path]]:
+    """(photo, its link in the folder of a block) of views that are not packed."""
     for view in views:
-        link = folder / "images" / view.name
-        if isinstance(view.source, Path) and link.is_symlink() and not link.exists():
+        if isinstance(view.source, Path):
+            yield view.source, folder / "images" / view.name
+
+
+def _link_again(folder: Path, views: Iterable[View]) -> None:
+    """Replace the links of a block to photos that were moved since."""
+    for photo, link in _photo_links(folder, views):
+        if link.is_symlink() and not link.exists():
             try:
                 link.unlink()
             except OSError as error:
                 raise InputError(f"{link}: cannot be replaced ({error.strerror}); check that its "
                                  "folder may be written") from None
-            _link(view.source.resolve(), link)
+            _link(photo, link)
 
 
-def _link(source, link):
-    """A link to a file, or a copy where the file system has none."""
+def _link(photo: Path, link: Path) -> None:
+    """Link to a photo, or copy it if the file system has no links."""
+    source = photo.resolve()
     try:
         link.symlink_to(source)
     except OSError:
@@ -305,8 +339,8 @@ def _link(source, link):
             shutil.copyfile(source, link)
 
 
-def _read(path, kinds, cure):
-    """The dict of a JSON file; InputError where it, or a key of `kinds`, is not as written."""
+def _read(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, Any]:
+    """Read a JSON file; InputError if it is damaged, or a key is not of its type in `kinds`."""
     try:
         record = object_of(path.read_bytes())
         for key, kind in kinds.items():

@@ -1,47 +1,57 @@
-"""Point clouds to start from, for data sets that bring poses but no sparse model."""
+"""Initial point clouds for data sets that have poses but no sparse model."""
+
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.checks import LARGEST
+from clsplat.io.checks import LARGEST_COORDINATE
 from clsplat.io.colmap import read_model
 from clsplat.io.images import read_image
 from clsplat.io.ply import read_vertices
+from clsplat.scene import View
 
 PLY_NAMES = ("points3D.ply", "sparse_pc.ply")
 COLOURS = ("red", "green", "blue")
-# drawn points: so many a view, and in all
+# sampled points: a view, and in all
 POINTS_A_VIEW, MOST_POINTS, FEWEST_POINTS = 500, 500_000, 100
-ROUNDS = 8
-NEIGHBOURS = 16  # views, the nearest ones, of which another must see a drawn point
-DEPTHS = (0.5, 8.0)  # of drawn points, in distances to the farthest of those neighbours
-LEAST_ANGLE = np.radians(1.0)  # between two views of a drawn point
-PHOTOS, SMALL = 16, (32, 24)  # photos whose mean colour counts, and their size, pixels
+MOST_ROUNDS = 8
+NEIGHBOURS = 16  # nearest views, of which one more must see a sampled point
+DEPTHS = (0.5, 8.0)  # of sampled points, in distances to the farthest of those neighbours
+LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
+COLOUR_PHOTOS, COLOUR_SIZE = 16, (32, 24)  # photos of the mean colour; width and height, pixels
+
+Cloud = tuple[NDArray[np.float64], NDArray[np.uint8] | None]
 
 
-def read_cloud(folder, named=None, turn=None):
-    """(points float64[N, 3], colours uint8[N, 3] or None) of a scene folder, or None without any.
+def read_cloud(folder: Path, ply: Path | None, transform: NDArray[np.float64]) -> Cloud | None:
+    """Read the points float64[N, 3] and colours uint8[N, 3], if any, of a scene folder.
 
-    named: path of a PLY, which must then be there. Else the first there is: points3D.ply,
-    sparse_pc.ply, a COLMAP model in the folder or in colmap/, whose points p become turn @ (p, 1);
-    turn: float64[3, 4], None: they stay.
+    The first of these is used: points3D.ply, sparse_pc.ply, a COLMAP model in the folder or in
+    colmap/; None if all are missing.
+
+    Parameters
+    ----------
+    ply : a file that must exist, and is used instead.
+    transform : float64[3, 4], from the world of the COLMAP model to that of the poses.
     """
-    for path in (folder / name for name in PLY_NAMES) if named is None else (named,):
-        if named is not None or path.exists():
+    if ply is not None:
+        return _ply_cloud(ply)
+    for path in (folder / name for name in PLY_NAMES):
+        if path.exists():
             return _ply_cloud(path)
     for place in (folder, folder / "colmap"):
         if (place / "sparse").is_dir():
             _, arrays = read_model(place)
-            points = arrays["points"]
-            if turn is not None:
-                points = points @ turn[:, :3].T + turn[:, 3]
-            return points, arrays["colours"]
+            return arrays["points"] @ transform[:, :3].T + transform[:, 3], arrays["colours"]
     return None
 
 
-def _ply_cloud(path):
+def _ply_cloud(path: Path) -> Cloud:
     rows = read_vertices(path)[0].data
     kinds = {name: rows.dtype[name].kind for name in rows.dtype.names}
     if any(kinds.get(name, "") not in tuple("fiu") for name in "xyz"):
@@ -52,35 +62,44 @@ def _ply_cloud(path):
     return points, np.stack([rows[name] for name in COLOURS], axis=1)
 
 
-def draw_points(path, views):
-    """float64[N, 3], world: random points in the volume that at least two of the views see.
+def sample_points(path: str | Path, views: Sequence[View]) -> NDArray[np.float64]:
+    """Sample random points, float64[N, 3], in the volume that at least two of the views see.
 
-    Each lies on the ray of a random pixel of a random view, at a depth drawn evenly in its
-    logarithm from 0.5 to 8 times the distance to the 16th nearest view, and is kept where one of
-    those 16 sees it too, from a direction at least a degree apart. The same views give the same
-    points (seed 0). InputError, naming `path`, where hardly a point is kept.
+    Each point lies on the ray of a random pixel of a random view, at a depth whose logarithm is
+    uniform from 0.5 to 8 times the distance to the 16th nearest view, and is kept if one of those
+    16 views sees it too, from a direction at least a degree apart. The same views give the same
+    points (seed 0).
+
+    Parameters
+    ----------
+    path : the file that messages name.
+
+    Raises
+    ------
+    InputError : hardly a point is kept.
     """
     random = np.random.default_rng(0)
-    wanted = min(POINTS_A_VIEW * len(views), MOST_POINTS)
-    stack = _Cameras([view.camera for view in views])
+    count = min(POINTS_A_VIEW * len(views), MOST_POINTS)
+    cameras = _Cameras([view.camera for view in views])
     kept = np.zeros((0, 3))
-    for _ in range(ROUNDS):
-        with np.errstate(all="ignore"):  # nothing behind a camera, or too far, is kept
-            points, view = stack.drawn(random, wanted)
-            seen = stack.seen_again(points, view) & (np.abs(points) <= LARGEST).all(axis=1)
+    for _ in range(MOST_ROUNDS):
+        with np.errstate(all="ignore"):  # points behind a camera, or too far, are not kept
+            points, view = cameras.sample(random, count)
+            seen = (cameras.seen_again(points, view)
+                    & (np.abs(points) <= LARGEST_COORDINATE).all(axis=1))
         kept = np.concatenate([kept, points[seen]])
-        if len(kept) >= wanted:
+        if len(kept) >= count:
             break
     if len(kept) < FEWEST_POINTS:
-        raise InputError(f"{path}: no points, and no two cameras look at the same place from "
-                         "different ones; put points3D.ply beside it, or reconstruct with COLMAP")
-    return kept[:wanted]
+        raise InputError(f"{path}: no points, and no two cameras see the same place from different "
+                         "positions; put points3D.ply beside it, or reconstruct with COLMAP")
+    return kept[:count]
 
 
 class _Cameras:
     """Many cameras as arrays, and the nearest neighbours of each."""
 
-    def __init__(self, cameras: list[Camera]):
+    def __init__(self, cameras: Sequence[Camera]) -> None:
         self.rotation = np.array([c.rotation for c in cameras])
         self.translation = np.array([c.translation for c in cameras])
         self.focal = np.array([c.focal for c in cameras])
@@ -92,17 +111,20 @@ class _Cameras:
         self.away = distance.reshape(len(cameras), count)[:, -1]
         self.nearest = nearest.reshape(len(cameras), count)
 
-    def drawn(self, random, count):
-        """(points float64[count, 3], the view int[count] whose ray each is on)."""
+    def sample(self, random: np.random.Generator, count: int
+               ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Points float64[count, 3], and int[count], the view on whose ray each lies."""
         view = random.integers(0, len(self.size), count)
         pixel = random.uniform(size=(count, 2)) * self.size[view]
-        depth = self.away[view] * np.exp(random.uniform(*np.log(DEPTHS), count))
+        nearest, farthest = np.log(DEPTHS).tolist()
+        depth = self.away[view] * np.exp(random.uniform(nearest, farthest, count))
         ray = np.column_stack([(pixel - self.centre[view]) / self.focal[view], np.ones(count)])
         local = ray * depth[:, None] - self.translation[view]
         return np.einsum("nji,nj->ni", self.rotation[view], local), view
 
-    def seen_again(self, points, view):
-        """bool[N]: whether a neighbour of its view sees a point, from another direction."""
+    def seen_again(self, points: NDArray[np.float64], view: NDArray[np.int64]
+                   ) -> NDArray[np.bool_]:
+        """bool[N]: whether a neighbour of its view sees a point from another direction."""
         seen = np.zeros(len(points), bool)
         own = _directions(self.position[view], points)
         for other in self.nearest[view].T:
@@ -114,13 +136,15 @@ class _Cameras:
         return seen
 
 
-def _directions(begin, end):
+def _directions(begin: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
     ray = end - begin
-    return ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), np.finfo(float).tiny)
+    ray /= np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), np.finfo(float).tiny)
+    return ray
 
 
-def mean_colour(views):
-    """uint8[3], the mean of at most 16 of the photos, evenly picked."""
-    chosen = views[::-(-len(views) // PHOTOS)]
-    mean = np.mean([read_image(view.source, SMALL).mean(axis=(0, 1)) for view in chosen], axis=0)
+def mean_colour(views: Sequence[View]) -> NDArray[np.uint8]:
+    """The mean colour, uint8[3], of at most 16 of the photos, evenly chosen."""
+    chosen = views[::-(-len(views) // COLOUR_PHOTOS)]
+    means = [read_image(view.source, COLOUR_SIZE).mean(axis=(0, 1)) for view in chosen]
+    mean: NDArray[np.float64] = np.mean(means, axis=0)
     return mean.round().astype(np.uint8)

@@ -1,8 +1,13 @@
 """Reads a COLMAP reconstruction as a scene."""
 
 import struct
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.checks import checked_scene
@@ -10,15 +15,19 @@ from clsplat.io.colmap_format import PARTS
 from clsplat.io.colmap_model import model_arrays
 from clsplat.io.regular import native, open_regular, read_regular
 from clsplat.io.sources import IMAGES, checked_photos, photo_folder
+from clsplat.scene import Scene
 
 
-def read_colmap(folder, images=""):
-    """The scene of a folder with `images/` and a COLMAP model, binary or text, recentred.
+def read_colmap(folder: str | Path, images: str = "") -> Scene:
+    """Read and recentre the scene of a folder with `images/` and a COLMAP model, binary or text.
 
-    The model is looked for in sparse/0, sparse, the folder itself and other sparse/N; only pinhole
-    cameras are accepted. images: the photos' folder, see `photo_folder`. Every photo must be there,
-    in its camera's size or, in another folder than images/, smaller by one factor for all (headers
-    are read, not pixels). Raises InputError for whatever cannot be trained on.
+    The model is searched in sparse/0, sparse, the folder itself and other sparse/N; only pinhole
+    cameras are accepted. Every photo must exist in its camera's size or, in another folder than
+    images/, be smaller by one factor for all. Only their headers are read.
+
+    Parameters
+    ----------
+    images : the folder of the photos, see `photo_folder`.
     """
     folder = Path(folder)
     model, arrays = read_model(folder)
@@ -32,26 +41,26 @@ def read_colmap(folder, images=""):
     return checked_photos(scene, photos if may_be_smaller else None).recentred()
 
 
-def read_model(folder, may_be_empty=()):
-    """(folder of its model, its `model_arrays`) of a scene folder, wherever its photos are."""
+def read_model(folder: Path, may_be_empty: Collection[str] = ()
+               ) -> tuple[Path, dict[str, NDArray[Any]]]:
+    """The folder of a scene folder's model, and its `model_arrays`, wherever the photos are."""
     model = find_model(folder)
     return model, model_arrays(model, may_be_empty)
 
 
-def _undistort(folder, images, model, names):
+def _undistort(folder: Path, images: Path, model: Path, names: NDArray[np.str_]) -> str:
     """Why a distorted model is refused, and two commands that undistort it."""
-    whole = folder.resolve()
-    target = whole.with_name(f"{whole.name}_undistorted")
-    return (f"{model}: camera model {', '.join(names)} has lens distortion and clsplat wants "
+    absolute = folder.resolve()
+    target = absolute.with_name(f"{absolute.name}_undistorted")
+    return (f"{model}: camera model {', '.join(names)} has lens distortion and clsplat needs "
             f"PINHOLE; undistort with `colmap image_undistorter --image_path '{images}' "
             f"--input_path '{model}' --output_path '{target}'` or `python -c \"import pycolmap; "
             f"pycolmap.undistort_images('{target}', '{model}', '{images}')\"`, then use {target}")
 
 
-def find_model(folder):
-    """The folder of the sparse model of a scene folder: sparse/0, sparse, or the folder itself,
-    else the one of most images below sparse/."""
-    folder = Path(folder)
+def find_model(folder: Path) -> Path:
+    """Find the sparse model of a scene folder: sparse/0, sparse, the folder itself, or else the
+    model with the most images below sparse/."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give a scene folder with images and sparse/0")
     for model in (folder / "sparse" / "0", folder / "sparse", folder):
@@ -65,9 +74,9 @@ def find_model(folder):
                      "folder")
 
 
-def model_notes(folder, model):
-    """Lines about the models of a scene folder that are not used."""
-    others = [other for other in _numbered_models(Path(folder)) if other != model]
+def model_notes(folder: Path, model: Path) -> Iterator[str]:
+    """Notes for the user about models of a scene folder that are not used."""
+    others = [other for other in _numbered_models(folder) if other != model]
     largest = max(others, key=registered, default=None)
     if model.parent.name != "sparse" or largest is None and model.name == "0":
         return
@@ -81,24 +90,24 @@ def model_notes(folder, model):
         yield f"{used}: the largest of {len(others) + 1} below sparse/, where there is no sparse/0"
 
 
-def _is_model(folder):
+def _is_model(folder: Path) -> bool:
     return any((folder / f"{part}.{kind}").exists() for part in PARTS for kind in ("bin", "txt"))
 
 
-def _numbered_models(folder):
+def _numbered_models(folder: Path) -> list[Path]:
     """The models sparse/N of a scene folder, by number."""
-    found = (path for path in (folder / "sparse").glob("*") if path.name.isdecimal())
-    return sorted((path for path in found if _is_model(path)), key=lambda path: int(path.name))
+    return sorted((path for path in (folder / "sparse").glob("*")
+                   if path.name.isdecimal() and _is_model(path)), key=lambda path: int(path.name))
 
 
-def registered(model):
-    """How many images a model says it has; 0 where it is damaged."""
+def registered(model: Path) -> int:
+    """How many images a model claims to have; 0 if it is damaged."""
     try:
         if (model / "images.bin").exists():
             with open_regular(model / "images.bin") as file:
-                return struct.unpack("<Q", file.read(8))[0]
+                return int(struct.unpack("<Q", file.read(8))[0])
         lines = read_regular(model / "images.txt").splitlines()
-        # two a photo, of which the second may be empty
+        # two lines an image, of which the second may be empty
         return -(-sum(not line.startswith(b"#") for line in lines) // 2)
     except (OSError, struct.error):
         return 0

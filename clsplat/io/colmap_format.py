@@ -1,13 +1,15 @@
-"""What a COLMAP sparse model holds, in its binary and in its text form.
+"""The content of a COLMAP sparse model, in its binary and in its text form.
 
-Only what training needs: cameras, poses, points and their tracks. What images observe is passed
-over, and so are rigs and frames, since images hold their own poses. Format:
+Only what training needs is read: cameras, poses, points and their tracks. The observations of
+images are skipped, and so are rigs and frames, since images hold their own poses. Format:
 https://colmap.github.io/format.html.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 PARTS = ("cameras", "images", "points3D")
 # COLMAP's camera models in the order of their numbers, and how many parameters each has
@@ -21,20 +23,20 @@ PINHOLES = ("SIMPLE_PINHOLE", "PINHOLE")
 
 
 class Camera(NamedTuple):
-    """A camera model's name, its size and parameters in pixels."""
+    """A camera: the name of its model, its size and its parameters in pixels."""
 
     model: str
     width: int
     height: int
-    parameters: tuple
+    parameters: tuple[float, ...]
 
 
 class Image(NamedTuple):
-    """An image by its number; quaternion (wxyz) and translation from world to camera."""
+    """A registered image: its id, its pose from world to camera (wxyz) and the camera's id."""
 
     number: int
-    quaternion: tuple
-    translation: tuple
+    quaternion: Sequence[float]
+    translation: Sequence[float]
     camera: int
     name: str
 
@@ -42,17 +44,22 @@ class Image(NamedTuple):
 class Points(NamedTuple):
     """Points in the order of the file.
 
-    ids: int64[N]; positions: float64[N, 3]; colours: uint8[N, 3]; lengths: int64[N], of their
-    tracks; images: int64[M], numbers of the images of all tracks, one track after the other.
+    Attributes
+    ----------
+    ids : int64[N].
+    positions : float64[N, 3], world.
+    colours : uint8[N, 3].
+    lengths : int64[N], of the points' tracks.
+    images : int64[M], the image ids of all tracks, one track after the other.
     """
 
-    ids: np.ndarray
-    positions: np.ndarray
-    colours: np.ndarray
-    lengths: np.ndarray
-    images: np.ndarray
+    ids: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    colours: NDArray[np.uint8]
+    lengths: NDArray[np.int64]
+    images: NDArray[np.int64]
 
 
-def places_within(lengths):
-    """int[sum of lengths]: 0, 1, ... within each of runs of these lengths, one after the other."""
+def places_within(lengths: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Count from 0 within consecutive groups of these lengths: 2, 3 give 0, 1, 0, 1, 2."""
     return np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)

@@ -1,21 +1,28 @@
-"""Reads the arrays of a COLMAP sparse model, and refuses what is damaged or does not fit."""
+"""Reads the arrays of a COLMAP sparse model, and checks that its files are whole and fit."""
+
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.colmap_binary import read_binary
-from clsplat.io.colmap_format import PARTS, PINHOLES, places_within
+from clsplat.io.colmap_format import PARTS, PINHOLES, Camera, Points, places_within
 from clsplat.io.colmap_text import read_text
 
-LARGEST_SIZE = 2**31  # pixels; what is more is damaged, and overflows
+LONGEST_SIDE = 2**31  # pixels; what is larger is damaged, and overflows
 
 
-def model_arrays(model, may_be_empty=()):
-    """The arrays of `checks.checked_scene`, and `distorted`, the camera models that are no
-    pinholes, of the folder of a model. Images by name, points by id.
+def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+    """Read the arrays for `checks.checked_scene`, with images sorted by name and points by id, and
+    `distorted`, the names of the camera models that have lens distortion.
 
-    may_be_empty: parts that may hold nothing, such as points3D of views that are only for testing.
-    Raises InputError where a file is missing, damaged, or does not fit the others.
+    Parameters
+    ----------
+    model : the folder of a COLMAP model.
+    may_be_empty : parts that may be empty, such as points3D of test views.
     """
     kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
     cameras, images, points = (
@@ -23,8 +30,8 @@ def model_arrays(model, may_be_empty=()):
     images = sorted(images, key=lambda image: image.name)
     for image in images:
         if image.camera not in cameras:
-            raise InputError(f"{model}: image {image.name} has camera {image.camera}, which the "
-                             "model lacks; copy the whole model again")
+            raise InputError(f"{model}: image {image.name} has camera {image.camera}, which is "
+                             "not in the model; copy the whole model again")
     used = [cameras[image.camera] for image in images]
     ids = np.array([image.number for image in images], np.int64)
     _check_ids(model, "images", ids)
@@ -36,7 +43,7 @@ def model_arrays(model, may_be_empty=()):
         "translations": np.array([image.translation for image in images]).reshape(-1, 3),
         "focals": _pairs(_focal(camera) for camera in used),
         "centres": _pairs(_centre(camera) for camera in used),
-        "sizes": np.array([(min(camera.width, LARGEST_SIZE), min(camera.height, LARGEST_SIZE))
+        "sizes": np.array([(min(camera.width, LONGEST_SIDE), min(camera.height, LONGEST_SIDE))
                            for camera in used], np.int64).reshape(-1, 2),
         "points": points.positions[order],
         "colours": points.colours[order],
@@ -46,47 +53,47 @@ def model_arrays(model, may_be_empty=()):
     }
 
 
-def _read_part(path, part, may_be_empty):
+def _read_part(path: Path, part: str, may_be_empty: bool) -> Any:
     if not path.exists():
         raise InputError(f"{path}: missing from the COLMAP model; copy the whole model")
     try:
-        found = (read_binary if path.suffix == ".bin" else read_text)(path, part)
+        content = (read_binary if path.suffix == ".bin" else read_text)(path, part)
     except ValueError as error:
         raise InputError(f"{path}: {error}; copy the model again") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions"
                          ) from None
-    if not (len(found.ids if part == "points3D" else found) or may_be_empty):
+    if not (len(content.ids if part == "points3D" else content) or may_be_empty):
         raise InputError(f"{path}: holds no {part}; reconstruct the scene again")
-    return found
+    return content
 
 
-def _check_ids(model, part, ids):
+def _check_ids(model: Path, part: str, ids: NDArray[np.int64]) -> None:
     values, counts = np.unique(ids, return_counts=True)
     if len(values) < len(ids):
-        raise InputError(f"{model}: {part} holds number {values[np.argmax(counts)]} twice; "
+        raise InputError(f"{model}: {part} holds id {values[np.argmax(counts)]} twice; "
                          "copy the model again, or reconstruct the scene")
 
 
-def _pairs(values):
+def _pairs(values: Iterable[tuple[float, ...]]) -> NDArray[np.float64]:
     return np.array(list(values), np.float64).reshape(-1, 2)
 
 
-def _focal(camera):
-    """(x, y) in pixels; of other cameras nothing is asked."""
+def _focal(camera: Camera) -> tuple[float, ...]:
+    """(x, y) in pixels; 0 for models with distortion, which are refused later."""
     return {"PINHOLE": camera.parameters[:2],
             "SIMPLE_PINHOLE": camera.parameters[:1] * 2}.get(camera.model, (0, 0))
 
 
-def _centre(camera):
+def _centre(camera: Camera) -> tuple[float, ...]:
     return camera.parameters[-2:] if camera.model in PINHOLES else (0, 0)
 
 
-def _rotations(quaternions):
-    """float64[V, 3, 3] of quaternions (wxyz); not finite where one is not, or has no length.
+def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """float64[V, 3, 3] of quaternions (wxyz); not finite for a zero or non-finite quaternion.
 
-    Those of unit length to rounding stay as they are, and products are summed as Eigen does it, so
-    that the last digit is COLMAP's.
+    Quaternions of unit length up to rounding are not normalised, and products are summed in Eigen's
+    order, so that the last digit equals COLMAP's.
     """
     with np.errstate(all="ignore"):
         length = np.linalg.norm(quaternions, axis=1, keepdims=True)
@@ -99,15 +106,16 @@ def _rotations(quaternions):
             tz * x - ty * w, tz * y + tx * w, 1 - (tx * x + ty * y)], axis=1).reshape(-1, 3, 3)
 
 
-def _observations(ids, points, order):
-    """int32[M, 2]: (point, image) by their places, of tracks in images that the model has."""
+def _observations(ids: NDArray[np.int64], points: Points, order: NDArray[np.int64]
+                  ) -> NDArray[np.int32]:
+    """int32[M, 2], indices (point, image) of the observations in images that the model has."""
     begins = np.cumsum(points.lengths) - points.lengths
     lengths = points.lengths[order]
     rows = np.repeat(np.arange(len(order)), lengths)
-    seen = points.images[np.repeat(begins[order], lengths) + places_within(lengths)]
+    images = points.images[np.repeat(begins[order], lengths) + places_within(lengths)]
     by_id = np.argsort(ids)
     if not len(ids):
         return np.zeros((0, 2), np.int32)
-    place = by_id[np.minimum(np.searchsorted(ids[by_id], seen), len(ids) - 1)]
-    there = ids[place] == seen
-    return np.stack([rows[there], place[there]], axis=1).astype(np.int32)
+    place = by_id[np.minimum(np.searchsorted(ids[by_id], images), len(ids) - 1)]
+    known = ids[place] == images
+    return np.stack([rows[known], place[known]], axis=1).astype(np.int32)

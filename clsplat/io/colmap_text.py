@@ -1,5 +1,10 @@
 """The text form of a COLMAP sparse model; see `colmap_format`."""
 
+from collections.abc import Callable, Iterator
+from io import BufferedReader
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 from clsplat.io.colmap_format import CAMERA_MODELS, Camera, Image, Points
@@ -7,35 +12,35 @@ from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular
 
 
-def read_text(path, part):
-    """The cameras {number: Camera}, [Image] or Points of a file; ValueError says what is wrong."""
+def read_text(path: Path, part: str) -> Any:
+    """Read one part of a model, as `colmap_binary.read_binary` does."""
     with open_regular(path) as file:
         lines = _Lines(file)
         try:
-            found = READERS[part](lines)
+            content = READERS[part](lines)
         except (ValueError, IndexError, OverflowError) as error:
             raise ValueError(lines.complaint(error)) from None
-    if lines.made_by_colmap and not lines.last.endswith(b"\n"):
-        raise ValueError("cut short: its last line has no end (end it if you know it is whole)")
-    return found
+    if lines.is_cut_short:
+        raise ValueError("cut short: its last line has no line end (add one if the file is whole)")
+    return content
 
 
 class _Lines:
     """The lines of a file that are neither empty nor comments."""
 
-    def __init__(self, file):
+    def __init__(self, file: BufferedReader) -> None:
         self.file = file
         self.number, self.last = 0, b""
-        self.made_by_colmap = False  # which ends every line
+        self.made_by_colmap = False
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[bytes]:
         for line in iter(self.skip, b""):
             self.made_by_colmap |= line.startswith(b"# Number of")
             if line.strip() and not line.lstrip().startswith(b"#"):
                 yield line
 
-    def skip(self):
-        """The next line, whatever it is; b"" at the end."""
+    def skip(self) -> bytes:
+        """The next line, comments included; b"" at the end."""
         line = self.file.readline()
         if line:
             self.number, self.last = self.number + 1, line
@@ -43,54 +48,62 @@ class _Lines:
             raise ValueError("not a text file")
         return line
 
-    def complaint(self, error):
-        if self.made_by_colmap and not self.last.endswith(b"\n"):
+    @property
+    def is_cut_short(self) -> bool:
+        """Whether the file lacks its last line end, which COLMAP always writes."""
+        return self.made_by_colmap and not self.last.endswith(b"\n")
+
+    def complaint(self, error: Exception) -> str:
+        if self.is_cut_short:
             return f"cut short in line {self.number}"
         return f"line {self.number} is damaged ({reason(error)})"
 
 
-def _read_cameras(lines):
-    cameras = {}
+def _read_cameras(lines: _Lines) -> dict[int, Camera]:
+    cameras: dict[int, Camera] = {}
     for line in lines:
         number, model, width, height, *parameters = line.split()
         name = model.decode(errors="replace")
         if len(parameters) != CAMERA_MODELS.get(name):
-            raise ValueError(f"{name[:40]!r} with {len(parameters)} parameters is no camera model")
+            raise ValueError(f"{name[:40]!r} with {len(parameters)} parameters is not a camera "
+                             "model")
         if int(number) in cameras:
-            raise ValueError(f"camera {int(number)} is there twice")
+            raise ValueError(f"camera {int(number)} occurs twice")
         cameras[int(number)] = Camera(name, int(width), int(height), tuple(map(float, parameters)))
     return cameras
 
 
-def _read_images(lines):
+def _read_images(lines: _Lines) -> list[Image]:
     images = []
     for line in lines:
-        # a name may hold blanks: COLMAP writes them, though it reads names up to the first one
-        number, *pose, camera, name = line.strip().split(maxsplit=9)
-        pose = tuple(map(float, pose))
+        # a name may contain spaces: COLMAP writes them, though it reads names up to the first one
+        number, *words, camera, name = line.strip().split(maxsplit=9)
+        pose = tuple(map(float, words))
         images.append(Image(int(number), pose[:4], pose[4:], int(camera), name.decode()))
-        lines.skip()  # what the image observes
+        lines.skip()  # the observations of the image
     return images
 
 
-def _read_points(lines):
-    ids, positions, colours, lengths, images = [], [], [], [], []
+def _read_points(lines: _Lines) -> Points:
+    ids, positions, rgb, lengths = [], [], [], []
+    images: list[int] = []
     for line in lines:
         fields = line.split()
         track = fields[8::2]
         if len(fields) < 8 or len(fields) % 2:
-            raise ValueError(f"a point with {len(fields)} numbers")
+            raise ValueError(f"a point has {len(fields)} numbers")
         ids.append(int(fields[0]))
         positions.append([float(field) for field in fields[1:4]])
-        colours.append([int(field) for field in fields[4:7]])
+        rgb.append([int(field) for field in fields[4:7]])
         lengths.append(len(track))
         images += map(int, track)
-    colours = np.array(colours, np.int64).reshape(-1, 3)
+    colours = np.array(rgb, np.int64).reshape(-1, 3)
     if ((colours < 0) | (colours > 255)).any():
-        raise ValueError("colours that are not of 0 to 255")
+        raise ValueError("a colour is not within 0 to 255")
     return Points(np.array(ids, np.int64), np.array(positions, np.float64).reshape(-1, 3),
                   colours.astype(np.uint8), np.array(lengths, np.int64),
                   np.array(images, np.int64))
 
 
-READERS = {"cameras": _read_cameras, "images": _read_images, "points3D": _read_points}
+READERS: dict[str, Callable[[_Lines], Any]] = {
+    "cameras": _read_cameras, "images": _read_images, "points3D": _read_points}

@@ -1,40 +1,53 @@
-"""Sparse models out, in COLMAP's classic binary format (cameras, images, points3D)."""
+"""Writes sparse models in COLMAP's classic binary format (cameras, images, points3D)."""
 
 import struct
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from clsplat.camera import Camera
 from clsplat.io.atomic import replacing
+from clsplat.scene import View
 
 PINHOLE = 1  # COLMAP's number of the camera model with parameters fx, fy, cx, cy
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Observations of points in views, one a row.
+    """Observations of points in views.
 
-    points, views: int[M], indices into the model's points and views; pixels: float64[M, 2], where
-    the point was seen.
+    Attributes
+    ----------
+    points, views : int[M], indices into the model's points and views.
+    pixels : float64[M, 2], where the point appears in the view.
     """
 
-    points: np.ndarray
-    views: np.ndarray
-    pixels: np.ndarray
+    points: NDArray[np.integer]
+    views: NDArray[np.integer]
+    pixels: NDArray[np.float64]
 
 
-def write_colmap(folder, views, points, colours, tracks):
-    """Write cameras.bin, images.bin and points3D.bin into `folder`, which is made if missing.
+def write_colmap(folder: str | Path, views: Sequence[View], points: NDArray[np.float64],
+                 colours: NDArray[np.uint8], tracks: Tracks) -> None:
+    """Write cameras.bin, images.bin and points3D.bin into a folder, which is created if missing.
 
-    views: `scene.View`s; those with equal intrinsics share a camera. points: float64[N, 3], world;
-    colours: uint8[N, 3]; tracks: Tracks. Ids count from 1 in the order given; each point's error
-    is the mean distance in pixels between its projections and its observations.
+    Ids count from 1 in the order of the arguments; the error of a point is the mean distance in
+    pixels between its projections and its observations.
+
+    Parameters
+    ----------
+    views : those with equal intrinsics share a camera.
+    points : float64[N, 3], world.
+    colours : uint8[N, 3].
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    camera_ids = {}
+    camera_ids: dict[tuple[float, ...], int] = {}
     for view in views:
         camera_ids.setdefault(_intrinsics(view.camera), len(camera_ids) + 1)
     by_view = [np.flatnonzero(tracks.views == i) for i in range(len(views))]
@@ -45,17 +58,18 @@ def write_colmap(folder, views, points, colours, tracks):
             file.writelines(chunks)
 
 
-def _intrinsics(camera):
+def _intrinsics(camera: Camera) -> tuple[float, ...]:
     return camera.width, camera.height, *camera.focal, *camera.centre
 
 
-def _cameras(camera_ids):
+def _cameras(camera_ids: Mapping[tuple[float, ...], int]) -> Iterator[bytes]:
     yield struct.pack("<Q", len(camera_ids))
     for (width, height, *parameters), number in camera_ids.items():
         yield struct.pack("<IiQQ4d", number, PINHOLE, width, height, *parameters)
 
 
-def _images(views, camera_ids, tracks, by_view):
+def _images(views: Sequence[View], camera_ids: Mapping[tuple[float, ...], int], tracks: Tracks,
+            by_view: Sequence[NDArray[Any]]) -> Iterator[bytes]:
     yield struct.pack("<Q", len(views))
     for number, (view, rows) in enumerate(zip(views, by_view), 1):
         x, y, z, w = Rotation.from_matrix(view.camera.rotation).as_quat()
@@ -67,8 +81,9 @@ def _images(views, camera_ids, tracks, by_view):
         yield struct.pack("<Q", len(rows)) + seen.tobytes()
 
 
-def _points(views, points, colours, tracks, by_view):
-    keypoint = np.empty(len(tracks.points), int)  # an observation's place in its image
+def _points(views: Sequence[View], points: NDArray[np.float64], colours: NDArray[np.uint8],
+            tracks: Tracks, by_view: Sequence[NDArray[Any]]) -> Iterator[bytes]:
+    keypoint = np.empty(len(tracks.points), int)  # the index of an observation in its image
     error = np.empty(len(tracks.points))
     for view, rows in zip(views, by_view):
         keypoint[rows] = np.arange(len(rows))

@@ -1,4 +1,4 @@
-"""Folders that are made for what is written, and removed when nothing was."""
+"""Folders that are created for written files, and removed when they are empty."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -9,15 +9,15 @@ CURE = "check its path, and that the folder above may be written"
 
 
 def make_folder(path: Path, cure: str = CURE) -> None:
-    """Make a folder, with those above it; InputError, with this cure, where it cannot be made."""
+    """Create a folder and its parents; InputError, with this cure, if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be made ({error.strerror}); {cure}") from None
+        raise InputError(f"{path}: cannot be created ({error.strerror}); {cure}") from None
 
 
 def remove_files(paths: list[Path], root: Path) -> None:
-    """Remove files below `root`, then the folders that are empty without them, `root` included."""
+    """Remove files below `root`, then the folders that this leaves empty, `root` included."""
     for path in paths:
         path.unlink(missing_ok=True)
         folder = path.parent

@@ -2,25 +2,33 @@
 
 import os
 import tempfile
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.photo import opened, reason_of
 from clsplat.io.resample import resample_bands
+from clsplat.scene import View
 
 JPEG_QUALITY = 92
-STREAMED, PIPES = ("png", "jpeg"), "/dev/fd"  # formats written in one go; Linux and macOS
+STREAMED = ("png", "jpeg")  # formats that are written without going back in the file
+PIPES = "/dev/fd"  # on Linux and macOS
 
 
-def write_image(path, pixels, quality=JPEG_QUALITY):
-    """Write pixels uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), as sRGB.
+def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUALITY) -> None:
+    """Write an image file, read it back and compare, so that it appears whole or not at all.
 
-    The suffix of `path` selects the format; quality: of JPEG, 1 to 100. The file appears whole,
-    read back and compared, or not at all. Raises InputError where it cannot be written.
+    Parameters
+    ----------
+    path : its suffix selects the format.
+    pixels : uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), sRGB.
+    quality : of JPEG, 1 to 100.
     """
     path = Path(path)
     data = encode_image(pixels, path.suffix.lower().removeprefix("."), quality, path)
@@ -28,16 +36,16 @@ def write_image(path, pixels, quality=JPEG_QUALITY):
         file.write(data)
 
 
-def encode_jpeg(pixels, quality):
-    """The bytes of the JPEG that `write_image` would write."""
+def encode_jpeg(pixels: NDArray[Any], quality: int) -> bytes:
+    """Encode an image as the JPEG that `write_image` would write."""
     return encode_image(pixels, "jpg", quality, "JPEG")
 
 
-def encode_image(pixels: np.ndarray, suffix: str, quality: int, name: object) -> bytes:
-    """The bytes of an image file.
+def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object) -> bytes:
+    """Encode an image as the bytes of a file.
 
-    Its writers know only files, and report success on a full disk or, as libjpeg does, end the
-    process. So they write into a pipe where there is one, else into a temporary file.
+    OpenImageIO writes to files only, and on a full disk it reports success or, in libjpeg, ends the
+    process. So it writes into a pipe where the system has them, else into a temporary file.
 
     Parameters
     ----------
@@ -57,14 +65,14 @@ def encode_image(pixels: np.ndarray, suffix: str, quality: int, name: object) ->
     height, width, channels = pixels.shape
     output = oiio.ImageOutput.create(suffix)
     if output is None:
-        oiio.geterror()  # the library keeps it, and warns at exit, until somebody asks
+        oiio.geterror()  # else the library warns at exit that nobody read its error
         raise InputError(f"{name}: not an image format that can be written; use .png or .jpg")
     spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
     if output.format_name() == "jpeg":
         spec.attribute("Compression", f"jpeg:{quality}")
         spec.attribute("jpeg:subsampling", "4:4:4")
 
-    def write(path):
+    def write(path: str) -> None:
         written = output.open(path, spec) and output.write_image(np.ascontiguousarray(pixels))
         if not (output.close() and written):
             raise InputError(f"{name}: cannot be encoded ({reason_of(output)})")
@@ -77,21 +85,21 @@ def encode_image(pixels: np.ndarray, suffix: str, quality: int, name: object) ->
         return path.read_bytes()
 
 
-def _piped(write):
-    """All bytes that write(path) writes into the path that it is given.
+def _piped(write: Callable[[str], None]) -> bytes:
+    """All bytes that write(path) writes to its path.
 
-    Both ends are in threads, which Ctrl-C does not reach: a reader that went away would make
-    libjpeg end the process.
+    Both ends run in threads, which Ctrl-C does not interrupt: libjpeg would end the process if its
+    reader disappeared.
     """
     receiver, sender = os.pipe()
 
-    def fill():
+    def fill() -> None:
         try:
             write(f"{PIPES}/{sender}")
         finally:
-            os.close(sender)  # or the other end would read for ever
+            os.close(sender)  # or the other end would read forever
 
-    def drain():
+    def drain() -> bytes:
         with open(receiver, "rb") as file:
             return file.read()
 
@@ -101,13 +109,18 @@ def _piped(write):
         return content.result()
 
 
-def read_image(source, size=None, window=None):
-    """uint8[H, W, 3] of a photo: a Path, or the encoded bytes of one.
+def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
+               window: tuple[int, int, int, int] | None = None) -> NDArray[np.uint8]:
+    """Read a photo as uint8[H, W, 3], sRGB.
 
-    Grey is widened to three channels, alpha dropped, deeper samples rounded to 8 bits, linear light
-    brought to sRGB. window: (left, top, right, bottom), pixels, the part to read; None: all; size:
-    (width, height), pixels, to which that is resampled by area. Raises InputError for a file that
-    is missing, cut short or no image, or whose colours cannot be read.
+    Grey becomes three equal channels, alpha is dropped, deeper samples are rounded to 8 bits, and
+    linear light is converted to sRGB.
+
+    Parameters
+    ----------
+    source : a path, or the encoded bytes of a photo.
+    size : (width, height), pixels, to which the image is resampled by area averaging.
+    window : (left, top, right, bottom), pixels, the part to read; None reads all.
     """
     with opened(source) as photo:
         left, top, right, bottom = window or (0, 0, photo.width, photo.height)
@@ -122,20 +135,21 @@ def read_image(source, size=None, window=None):
         return pixels
 
 
-def read_photo(view):
-    """uint8[H, W, 3]: a view's photo, or the part of it that its camera shows, at its camera's
-    size; errors as `read_image`."""
+def read_photo(view: View) -> NDArray[np.uint8]:
+    """Read the part of a view's photo that its camera shows, at the camera's size, as `read_image`
+    does."""
     camera = view.camera
     size = camera.width, camera.height
     if camera.whole is None:
         return read_image(view.source, size)
     low, high = np.reshape(camera.whole, (2, 2))
     scale = image_size(view.source) / (high - low)
-    window = [np.rint((end - low) * scale).astype(int) for end in (np.zeros(2), np.array(size))]
-    return read_image(view.source, size, np.concatenate(window).tolist())
+    left, top = np.rint((np.zeros(2) - low) * scale).astype(int).tolist()
+    right, bottom = np.rint((np.array(size) - low) * scale).astype(int).tolist()
+    return read_image(view.source, size, (left, top, right, bottom))
 
 
-def image_size(source):
-    """(width, height) in pixels of a photo, from its header only; errors as `read_image`."""
+def image_size(source: str | Path | bytes) -> tuple[int, int]:
+    """(width, height) of a photo in pixels, from its header only; errors as in `read_image`."""
     with opened(source) as photo:
         return photo.width, photo.height

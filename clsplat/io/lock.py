@@ -1,4 +1,4 @@
-"""Locks on folders. A lock ends with the process that holds it, however that process ends."""
+"""Locks on folders. A lock ends with its process, however that process ends."""
 
 import json
 import os
@@ -13,28 +13,28 @@ from filelock import FileLock, Timeout
 from clsplat.errors import InputError
 
 LOCK = ".lock"  # a native lock of the operating system; on Linux the one of `flock FOLDER/.lock`
-HOLDER = ".lock.json"  # who holds it, for messages only; it may be left over from a killed process
+HOLDER = ".lock.json"  # its process, for messages only; a killed process leaves it behind
 
 
-class Held(InputError):
-    """Another process holds the folder."""
+class LockTaken(InputError):
+    """Another process has locked the folder."""
 
 
 @contextmanager
 def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
-    """Hold a folder alone while the block runs.
+    """Lock a folder while the block runs.
 
-    The same thread of the same process may enter a folder again. The lock of a process that has
+    The same thread of the same process may lock a folder again. The lock of a process that has
     died is free at once, whatever files it left.
 
     Parameters
     ----------
     folder : an existing folder.
-    patience : seconds to wait for another process that holds it.
+    patience : seconds to wait for a process that has locked it.
 
     Raises
     ------
-    Held : another process still holds the folder; the message names it.
+    LockTaken : the folder is still locked by another process, which the message names.
     InputError : the folder cannot be written, or its file system has no locks.
     """
     if not os.path.isdir(folder):
@@ -44,7 +44,8 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
     try:
         lock.acquire(timeout=patience)
     except Timeout:
-        raise Held(f"{folder}: {holder(folder)} works here; wait for it, or stop it") from None
+        raise LockTaken(f"{folder}: {holder(folder)} works here; wait for it, or stop it"
+                        ) from None
     except (OSError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path}: cannot be locked ({reason}); check that the folder exists and "
@@ -61,19 +62,19 @@ def exclusive(folder: Path, patience: float = 0.0) -> Iterator[None]:
         lock.release()
 
 
-def is_held(folder: Path) -> bool:
-    """Whether another process holds the folder at this moment; writes nothing."""
+def is_locked(folder: Path) -> bool:
+    """Whether another process has locked the folder at this moment; nothing is written."""
     if not (Path(folder) / LOCK).is_file():
         return False
     try:
         with exclusive(folder):
             return False
-    except Held:
+    except LockTaken:
         return True
 
 
 def holder(folder: Path) -> str:
-    """Who holds a folder, in words, as far as it is known."""
+    """Which process has locked a folder, in words, as far as it is known."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         record = json.loads((Path(folder) / HOLDER).read_bytes())
         return f"process {record['process']} on {record['host']}, since {record['since']},"

@@ -1,4 +1,4 @@
-"""Options of how a scene is read."""
+"""Options that decide how a scene is read."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from clsplat.config.option import option
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Which photos are used, at which size, and what the training begins with."""
+    """Which photos are used, at which size, and the initial gaussians."""
 
     downscale: float = option(1.0, "Scene", "divide the width and height of the photos by this",
                               short="-r", main=True, minimum=1.0)

@@ -1,52 +1,59 @@
-"""A whole scene in one .npz, for machines that have no folder of its photos.
+"""A whole scene in one .npz, for machines that do not have its folder.
 
 Keys: names[V]; V float64[V, 4, 4] world to camera; K float64[V, 3, 3] and wh int[V, 2], pixels;
-xyz float64[N, 3] and rgb uint8[N, 3]; offset float64[3], what was subtracted from the original
+xyz float64[N, 3] and rgb uint8[N, 3]; offset float64[3], which was subtracted from the original
 world coordinates; sizes int[V], the bytes of each encoded photo, and jpeg uint8[...], all photos
-one after the other. observations int[M, 2], rows (point, view), and held_out bool[V], which views
-are for testing, may be missing.
+one after the other. observations int[M, 2], rows (point, view), and held_out bool[V], the test
+views, may be missing.
 """
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.checks import checked_scene
 from clsplat.io.images import encode_jpeg, read_image
 from clsplat.io.npz import read_npz
 from clsplat.io.sources import checked_photos
+from clsplat.scene import Scene
 
-PACKED_QUALITY = 96
+PACKED_QUALITY = 96  # of JPEG
 # key -> (kinds of dtype, shape after the first axis)
 LAYOUT = {"names": ("U", ()), "V": ("f", (4, 4)), "K": ("f", (3, 3)), "wh": ("iu", (2,)),
           "xyz": ("f", (3,)), "rgb": ("u", (3,)), "sizes": ("iu", ()), "jpeg": ("u", ())}
 OPTIONAL = {"offset": ("f", ()), "observations": ("iu", (2,)), "held_out": ("b", ())}
 
 
-def write_packed(scene, path, downscale=1):
-    """Write a scene to one .npz; its photos, read and checked here, are divided by `downscale`.
+def write_packed(scene: Scene, path: str | Path, downscale: float = 1) -> None:
+    """Write a scene to one .npz; all photos are read, and so checked.
 
-    At 1 the photos keep their bytes; else width and height are divided and rounded down, the
-    pixels are means over the area they cover, and JPEG at quality 96 holds them.
+    Parameters
+    ----------
+    downscale : 1 keeps the bytes of the photos; others divide width and height, round them down,
+        resample by area averaging and encode as JPEG of quality 96.
     """
     cameras, photos = [], []
     for view in scene.views:
-        camera, photo = view.camera, view.source
+        camera, source = view.camera, view.source
         if downscale == 1:
-            read_image(photo)
-            photo = photo if isinstance(photo, bytes) else Path(photo).read_bytes()
+            read_image(source)
+            photo = source if isinstance(source, bytes) else source.read_bytes()
         else:
-            size = tuple(max(1, int(n / downscale)) for n in (camera.width, camera.height))
-            camera = camera.resized(*size)
-            photo = encode_jpeg(read_image(photo, size), PACKED_QUALITY)
+            camera = camera.reduced(downscale)
+            photo = encode_jpeg(read_image(source, (camera.width, camera.height)), PACKED_QUALITY)
         cameras.append(camera)
         photos.append(photo)
-    known = {} if scene.observations is None else {"observations": scene.observations}
+    optional: dict[str, Any] = {}
+    if scene.observations is not None:
+        optional["observations"] = scene.observations
     if scene.held_out is not None:
-        known["held_out"] = np.array([view.name in scene.held_out for view in scene.views])
+        optional["held_out"] = np.array([view.name in scene.held_out for view in scene.views])
     with replacing(path) as file:
         np.savez(
             file, names=np.array([view.name for view in scene.views]),
@@ -55,14 +62,13 @@ def write_packed(scene, path, downscale=1):
             wh=np.array([(c.width, c.height) for c in cameras]),
             xyz=scene.points, rgb=scene.colours, offset=scene.offset,
             sizes=np.array([len(photo) for photo in photos]),
-            jpeg=np.frombuffer(b"".join(photos), np.uint8), **known)
+            jpeg=np.frombuffer(b"".join(photos), np.uint8), **optional)
 
 
-def read_packed(path):
-    """The scene of a packed .npz; every view's source is its encoded photo.
+def read_packed(path: str | Path) -> Scene:
+    """Read the scene of a packed .npz; the source of each view is its encoded photo.
 
-    A file without `offset` is recentred, as a COLMAP folder is. Raises InputError for a file that
-    is damaged, incomplete or holds what cannot be trained on.
+    The scene of a file without `offset` is recentred, as that of a COLMAP folder is.
     """
     path = Path(path)
     arrays = _read_arrays(path)
@@ -75,7 +81,7 @@ def read_packed(path):
         "rotations": poses[:, :3, :3], "translations": poses[:, :3, 3],
         "focals": calibrations[:, (0, 1), (0, 1)], "centres": calibrations[:, :2, 2],
         "sizes": arrays["wh"], "points": arrays["xyz"], "colours": arrays["rgb"],
-        "observations": arrays.get("observations"),
+        "observations": arrays.get("observations", np.zeros((0, 2), int)),
     }, photos, arrays.get("offset")))
     if "held_out" in arrays:
         held_out = frozenset(map(str, arrays["names"][arrays["held_out"]]))
@@ -83,18 +89,18 @@ def read_packed(path):
     return scene if "offset" in arrays else scene.recentred()
 
 
-def _view_matrix(camera):
+def _view_matrix(camera: Camera) -> NDArray[np.float64]:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = camera.rotation, camera.translation
     return matrix
 
 
-def _calibration(camera):
+def _calibration(camera: Camera) -> NDArray[np.float64]:
     (fx, fy), (cx, cy) = camera.focal, camera.centre
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
-def _read_arrays(path):
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     arrays = read_npz(path, "not a packed scene, or damaged", "pack or copy it again",
                       {**LAYOUT, **OPTIONAL})
     for key, (kinds, shape) in {**LAYOUT, **OPTIONAL}.items():
@@ -102,13 +108,13 @@ def _read_arrays(path):
         if array is None and key in OPTIONAL:
             continue
         if array is None or array.dtype.kind not in kinds or array.shape[1:] != shape:
-            found = "is missing" if array is None else f"is {array.dtype}{list(array.shape)}"
-            raise InputError(f"{path}: not a packed scene: array '{key}' {found}; pack it again")
+            cause = "is missing" if array is None else f"is {array.dtype}{list(array.shape)}"
+            raise InputError(f"{path}: not a packed scene: array '{key}' {cause}; pack it again")
     _check_lengths(path, arrays)
     return arrays
 
 
-def _check_lengths(path, arrays):
+def _check_lengths(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
     views = {key: len(arrays[key]) for key in ("names", "V", "K", "wh", "sizes")}
     sizes, offset = arrays["sizes"], arrays.get("offset", np.zeros(3))
     whole = (len(set(views.values())) == 1 and len(arrays["xyz"]) == len(arrays["rgb"])

@@ -1,44 +1,55 @@
-"""Gaussians as PLY, in the layout of Kerbl et al.'s release, which every viewer reads."""
+"""Gaussians as PLY, in the layout of the release of Kerbl et al., which every viewer reads."""
 
 import io
 import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plyfile
+from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, SPHERE, Gaussians
+from clsplat.gaussians import LEARNED, SPHERE, Field, Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular
 
 ROWS_AT_A_TIME = 1 << 16
-# positions become double where float would move one by more than this share of the median scale
+# positions are written as double if float would move one by more than this share of the median
+# scale
 TOLERANCE = 1e-3
-LONGEST_HEADER = 1 << 20  # bytes
-TEXT = re.compile(rb"[\r\n]format\s+ascii\b")
+HEADER_BYTES = 1 << 20  # at most
+ASCII_FORMAT = re.compile(rb"[\r\n]format\s+ascii\b")
 END_HEADER = re.compile(rb"[\r\n]end_header(?=[\r\n]|$)")
-PLACES = ("positions", "anchors")  # fields in world units that the offset moves
+PLACES = ("positions", "anchors")  # fields in world coordinates, which the offset moves
 OFFSET = re.compile(r"offset\s+(\S+)\s+(\S+)\s+(\S+)\s*$")
 
 
-def write_ply(path, gaussians, offset=(0.0, 0.0, 0.0), comments=(), sphere=False):
-    """Write gaussians, moved by `offset` (float64[3], world) to the original coordinates.
+def write_ply(path: str | Path, gaussians: Gaussians, offset: ArrayLike = (0.0, 0.0, 0.0),
+              comments: Iterable[str] = (), sphere: bool = False) -> None:
+    """Write gaussians in original coordinates; the same gaussians give the same bytes.
 
-    Binary, little endian, columns x y z nx ny nz, then those of `LEARNED` as stored, quaternions
-    not normalised. The same gaussians give the same bytes. comments: extra lines of the header;
-    sphere: also write the columns of `SPHERE`, where the gaussians have them.
+    The file is binary, little endian, with columns x y z nx ny nz, then those of `LEARNED` as
+    stored; quaternions are not normalised.
+
+    Parameters
+    ----------
+    offset : float64[3], world, added to the positions.
+    comments : extra lines of the header.
+    sphere : also write the columns of `SPHERE`, if the gaussians have them.
     """
     offset = np.asarray(offset, np.float64)
-    carried = SPHERE if sphere and "anchors" in gaussians.rows else ()
-    columns = _columns(gaussians.sh_degree, LEARNED + carried)
+    extra = SPHERE if sphere and "anchors" in gaussians.rows else ()
+    columns = _columns(gaussians.sh_degree, LEARNED + extra)
     moved = {name: gaussians.rows[name].astype(np.float64) + offset
              for name in PLACES if name in gaussians.rows}
     kind = "<f8" if _needs_double(moved["positions"], gaussians.log_scales) else "<f4"
     layout = [(name, kind if field in PLACES else "<f4") for name, (field, _) in columns.items()]
     layout[3:3] = [(name, "<f4") for name in ("nx", "ny", "nz")]
 
-    def tables():
+    def tables() -> Iterator[NDArray[Any]]:
         for begin in range(0, gaussians.count, ROWS_AT_A_TIME):
             rows = slice(begin, begin + ROWS_AT_A_TIME)
             table = np.zeros(len(moved["positions"][rows]), layout)
@@ -52,20 +63,24 @@ def write_ply(path, gaussians, offset=(0.0, 0.0, 0.0), comments=(), sphere=False
     _write_vertices(path, layout, comments, gaussians.count, tables())
 
 
-def write_part(path, source, keep, degree):
-    """Write the gaussians `keep` bool[N] of the PLY `source`, with harmonics up to `degree`.
+def write_part(path: str | Path, source: str | Path, keep: NDArray[Any], degree: int) -> None:
+    """Copy some gaussians of a PLY file, with spherical harmonics up to a degree.
 
-    Comments and every other column stay as they are, to the bit. InputError where the file is not a
-    PLY of gaussians, or has no harmonics of that degree.
+    Comments and all other columns are copied without rounding.
+
+    Parameters
+    ----------
+    keep : bool[N] or indices, the gaussians to copy.
+    degree : at most that of the source.
     """
     element, comments = read_vertices(source)
     names = element.data.dtype.names
-    there = _sh_degree(source, names)
-    if degree > there:
-        raise InputError(f"{source}: has harmonics up to degree {there}, not {degree}; "
-                         "ask for fewer")
+    highest = _sh_degree(source, names)
+    if degree > highest:
+        raise InputError(f"{source}: has spherical harmonics up to degree {highest}, not {degree}; "
+                         "give a lower degree")
     origin = {name: name for name in names}
-    bands, kept_bands = ((d + 1) ** 2 - 1 for d in (there, degree))
+    bands, kept_bands = ((d + 1) ** 2 - 1 for d in (highest, degree))
     for number in range(3 * bands):  # channel by channel
         del origin[f"f_rest_{number}"]
     for number in range(3 * kept_bands):
@@ -80,8 +95,9 @@ def write_part(path, source, keep, degree):
     _write_vertices(path, layout, comments, len(rows), [table])
 
 
-def _write_vertices(path, layout, comments, count, tables):
-    """A binary PLY, little endian, of `count` vertices; tables: of so many rows together."""
+def _write_vertices(path: str | Path, layout: Sequence[tuple[str, str]], comments: Iterable[str],
+                    count: int, tables: Iterable[NDArray[Any]]) -> None:
+    """Write a binary PLY, little endian, of `count` vertices, which are the rows of all tables."""
     lines = ["ply", "format binary_little_endian 1.0",
              *(f"comment {comment}" for comment in comments), f"element vertex {count}",
              *(f"property {'double' if t == '<f8' else 'float'} {n}" for n, t in layout),
@@ -92,16 +108,19 @@ def _write_vertices(path, layout, comments, count, tables):
             file.write(table.tobytes())
 
 
-def read_ply(path, offset=None) -> Gaussians:
-    """The Gaussians of a PLY, in local coordinates: the offset its header records is subtracted.
+def read_ply(path: str | Path, offset: ArrayLike | None = None) -> Gaussians:
+    """Read the gaussians of a PLY file in local coordinates.
 
-    offset: float64[3], world, subtracted instead, for gaussians that start another scene's
-    training. Normals and bands that are missing are left out; what is not finite, not gaussians
-    or cut short raises InputError.
+    Normals and missing bands are left out.
+
+    Parameters
+    ----------
+    offset : float64[3], world, subtracted from the positions instead of the offset in the header,
+        for gaussians from which the training of another scene starts.
     """
     element, comments = read_vertices(path)
     degree = _sh_degree(path, element.data.dtype.names)
-    fields = LEARNED
+    fields: tuple[Field, ...] = LEARNED
     if all(name in element.data.dtype.names for field in SPHERE for name in field.ply):
         fields = LEARNED + SPHERE
     columns = _columns(degree, fields)
@@ -109,27 +128,27 @@ def read_ply(path, offset=None) -> Gaussians:
     if missing:
         raise InputError(f"{path}: not a PLY of gaussians: column {missing[0]} is missing; "
                          "give one that a gaussian splatting program wrote")
-    if offset is None:
-        offset = _recorded_offset(path, comments)
+    offset = _recorded_offset(path, comments) if offset is None else np.array(offset, np.float64)
     rows = {f.name: np.empty((len(element.data), *f.row_shape(degree)), np.float32)
             for f in fields}
     for name, (field, index) in columns.items():
-        values = element.data[name]
+        at: tuple[Any, ...] = (..., *index)
+        values, column = element.data[name], rows[field][at]
         if values.dtype.kind not in "fiu":
             raise InputError(f"{path}: column {name} is a list, not a number; "
                              "give a PLY that a gaussian splatting program wrote")
-        with np.errstate(over="ignore", invalid="ignore"):  # caught below, as not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # the result is checked below
             if field in PLACES:
                 values = values.astype(np.float64) - offset[index[0]]
-            rows[field][(slice(None), *index)] = values
-        bad = np.count_nonzero(~np.isfinite(rows[field][(slice(None), *index)]))
+            column[...] = values
+        bad = np.count_nonzero(~np.isfinite(column))
         if bad:
             raise InputError(f"{path}: {bad} of {len(values)} values in column {name} are not "
                              "finite; remove those gaussians, or export the model again")
-    return Gaussians(rows, degree, np.array(offset, np.float64))
+    return Gaussians(rows, degree, offset)
 
 
-def _columns(degree, fields):
+def _columns(degree: int, fields: Iterable[Field]) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Column name -> (field, index within a row), in the order of the file."""
     columns = {}
     for field in fields:
@@ -141,19 +160,19 @@ def _columns(degree, fields):
     return columns
 
 
-def _needs_double(positions, log_scales):
+def _needs_double(positions: NDArray[np.float64], log_scales: NDArray[np.float32]) -> bool:
     if not len(positions):
         return False
-    moved = np.abs(positions.astype(np.float32) - positions).max()
-    return bool(moved > TOLERANCE * np.exp(np.median(log_scales.astype(np.float64))))
+    error = np.abs(positions.astype(np.float32) - positions).max()
+    return bool(error > TOLERANCE * np.exp(np.median(log_scales.astype(np.float64))))
 
 
-def read_vertices(path):
-    """(plyfile's element of the vertices, comments) of a PLY; InputError where there is none."""
+def read_vertices(path: str | Path) -> tuple[plyfile.PlyElement, tuple[str, ...]]:
+    """Read the vertices of a PLY file and its comments; InputError if it has none."""
     try:
         with open_regular(path) as file:
             checked = _checked(file)
-            with np.errstate(over="ignore"):  # text beyond float: infinite, and refused as such
+            with np.errstate(over="ignore"):  # numbers in text may become infinite: refused later
                 ply = plyfile.PlyData.read(checked)
         return ply["vertex"], (*ply.comments, *ply["vertex"].comments)
     except FileNotFoundError:
@@ -162,31 +181,31 @@ def read_vertices(path):
         raise InputError(f"{path}: not a PLY of gaussians: it has no vertices; "
                          "give one that a gaussian splatting program wrote") from None
     except MemoryError:
-        raise InputError(f"{path}: needs more memory than there is; free some, or give a smaller "
+        raise InputError(f"{path}: not enough memory to read it; free some, or give a smaller "
                          "model") from None
     except (plyfile.PlyParseError, OSError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: not a PLY, damaged or cut short ({reason(error)}); "
                          "export or copy it again") from None
 
 
-def _checked(file):
-    """A file for plyfile, from its start: `file`, or a copy where its rows are text, which plyfile
-    would leave open, or where the header has other bytes than ASCII, as comments may: "?" there."""
+def _checked(file: io.BufferedReader) -> io.BufferedIOBase:
+    """The file from its start, for plyfile; or a copy if its rows are text, which plyfile would
+    leave open, or if its header is not ASCII, as in some comments, whose bytes become "?"."""
     header = _header(file)
     file.seek(0)
-    if header.isascii() and not TEXT.search(header):
+    if header.isascii() and not ASCII_FORMAT.search(header):
         return file
     file.seek(len(header))
     return io.BytesIO(bytes(byte if byte < 128 else ord("?") for byte in header) + file.read())
 
 
-def _header(file):
-    """The bytes up to end_header; ValueError where there is none, or where it claims more rows than
-    the file can hold: plyfile would allocate them first."""
-    begin = file.read(LONGEST_HEADER)
+def _header(file: io.BufferedReader) -> bytes:
+    """The bytes up to end_header; ValueError if it is missing, or if it claims more rows than the
+    file can hold, for which plyfile would allocate memory."""
+    begin = file.read(HEADER_BYTES)
     end = END_HEADER.search(begin)
     if not begin.startswith(b"ply") or not end:
-        raise ValueError("it has no header of a PLY, from ply to end_header")
+        raise ValueError("it has no PLY header from ply to end_header")
     element = claimed = 0
     text = False
     for line in begin[:end.start()].splitlines():
@@ -196,17 +215,16 @@ def _header(file):
             case [b"element", _, count]:
                 element = int(count)
             case [b"property", _, *_]:
-                # as text a digit and a blank; else at least a byte
+                # as text a digit and a space; else at least a byte
                 claimed += element * (2 if text else 1)
     size = file.seek(0, 2)
-    # the last digit needs no blank
-    if claimed > size + 1:
+    if claimed > size + 1:  # the last digit needs no space
         raise ValueError(f"its {size} bytes are too few for the rows in its header")
     return begin[:end.end()]
 
 
-def _sh_degree(path, names):
-    """The SH degree that the number of f_rest columns stands for; none is degree 0."""
+def _sh_degree(path: str | Path, names: Iterable[str]) -> int:
+    """The SH degree by the number of f_rest columns."""
     rest = sum(name.startswith("f_rest_") for name in names)
     degrees = {3 * ((degree + 1) ** 2 - 1): degree for degree in range(4)}
     if rest not in degrees:
@@ -215,12 +233,12 @@ def _sh_degree(path, names):
     return degrees[rest]
 
 
-def _recorded_offset(path, comments):
+def _recorded_offset(path: str | Path, comments: Iterable[str]) -> NDArray[np.float64]:
     for comment in comments:
-        found = OFFSET.match(comment.strip())
-        if found:
+        match = OFFSET.match(comment.strip())
+        if match:
             try:
-                offset = np.array([float(v) for v in found.groups()])
+                offset = np.array([float(v) for v in match.groups()])
             except ValueError:
                 continue
             if not np.isfinite(offset).all():

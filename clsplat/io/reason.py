@@ -1,15 +1,15 @@
-"""What other libraries say of a damaged file, as part of one line."""
+"""The cause that another library gives for a damaged file, as part of one line."""
 
-LONGEST = 200  # characters
+MOST_CHARACTERS = 200
 
 
-def reason(error):
-    """The first line of an exception, clean; its type where it says nothing."""
-    if isinstance(error, OSError) and error.strerror:  # the number and the file say nothing more
+def reason(error: BaseException) -> str:
+    """The first line of an exception in printable characters, or its type if it has no text."""
+    if isinstance(error, OSError) and error.strerror:  # the file is named by the message around it
         return clean(error.strerror)
     return clean(next(iter(str(error).splitlines()), "")) or type(error).__name__
 
 
-def clean(text):
-    """A line's beginning, in printable characters."""
-    return (text if text.isprintable() else ascii(text))[:LONGEST]
+def clean(text: str) -> str:
+    """The beginning of a line, in printable characters."""
+    return (text if text.isprintable() else ascii(text))[:MOST_CHARACTERS]

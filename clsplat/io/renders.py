@@ -17,22 +17,22 @@ class Renders:
 
     Attributes
     ----------
-    folder : where they are.
+    folder : the render folder of the run.
     """
 
     def __init__(self, run: Path) -> None:
         self.folder = run / RENDERS
 
     def paths(self) -> list[Path]:
-        """The pictures that clsplat wrote and that are still there. What lies behind a link is not
-        listed: it may be somebody's own."""
+        """The pictures that clsplat wrote and that still exist; those behind a link are left out,
+        since they may belong to somebody else."""
         try:
             names = object_of((self.folder / WRITTEN).read_bytes())["pictures"]
-            found = [self.folder / native(name) for name in names if ".." not in Path(name).parts]
+            paths = [self.folder / native(name) for name in names if ".." not in Path(name).parts]
         except (OSError, ValueError, KeyError, TypeError):
             return []
         inside = os.path.join(os.path.realpath(self.folder.parent), RENDERS, "")
-        return [path for path in found if path.is_file() and not path.is_symlink()
+        return [path for path in paths if path.is_file() and not path.is_symlink()
                 and os.path.realpath(path).startswith(inside)]
 
     def note(self, kind: str, names: list[str]) -> None:
@@ -43,17 +43,17 @@ class Renders:
         write_object(self.folder / WRITTEN, {"pictures": sorted(pictures)}, indent=0)
 
     def path(self, kind: str, name: str) -> Path:
-        """Where the picture of a view goes, its folder made.
+        """Where to write the picture of a view; its folder is created.
 
-        The view's name stays whole, or a.jpg and a.png would meet in one file.
+        The suffix of the view's name is kept, or a.jpg and a.png would share one file.
         """
-        path: Path = self.folder / kind / native(f"{name}.png")
+        path = self.folder / kind / native(f"{name}.png")
         if not path.resolve().is_relative_to(self.folder.resolve()):
             raise InputError(f"{name}: a view's name must not leave the render folder; rename it")
         make_folder(path.parent)
         return path
 
     def remove(self) -> None:
-        """Remove what clsplat wrote; a link in the place of the folder is never followed."""
+        """Remove what clsplat wrote; a render folder that is a link is not followed."""
         if not self.folder.is_symlink():
             remove_files([*self.paths(), self.folder / WRITTEN], self.folder)

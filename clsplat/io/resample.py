@@ -1,21 +1,29 @@
-"""Pictures made smaller by the mean over areas, a few rows at a time."""
+"""Images reduced by area averaging, a few rows at a time."""
+
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-BAND_BYTES = 1 << 24  # of the rows that are worked on at once, as 8-bit samples
+BAND_BYTES = 1 << 24  # of the rows that are in memory at once, as 8-bit samples
 
 
-def band_rows(width, channels=3):
-    """How many rows a band has."""
+def band_rows(width: int, channels: int = 3) -> int:
+    """How many rows of an image make a band."""
     return max(1, BAND_BYTES // (width * channels))
 
 
-def resample(pixels, size):
-    """`pixels`, uint8[H, W, 3], as uint8[height, width, 3]: each is the mean of the area it covers.
+def resample(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Resample an image; each new pixel is the mean of the area that it covers.
 
-    size: (width, height). OpenImageIO's box filter is the same where the ratio is whole, but
-    weighs every touched pixel fully where it is not, which shifts edges by a quarter pixel.
+    OpenImageIO's box filter is equal for whole ratios, but for others it gives every touched pixel
+    its full weight, which shifts edges by a quarter pixel.
+
+    Parameters
+    ----------
+    pixels : uint8[H, W, 3].
+    size : (width, height) of the result.
     """
     height, width = pixels.shape[:2]
     step = band_rows(width)
@@ -23,17 +31,24 @@ def resample(pixels, size):
     return resample_bands(bands, (width, height), size)
 
 
-def resample_bands(bands, old, size):
-    """`resample` of an image that comes in bands, uint8[n, W, 3] from the top down; old: (width,
-    height). Each sum is taken in one order, so its bytes do not depend on the bands."""
+def resample_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int],
+                   size: tuple[int, int]) -> NDArray[np.uint8]:
+    """`resample` an image that arrives in bands; the result does not depend on their heights.
+
+    Parameters
+    ----------
+    bands : uint8[n, W, 3] each, from the top down.
+    old, size : (width, height) of the image and of the result.
+    """
     (old_width, old_height), (width, height) = old, size
     rows_of, columns_of = _coverage(old_height, height), _coverage(old_width, width)
     result = np.empty((height, width, 3), np.uint8)
-    waiting, first, there, done = [], 0, 0, 0  # rows from `first` on; `there` rows were read
+    waiting: list[NDArray[np.uint8]] = []  # the rows from `first` to `read`
+    first = read = done = 0
     for band in bands:
         waiting.append(band)
-        there += len(band)
-        whole = there * height // old_height  # rows of the result that nothing more comes to
+        read += len(band)
+        whole = read * height // old_height  # rows of the result that need no further band
         if whole == done:
             continue
         pixels = np.concatenate(waiting) if len(waiting) > 1 else waiting[0]
@@ -48,18 +63,20 @@ def resample_bands(bands, old, size):
     return result
 
 
-def _shrunk(pixels, rows_of, columns_of):
+def _shrunk(pixels: NDArray[np.uint8], rows_of: csr_matrix, columns_of: csr_matrix
+            ) -> NDArray[np.uint8]:
     """uint8[height, width, 3]: sums over rows, then over columns."""
     height, width = rows_of.shape[0], pixels.shape[1]
     rows = rows_of @ pixels.reshape(len(pixels), -1).astype(np.float32)
     columns = rows.reshape(height, width, 3).transpose(1, 0, 2).reshape(width, -1)
     mean = (columns_of @ columns).reshape(-1, height, 3)
-    return (mean.transpose(1, 0, 2) + 0.5).astype(np.uint8)
+    rounded: NDArray[np.uint8] = (mean.transpose(1, 0, 2) + 0.5).astype(np.uint8)
+    return rounded
 
 
-def _coverage(old, new):
+def _coverage(old: int, new: int) -> csr_matrix:
     """Sparse float32[new, old]: the share of new pixel i that old pixel j covers; rows sum to 1."""
-    # in units of 1 / (old * new) every border is whole, so no rounding moves one
+    # in units of 1 / (old * new) every border is an integer, so rounding moves none
     borders = np.union1d(np.arange(old + 1) * new, np.arange(new + 1) * old)
     begins, lengths = borders[:-1], np.diff(borders)
     return csr_matrix(((lengths / old).astype(np.float32), (begins // old, begins // new)),

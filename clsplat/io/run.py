@@ -37,13 +37,13 @@ REPORT = "report.html"
 LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
 FILES = (METRICS, CHECKPOINT, EXPOSURES, MODEL, REPORT, OPTIONS)  # in the order of their removal
 CITY = "city.json"  # of a folder that `clsplat city` wrote: io/city.py reads it
-STATE = "state.json"  # the member of a checkpoint that holds what is no array
+STATE = "state.json"  # the member of a checkpoint that holds everything but arrays
 
 
 class RunFolder:
     """One training on disk: its options, metrics, checkpoint, model, report and renders.
 
-    Every write but a metrics line replaces a whole file; a metrics line cut short by a kill is
+    Every write replaces a whole file, except for lines of metrics; one that a kill cut short is
     dropped by the next `log` or `rewind`. Errors are InputError.
     """
 
@@ -55,13 +55,13 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: str | Path, overwrite: bool = False) -> RunFolder:
-        """A new run.
+        """Begin a new run.
 
         Parameters
         ----------
-        path : a folder, made if needed, that holds no run.
-        overwrite : it may hold one, whose files, and nothing else, the first write,
-            `write_options`, removes.
+        path : a folder that holds no run; it is created if needed.
+        overwrite : the folder may hold a run; the first write, `write_options`, removes its files
+            and nothing else.
         """
         run = cls(path)
         try:
@@ -77,21 +77,21 @@ class RunFolder:
         return run
 
     def _check_free(self, overwrite: bool) -> None:
-        """InputError where a new run cannot begin here."""
+        """InputError if a new run cannot begin here."""
         if (self.path / CITY).exists():
-            raise InputError(f"{self.path}: holds a city ({CITY}); go on with it by `clsplat "
+            raise InputError(f"{self.path}: holds a city ({CITY}); continue it with `clsplat "
                              "city`, or choose another folder")
-        found = [name for name in FILES if os.path.lexists(self.path / name)]
-        if found and not overwrite:
-            raise InputError(f"{self.path}: already holds a run ({found[-1]}); continue it with "
+        present = [name for name in FILES if os.path.lexists(self.path / name)]
+        if present and not overwrite:
+            raise InputError(f"{self.path}: already holds a run ({present[-1]}); continue it with "
                              "--resume, replace it with --overwrite, or choose another folder")
-        if found and not self._is_ours():
-            raise InputError(f"{self.path}: holds {found[-1]}, but no run that clsplat wrote; "
+        if present and not self._is_ours():
+            raise InputError(f"{self.path}: holds {present[-1]}, but no run that clsplat wrote; "
                              "--overwrite removes runs only: choose another folder")
 
     def _is_ours(self) -> bool:
-        """Whether clsplat wrote what the folder holds: the options say so, or, where these are
-        damaged, the metrics or the checkpoint."""
+        """Whether clsplat wrote the files of the folder, by its options or, if these are damaged,
+        by its metrics or its checkpoint."""
         try:
             if "version" in self.read_options():
                 return True
@@ -111,28 +111,28 @@ class RunFolder:
 
     @contextmanager
     def locked(self, patience: float = 0.0) -> Iterator[None]:
-        """Hold the folder, made if needed, for this process alone; see `lock.exclusive`. A folder
-        made here in which nothing was written is removed again."""
-        made = not self.path.exists()
+        """Lock the folder, as `lock.exclusive` does. It is created if needed, and removed again if
+        nothing was written."""
+        is_new = not self.path.exists()
         make_folder(self.path, "choose another --output")
         with exclusive(self.path, patience):
             try:
                 yield
             finally:
-                if made and set(os.listdir(self.path)) <= {LOCK, HOLDER}:
+                if is_new and set(os.listdir(self.path)) <= {LOCK, HOLDER}:
                     remove_files([self.path / LOCK, self.path / HOLDER], self.path)
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
-        """The run that a folder holds."""
+        """Open the run of a folder."""
         run = cls(path)
-        if not (run.path / OPTIONS).is_file():
+        if not run.is_begun:
             raise InputError(f"{run.path}: holds no run ({OPTIONS} is missing); "
                              "give a folder that `clsplat train` wrote")
         return run
 
     def _remove_files(self) -> None:
-        """Remove what clsplat wrote of a run; links are removed, never followed."""
+        """Remove the files of a run; links are removed, never followed."""
         self.renders.remove()
         lod = self.path / LOD
         if not lod.is_symlink():
@@ -143,9 +143,13 @@ class RunFolder:
             (self.path / name).unlink(missing_ok=True)
 
     def write_options(self, record: dict[str, Any]) -> None:
-        """Write what the run was started with: a dict for JSON, with `scene` a path, recorded
-        here relative to the run and absolute; `version` and, in a checkout, `commit` of clsplat
-        are added."""
+        """Write the options of the run.
+
+        Parameters
+        ----------
+        record : the path `scene` is written relative to the run and absolute; `version` and, in a
+            checkout, `commit` of clsplat are added.
+        """
         if self._replaces:
             self._remove_files()
             self._replaces = False
@@ -155,27 +159,18 @@ class RunFolder:
         write_object(self.path / OPTIONS, plain(record), indent=2)
 
     def scene_path(self, given: Path | None = None) -> Path:
-        """Where the run's scene is.
-
-        Parameters
-        ----------
-        given : what the user names instead; None takes what the run has recorded.
-
-        Raises
-        ------
-        InputError : the scene was moved, and nobody says where to.
-        """
+        """Find the scene of the run, see `scene_path.recorded_scene`."""
         return recorded_scene(self.read_options(), self.path, given)
 
     def note_scene(self, scene: Path) -> None:
-        """Record that the run's scene is here now; nothing is written where that is known."""
+        """Record where the scene is now, if that has changed."""
         record = self.read_options()
-        found = scene_record(scene, self.path)
-        if any(record.get(key) != value for key, value in found.items()):
-            write_object(self.path / OPTIONS, record | found, indent=2)
+        place = scene_record(scene, self.path)
+        if any(record.get(key) != value for key, value in place.items()):
+            write_object(self.path / OPTIONS, record | place, indent=2)
 
     def read_options(self) -> dict[str, Any]:
-        """The dict that `write_options` wrote."""
+        """Read what `write_options` wrote."""
         path = self.path / OPTIONS
         try:
             return record_of(_read(path))
@@ -185,14 +180,16 @@ class RunFolder:
 
     @property
     def is_begun(self) -> bool:
+        """Whether the run has options, which are written first."""
         return (self.path / OPTIONS).is_file()
 
     @property
     def has_metrics(self) -> bool:
+        """Whether the run has metrics."""
         return (self.path / METRICS).is_file()
 
     def log(self, record: dict[str, Any]) -> None:
-        """Append one line to the metrics; a number that is not finite becomes null."""
+        """Append one line to the metrics; numbers that are not finite become null."""
         path = self.path / METRICS
         line = json.dumps(plain(record), allow_nan=False) + "\n"
         try:
@@ -207,11 +204,11 @@ class RunFolder:
                              "free some space and continue with --resume") from error
 
     def records(self) -> list[dict[str, Any]]:
-        """The metrics as a list of dicts, in order; a last line cut short is left out."""
+        """The records of the metrics in order; a last line that was cut short is left out."""
         return [record for record, _ in self._lines()]
 
     def past_records(self) -> list[dict[str, Any]]:
-        """`records`, none where there are no metrics yet."""
+        """The records of the metrics, or none if there are no metrics yet."""
         return self.records() if self.has_metrics else []
 
     def _lines(self) -> list[tuple[dict[str, Any], bytes]]:
@@ -226,7 +223,7 @@ class RunFolder:
         return lines
 
     def rewind(self, iteration: int) -> None:
-        """Drop the metrics after an iteration: the steps a resumed run will take again."""
+        """Drop the metrics after an iteration, whose steps a resumed run repeats."""
         if not (self.path / METRICS).exists():
             return
         kept = [line for record, line in self._lines()
@@ -236,13 +233,12 @@ class RunFolder:
 
     @property
     def has_checkpoint(self) -> bool:
+        """Whether the run has a checkpoint."""
         return (self.path / CHECKPOINT).is_file()
 
     def save_checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
-        """Replace the checkpoint: arrays by name, and `state`, a dict for JSON.
-
-        When it fails, a full disk included, the checkpoint before stays.
-        """
+        """Replace the checkpoint by arrays and a state for JSON; if this fails, such as on a full
+        disk, the previous checkpoint stays."""
         text = json.dumps(state, default=lambda value: value.tolist()).encode()
         with replacing(self.path / CHECKPOINT) as file, \
                 zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
@@ -252,24 +248,24 @@ class RunFolder:
                     np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
     def load_checkpoint(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """(arrays, state) as they were saved; every byte is checked against its CRC."""
+        """Load the arrays and the state; every byte is checked against its CRC."""
         path = self.path / CHECKPOINT
         if not self.has_checkpoint:
             raise InputError(f"{path}: no checkpoint to resume from; train without --resume")
-        what, cure = ("the checkpoint is damaged or cut short",
-                      "copy it again, or start the run again with --overwrite")
-        arrays = read_npz(path, what, cure)
+        complaint, cure = ("the checkpoint is damaged or cut short",
+                           "copy it again, or start the run again with --overwrite")
+        arrays = read_npz(path, complaint, cure)
         try:
             return arrays, object_of(arrays.pop(STATE).tobytes())
         except (KeyError, ValueError) as error:
-            raise InputError(f"{path}: {what} ({STATE}: {reason(error)}); {cure}") from None
+            raise InputError(f"{path}: {complaint} ({STATE}: {reason(error)}); {cure}") from None
 
     def save_exposures(self, exposures: dict[str, np.ndarray]) -> None:
-        """Replace what the run has learned of its photos' colours: name -> float[3, 4]."""
+        """Replace the learned colour transforms, name of a view -> float[3, 4]."""
         write_exposures(self.path / EXPOSURES, exposures)
 
     def load_exposures(self) -> dict[str, np.ndarray] | None:
-        """name -> float64[3, 4], or None where the run learned none."""
+        """Load the colour transforms, name -> float64[3, 4], or None if the run learned none."""
         path = self.path / EXPOSURES
         return read_exposures(path) if path.is_file() else None
 
@@ -280,19 +276,19 @@ class RunFolder:
 
     def save_snapshot(self, level: float, gaussians: Gaussians, offset: ArrayLike,
                       comments: Iterable[str] = ()) -> None:
-        """Replace the model of a level, by its down-sampling factor; see `ply.write_ply`."""
+        """Replace the model of a level, by its downscale factor; see `ply.write_ply`."""
         path = self.path / LOD / f"level_{level:g}.ply"
         make_folder(path.parent)
         write_ply(path, gaussians, offset, comments)
 
     def snapshots(self) -> list[tuple[float, Path]]:
-        """[(factor, path)] of the models that levels left, coarse to fine; without the finished."""
-        found = ((SNAPSHOT.fullmatch(path.name), path) for path in (self.path / LOD).glob("*"))
-        return sorted(((float(name[1]), path) for name, path in found if name), reverse=True)
+        """(factor, path) of the models of levels, coarse to fine, without the finished model."""
+        matches = ((SNAPSHOT.fullmatch(path.name), path) for path in (self.path / LOD).glob("*"))
+        return sorted(((float(name[1]), path) for name, path in matches if name), reverse=True)
 
     @property
     def model_path(self) -> Path:
-        """Where the finished model is, or will be."""
+        """The path of the finished model."""
         return self.path / MODEL
 
     @property
@@ -302,47 +298,44 @@ class RunFolder:
 
     @property
     def is_finished(self) -> bool:
-        """Whether all is done: the report comes last."""
+        """Whether the run is finished with its report, which is written last."""
         return self.has_model and (self.path / REPORT).is_file()
 
     def write_report(self, html: str) -> Path:
-        """Replace the report by a page (str); returns its path."""
+        """Replace the report; returns its path."""
         with replacing(self.path / REPORT) as file:
             file.write(html.encode("utf-8", "backslashreplace"))
         return self.path / REPORT
 
     def read_report(self) -> str | None:
-        """The page that `write_report` wrote, or None where there is none that can be read."""
+        """The page that `write_report` wrote, or None if it cannot be read."""
         try:
             return (self.path / REPORT).read_bytes().decode()
         except (OSError, ValueError):
             return None
 
     def check_model(self) -> None:
-        """InputError where the training is not finished."""
+        """InputError if the training is not finished."""
         if not self.has_model:
             raise InputError(f"{self.model_path}: the run has no model yet; finish it with "
                              "--resume")
 
     def load_model(self, offset: ArrayLike | None = None) -> Gaussians:
-        """The finished model's Gaussians, in the scene's local coordinates; offset: see
-        `ply.read_ply`."""
+        """Load the finished model in the scene's local coordinates; see `ply.read_ply`."""
         self.check_model()
         return read_ply(self.model_path, offset)
 
 
 def find_runs(path: str | Path) -> list[RunFolder]:
-    """The RunFolders of a folder: itself, or those at most two levels below, ordered by path.
-
-    InputError where there are none.
-    """
+    """Find the runs in a folder: itself and those at most two levels below it, ordered by path;
+    InputError if there are none."""
     path = Path(path)
-    depths = (OPTIONS, f"*/{OPTIONS}", f"*/*/{OPTIONS}")
-    found = sorted({file.parent for depth in depths for file in path.glob(depth)})
-    if not found:
-        raise InputError(f"{path}: holds no run ({OPTIONS} is missing, two levels down too); "
+    patterns = (OPTIONS, f"*/{OPTIONS}", f"*/*/{OPTIONS}")
+    folders = sorted({file.parent for pattern in patterns for file in path.glob(pattern)})
+    if not folders:
+        raise InputError(f"{path}: holds no run ({OPTIONS} is missing here and two levels below); "
                          "give folders that `clsplat train` wrote")
-    return [RunFolder.open(folder) for folder in found]
+    return [RunFolder.open(folder) for folder in folders]
 
 
 def _read(path: Path) -> bytes:
@@ -358,7 +351,8 @@ def _whole_lines(data: bytes) -> bytes:
 
 
 def _commit() -> str | None:
-    """The commit of the checkout clsplat runs from, with -dirty if changed; None elsewhere."""
+    """The commit of the checkout that clsplat runs from, with -dirty if it was changed; else None.
+    """
     root = Path(clsplat.__file__).parents[1]
     if not (root / ".git").exists():
         return None

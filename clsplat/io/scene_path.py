@@ -1,17 +1,19 @@
-"""Where a run's or a city's scene is, when both may have been moved since."""
+"""Where the scene of a run or a city is, when both may have been moved since."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote, unquote_to_bytes
 
 from clsplat.errors import InputError
 
-NOT_UTF8 = "bytes:"  # begins a path that is no Unicode text; the rest is percent-encoded
+NOT_UTF8 = "bytes:"  # begins a path that is not Unicode text; the rest is percent-encoded
 
 
 def scene_record(scene: Path, folder: Path) -> dict[str, str]:
-    """What a record in `folder` says of where its scene is: {"scene": relative to the folder,
-    "scene_absolute": the whole path}; the first holds when both are moved together."""
+    """Describe where a scene is, for a record in `folder`: "scene", relative to the folder, which
+    stays right when both are moved together, and "scene_absolute"."""
     absolute = os.path.realpath(scene)
     try:
         relative = os.path.relpath(absolute, os.path.realpath(folder))
@@ -20,8 +22,9 @@ def scene_record(scene: Path, folder: Path) -> dict[str, str]:
     return {"scene": _text_of(Path(relative).as_posix()), "scene_absolute": _text_of(absolute)}
 
 
-def recorded_scene(record: dict, folder: Path, given: Path | None = None) -> Path:
-    """The path of a scene by what `scene_record` wrote, or `given`; InputError where it is gone."""
+def recorded_scene(record: Mapping[str, Any], folder: Path, given: Path | None = None) -> Path:
+    """Find the scene that `scene_record` described, or take the path that the user gives instead;
+    InputError if it exists at neither recorded path."""
     if given is not None:
         return Path(given)
     named = [record[key] for key in ("scene", "scene_absolute")
@@ -31,8 +34,8 @@ def recorded_scene(record: dict, folder: Path, given: Path | None = None) -> Pat
     for place in places:
         if place.exists():
             return place
-    where = f"its scene {places[-1]} is not there any more" if places else "it names no scene"
-    raise InputError(f"{folder}: {where}; say where it is, as SCENE to `clsplat train` and "
+    cause = f"its scene {places[-1]} no longer exists" if places else "it names no scene"
+    raise InputError(f"{folder}: {cause}; say where it is, as SCENE to `clsplat train` and "
                      "with --scene to other commands")
 
 

@@ -1,4 +1,4 @@
-"""Reads a scene, whatever its format, and names its content."""
+"""Reads a scene of any format, and computes its fingerprint."""
 
 import hashlib
 import os
@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clsplat.errors import InputError
 from clsplat.io.city import PACKED, attached
@@ -15,15 +16,17 @@ from clsplat.io.packed import read_packed
 from clsplat.io.transforms import has_transforms, read_transforms
 from clsplat.scene import Scene
 
-# how a folder that is no COLMAP folder is told, and its reader
+# the layouts of folders that are not COLMAP's: how each is recognised, and its reader
 LAYOUTS = ((has_parts, read_citygs), (has_transforms, read_transforms))
 
 
-def read_scene(path, images="") -> Scene:
-    """The Scene of a folder with a COLMAP model, transforms.json, or the layout of CityGS, or of a
-    packed .npz; else InputError.
+def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
+    """Read a scene.
 
-    images: the folder of its photos, from the scene's folder; "": images/, see `photo_folder`.
+    Parameters
+    ----------
+    path : a folder with a COLMAP model, transforms.json or the layout of CityGS, or a packed .npz.
+    images : the folder of its photos, relative to the scene's; "": images/, see `photo_folder`.
     """
     path = Path(path)
     if os.path.isdir(path):
@@ -38,31 +41,31 @@ def read_scene(path, images="") -> Scene:
                      ".npz")
 
 
-def _read_folder(path, images):
+def _read_folder(path: Path, images: str) -> Scene:
     packed = path / PACKED
     if packed.is_file():  # a block of a packed scene
         _no_images(path, images, "a packed scene")
         return replace(read_packed(packed), name=path.resolve().name, path=path)
-    for found, read in LAYOUTS:
-        if found(path):
+    for recognises, read in LAYOUTS:
+        if recognises(path):
             _no_images(path, images, "a scene that names its photos itself")
             return read(path)
     if (path / "train" / "metadata").is_dir():
-        raise InputError(f"{path}: a Mega-NeRF folder, whose metadata need PyTorch; describe it "
+        raise InputError(f"{path}: a Mega-NeRF folder, whose metadata need PyTorch; convert them "
                          "with `python docs/examples/from_mega_nerf.py FOLDER`, then give it again")
     return read_colmap(path, images)
 
 
-def _no_images(path, images, what):
+def _no_images(path: Path, images: str, kind: str) -> None:
     if images:
-        raise InputError(f"--images {images}: {path} is {what}; leave it out (it is for folders "
-                         "with a COLMAP model)")
+        raise InputError(f"--images {images}: {path} is {kind}; leave the option out (it is for "
+                         "folders with a COLMAP model)")
 
 
-def fingerprint(scene):
-    """SHA-256, hex, of a scene's names, cameras, points and offset: what a resumed run must meet.
+def fingerprint(scene: Scene) -> str:
+    """SHA-256 of a scene's names, cameras, points and offset, by which a resumed run recognises it.
 
-    Photos are left out: reading them all would cost more than it tells.
+    Photos are left out, since reading them all would take too long.
     """
     digest = hashlib.sha256()
     for view in scene.views:
@@ -76,5 +79,5 @@ def fingerprint(scene):
     return digest.hexdigest()
 
 
-def _bytes(values):
+def _bytes(values: ArrayLike) -> bytes:
     return np.asarray(values, "<f8").tobytes()

@@ -1,28 +1,35 @@
-"""The photos of a scene: in which folder they are, whether they fit their cameras, what they are.
+"""The photos of a scene: their folder, whether they fit their cameras, and notes on their content.
 
-Headers are read here, not pixels.
+Only headers are read here.
 """
 
 import os
 import re
 import unicodedata
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.io.photo import opened
-from clsplat.io.reason import LONGEST
+from clsplat.io.photo import Photo, opened
+from clsplat.io.reason import MOST_CHARACTERS
+from clsplat.scene import Scene, View
 
-IMAGES, SMALLER = "images", re.compile(r"images_(\d+)")  # as Mip-NeRF 360 has them
-ROUNDING = 1.5  # pixels that a smaller photo may differ from its share of the camera
+IMAGES, SMALLER = "images", re.compile(r"images_(\d+)")  # as in Mip-NeRF 360
+ROUNDING = 1.5  # pixels, the tolerance of the size of a smaller photo
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that swap width and height
 
 
 def photo_folder(folder: Path, images: str = "") -> Path:
-    """Where the photos of a scene are: `images`, from the scene's folder, or else images/, or else
-    the largest that there are of images_2/, images_4/, ..."""
+    """The folder of a scene's photos.
+
+    Parameters
+    ----------
+    folder : of the scene.
+    images : relative to it; "": images/, or else the first of images_2/, images_4/, ...
+    """
     try:
         images.encode()
     except UnicodeEncodeError:
@@ -32,41 +39,43 @@ def photo_folder(folder: Path, images: str = "") -> Path:
     if images:
         if os.path.isdir(folder / images):
             return folder / images
-        there = [path.name for path in (folder / IMAGES, *numbered) if path.is_dir()]
+        present = [path.name for path in (folder / IMAGES, *numbered) if path.is_dir()]
         raise InputError(f"--images {images}: {folder} has no such folder; "
-                         f"there is {', '.join(there) or 'none with photos'}")
+                         f"there is {', '.join(present) or 'none with photos'}")
     if numbered and not (folder / IMAGES).is_dir():
         return numbered[0]
     return folder / IMAGES
 
 
-def checked_photos(scene, smaller: Path | None = None):
-    """The scene with notes on its photos, once every photo is there in its camera's size.
+def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
+    """Check that every photo exists in its camera's size, and add notes on the photos to the scene.
 
-    smaller: a folder whose photos may all be smaller than their cameras by one factor; the cameras
-    are then scaled. InputError for a photo that is missing, cannot be read or does not fit.
+    Parameters
+    ----------
+    smaller : a folder whose photos may all be smaller than their cameras by one factor, by which
+        the cameras are then scaled.
     """
-    missing = [view for view in scene.views
+    missing = [view.source for view in scene.views
                if isinstance(view.source, Path) and not os.path.exists(view.source)]
     if missing:
-        raise InputError(f"{str(missing[0].source)[:LONGEST]}: no such image ({len(missing)} of "
+        raise InputError(f"{str(missing[0])[:MOST_CHARACTERS]}: no such image ({len(missing)} of "
                          f"{len(scene.views)} images of the model are missing); "
-                         f"{_where_else(missing[0].source)}")
+                         f"{_where_else(missing[0])}")
     photos = []
     for view in scene.views:
         with opened(view.source) as photo:
             photos.append(photo)
     factor = _factor(scene.views, photos) if smaller else 1.0
     notes = [*scene.notes, *_colour_notes(photos), *_turn_notes(photos)]
-    if smaller and smaller.name != IMAGES or factor != 1:
+    if smaller and (smaller.name != IMAGES or factor != 1):
         notes.insert(0, _factor_note(smaller, factor))
     views = tuple(_fitted(view, photo, factor) for view, photo in zip(scene.views, photos))
     return replace(scene, views=views, notes=tuple(notes))
 
 
-def _where_else(path):
-    """What to do about a photo that is missing, by what its folder holds."""
-    def same(name):
+def _where_else(path: Path) -> str:
+    """The cure for a missing photo, which depends on the other files of its folder."""
+    def folded(name: str) -> str:
         return unicodedata.normalize("NFC", name).casefold()
 
     try:
@@ -74,17 +83,17 @@ def _where_else(path):
     except OSError:
         names = []
     for name in names:
-        if same(name) == same(path.name):
+        if folded(name) == folded(path.name):
             return (f"{name!a} is there, which differs in letter case or in the form of its "
                     "characters: rename it")
     for name in names:
-        if same(Path(name).stem) == same(path.stem):
+        if folded(Path(name).stem) == folded(path.stem):
             return f"{name!a} is there, with another suffix: convert or rename it"
     return "put the photos there, or name their folder with --images"
 
 
-def _factor(views, photos):
-    """How many times smaller than their cameras all photos are; 1 where they are as large."""
+def _factor(views: Sequence[View], photos: Sequence[Photo]) -> float:
+    """How many times smaller than their cameras all photos are; 1 if the sizes are equal."""
     factor = float(np.median([view.camera.width / photo.width
                               for view, photo in zip(views, photos)]))
     for view, photo in zip(views, photos):
@@ -100,31 +109,27 @@ def _factor(views, photos):
     return 1.0 if same else factor
 
 
-def _factor_note(folder, factor):
+def _factor_note(folder: Path, factor: float) -> str:
     size = ("as large as the model's cameras" if factor == 1 else
             f"{factor:.3g} times smaller than the model's cameras, which are scaled to fit")
     return f"photos are those of {folder.name}/, {size}"
 
 
-def _colour_notes(photos):
-    """Lines about samples that are converted or left out."""
-    count = len(photos)
-    linear = sum(photo.linear for photo in photos)
-    if linear:
-        yield (f"{linear} of {count} photos hold linear light (EXR, HDR or floating point): they "
-               "are brought to sRGB, and what is brighter than 1 is cut off")
-    alpha = sum(photo.has_alpha for photo in photos)
-    if alpha:
-        yield (f"{alpha} of {count} photos have an alpha channel, which is ignored: what it hides "
-               "is trained on too")
-    extra = sum(photo.extra > 0 for photo in photos)
-    if extra:
-        yield (f"{extra} of {count} photos have more channels than colours and alpha: the first "
-               "are taken as colours, the others ignored")
+def _colour_notes(photos: Sequence[Photo]) -> Iterator[str]:
+    """Notes about samples that are converted or ignored."""
+    for flags, note in (
+            ([photo.linear for photo in photos], "hold linear light (EXR, HDR or floating point): "
+             "they are converted to sRGB, and values above 1 are clipped"),
+            ([photo.has_alpha for photo in photos], "have an alpha channel, which is ignored: "
+             "transparent pixels are trained on too"),
+            ([photo.extra > 0 for photo in photos], "have more channels than colours and alpha: "
+             "the first are used as colours, the others ignored")):
+        if any(flags):
+            yield f"{sum(flags)} of {len(photos)} photos {note}"
 
 
-def _turn_notes(photos):
-    """A line about photos that EXIF turns, where their size cannot tell whether COLMAP did."""
+def _turn_notes(photos: Sequence[Photo]) -> Iterator[str]:
+    """A note about photos that EXIF turns, if their size does not tell whether COLMAP did so."""
     turned = sum(photo.orientation in (2, 3, 4) or photo.orientation in QUARTER_TURNS
                  and photo.width == photo.height for photo in photos)
     if turned:
@@ -132,8 +137,8 @@ def _turn_notes(photos):
                "are stored: if the scene was reconstructed from turned photos, turn the pixels")
 
 
-def _fitted(view, photo, factor):
-    """The view, its camera scaled by 1 / factor; InputError where its photo has another size."""
+def _fitted(view: View, photo: Photo, factor: float) -> View:
+    """The view, its camera scaled by 1 / factor; InputError if its photo has another size."""
     width, height, camera = photo.width, photo.height, view.camera
     if (width, height) == (camera.width, camera.height):
         return view
@@ -141,7 +146,7 @@ def _fitted(view, photo, factor):
         return replace(view, camera=camera.resized(width, height))
     name = view.source if isinstance(view.source, Path) else view.name
     scale_x, scale_y = width / camera.width, height / camera.height
-    # rounding of the shorter side may move the ratio by up to a pixel
+    # rounding may change the shorter side by up to a pixel
     if abs(scale_x - scale_y) <= 1.0 / min(camera.width, camera.height):
         why = ("it was rescaled: put the original back and use --downscale to train on smaller "
                "ones; where all were, name their folder with --images")

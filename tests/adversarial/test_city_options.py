@@ -15,7 +15,7 @@ from clsplat.cli.city import _beside
 from clsplat.cli.main import main
 from clsplat.distribute import guarded, local, run
 from clsplat.errors import InputError
-from clsplat.io.lock import Held
+from clsplat.io.lock import LockTaken
 from clsplat.io.scenes import read_scene
 from clsplat.partition.options import PartitionOptions
 from clsplat.training import loop
@@ -201,7 +201,7 @@ def test_kernel_caches_are_apart_and_kept(monkeypatch, tmp_path):
     assert first.is_dir() and first.is_relative_to(tmp_path) and first.name == "0"
     with held_elsewhere(first), contextlib.ExitStack() as stack:
         assert guarded._own_kernel_cache(stack).name == "1"
-    assert issubclass(Held, InputError)
+    assert issubclass(LockTaken, InputError)
 
 
 # --- a training that loses all it has

@@ -89,9 +89,9 @@ def test_names(tmp_path, case):
     ("../photo.png", ("leaves the scene's image folder",)),
     ("/etc/passwd", ("leaves the scene's image folder",)),
     ("a\\..\\..\\photo.png", ("leaves the scene's image folder",)),
-    ("a\x1b[31m.png", ("no text", "rename")),
-    ("a\u2028b.png", ("no text",)),
-    ("a\nb.png", ("no text",)),
+    ("a\x1b[31m.png", ("not valid text", "rename")),
+    ("a\u2028b.png", ("not valid text",)),
+    ("a\nb.png", ("not valid text",)),
     (".", ("leaves",)),
 ])
 def test_names_that_are_refused(tmp_path, name, words):
@@ -298,8 +298,8 @@ TRANSFORMS = {
     "a photo of a long name": (dict(frames=[{"file_path": "a/" * 3000 + "b.png",
                                              "transform_matrix": np.eye(4).tolist()}]),
                                ("a/a/",)),
-    "width of text": (dict(w="wide", h=3), ("w is no number",)),
-    "width of 1e300": (dict(w=1e30, h=3), ("w is no number of pixels",)),
+    "width of text": (dict(w="wide", h=3), ("w is not a number",)),
+    "width of 1e300": (dict(w=1e30, h=3), ("w is not a number of pixels",)),
 }
 
 

@@ -96,7 +96,8 @@ def test_export_leaves_out_what_carries_nothing(tmp_path, city):
         assert read_ply(output).sh_degree == int(degree)
     again = run_with(tmp_path / "small", replace_degree(gaussians, 1))
     result = clsplat_("export", again.path, "-o", output, "--sh-degree", 3)
-    assert result.exit_code == 2 and "has harmonics up to degree 1, not 3" in result.stderr
+    assert result.exit_code == 2
+    assert "has spherical harmonics up to degree 1, not 3" in result.stderr
 
 
 def replace_degree(gaussians, degree):

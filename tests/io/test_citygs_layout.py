@@ -30,7 +30,7 @@ def name(old):
 
 
 @pytest.mark.parametrize("photos", ["images", "rgbs"])
-def test_both_parts_are_one_world(tmp_path, city, photos):
+def test_both_parts_share_one_world(tmp_path, city, photos):
     write_citygs(tmp_path, city, HELD_OUT, photos)
     scene = read_scene(tmp_path)
     assert_same_cameras(scene, city, name)
@@ -94,7 +94,7 @@ def absolute(folder):
     (bent, "val/sparse/0: camera model SIMPLE_RADIAL has lens distortion.*image_undistorter"),
     (absolute, "town/val/images/.*outside.png: no such image"),
 ])
-def test_what_cannot_be_used(tmp_path, spoil, words):
+def test_unusable_scenes(tmp_path, spoil, words):
     folder = tiny(tmp_path / "town")
     assert len(read_scene(folder).views) == 8
     spoil(folder)
@@ -104,7 +104,7 @@ def test_what_cannot_be_used(tmp_path, spoil, words):
 
 
 def test_a_colmap_folder_stays_one(tmp_path):
-    """A folder named train beside a scene's own model is none of its parts."""
+    """A folder named train beside a scene's own model is not one of its parts."""
     tiny(tmp_path)
     write_scene(tmp_path)
     assert len(read_scene(tmp_path).views) == 4 and read_scene(tmp_path).held_out is None

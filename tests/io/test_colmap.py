@@ -1,4 +1,4 @@
-"""COLMAP models: what is read equals what pycolmap says, and what is broken is named."""
+"""COLMAP models are read as pycolmap reads them, and messages name the damaged file."""
 
 import re
 import shutil
@@ -23,7 +23,7 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no photo data sets a
 
 
 def refused(path, *words):
-    """The one-line message with which a scene is refused; it holds every word."""
+    """The one-line message that refuses a scene, which contains all of the words."""
     with pytest.raises(InputError) as caught:
         read_scene(path)
     message = str(caught.value)
@@ -111,7 +111,7 @@ def test_fingerprint_tells_scenes_apart(tmp_path):
     assert fingerprint(read_scene(write_scene(tmp_path / "b", made))) != same
 
 
-def test_distorted_is_refused_with_a_command(tmp_path):
+def test_a_distorted_model_is_refused_with_a_command(tmp_path):
     made = reconstruction("SIMPLE_RADIAL", (50.0, *CENTRE, 0.05))
     refused(write_scene(tmp_path / "town", made), "SIMPLE_RADIAL", "colmap image_undistorter",
             f"--image_path '{tmp_path}/town/images'",
@@ -151,7 +151,7 @@ def test_real_data(name, views, points):
 
 @pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
 @pytest.mark.parametrize("share", [0, 0.1, 0.5, 0.9, 1])
-def test_a_file_cut_short_is_blamed(tmp_path, part, share):
+def test_a_truncated_file_is_named(tmp_path, part, share):
     path = write_scene(tmp_path) / "sparse" / "0" / f"{part}.bin"
     data = path.read_bytes()
     path.write_bytes(data[:min(int(share * len(data)), len(data) - 1)])
@@ -159,7 +159,7 @@ def test_a_file_cut_short_is_blamed(tmp_path, part, share):
 
 
 @pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
-def test_a_missing_or_empty_file_is_blamed(tmp_path, part):
+def test_a_missing_or_empty_file_is_named(tmp_path, part):
     for kind in ("bin", "txt"):
         folder = write_scene(tmp_path / kind, text=kind == "txt")
         path = folder / "sparse" / "0" / f"{part}.{kind}"
@@ -171,7 +171,7 @@ def test_a_missing_or_empty_file_is_blamed(tmp_path, part):
 
 @pytest.mark.parametrize("part", ["images", "points3D"])
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 1])
-def test_a_text_file_cut_short_is_blamed(tmp_path, part, share):
+def test_a_truncated_text_file_is_named(tmp_path, part, share):
     path = write_scene(tmp_path, text=True) / "sparse" / "0" / f"{part}.txt"
     data = path.read_bytes()
     path.write_bytes(data[:min(int(share * len(data)), len(data) - 1)])
@@ -189,39 +189,39 @@ def put(path, offset, layout, *values):
     ("cameras", 12, "<i", [-1], ["camera 1", "model", "(-1)"]),
     ("cameras", 12, "<i", [99], ["camera 1", "model", "(99)"]),
     ("cameras", 16, "<Q", [0], ["no size"]), ("cameras", 16, "<Q", [2**63], ["2147483648x36"]),
-    ("images", 8 + 60, "<I", [77], ["has camera 77", "lacks"]),
+    ("images", 8 + 60, "<I", [77], ["has camera 77", "not in the model"]),
     ("images", 8 + 64, "<B", [255], ["not UTF-8"]),
     ("images", 8 + 4, "<4d", [0, 0, 0, 0], ["pose", "not finite"]),
     ("images", 8 + 64 + 12, "<Q", [2**62], ["cut short"]),
     ("points3D", 8 + 43, "<Q", [2**61], ["cut short"]),
     ("points3D", 8 + 43, "<Q", [2**64 - 1], ["cut short"])])
-def test_a_damaged_record_is_blamed(tmp_path, part, offset, layout, values, words):
+def test_a_damaged_record_is_named(tmp_path, part, offset, layout, values, words):
     path = write_scene(tmp_path) / "sparse" / "0" / f"{part}.bin"
     put(path, offset, layout, *values)
     refused(tmp_path, *words)
 
 
-def test_numbers_that_are_there_twice(tmp_path):
+def test_duplicate_ids(tmp_path):
     folder = write_scene(tmp_path / "town") / "sparse" / "0"
     whole = {part: (folder / f"{part}.bin").read_bytes() for part in ("images", "points3D")}
     first, = struct.unpack_from("<I", whole["images"], 8)
     second = whole["images"].index(b"\0", 72) + 1
     second += 8 + 24 * struct.unpack_from("<Q", whole["images"], second)[0]
     put(folder / "images.bin", second, "<I", first)
-    refused(tmp_path / "town", f"images holds number {first} twice")
+    refused(tmp_path / "town", f"images holds id {first} twice")
     (folder / "images.bin").write_bytes(whole["images"])
     first, = struct.unpack_from("<Q", whole["points3D"], 8)
     put(folder / "points3D.bin", 8 + 51 + 8 * 4, "<Q", first)
-    refused(tmp_path / "town", f"points3D holds number {first} twice")
+    refused(tmp_path / "town", f"points3D holds id {first} twice")
 
 
 @pytest.mark.parametrize("part, old, new, words", [
-    ("cameras", b" PINHOLE ", b" PINHOL ", ["'PINHOL'", "no camera model"]),
-    ("cameras", b" 48 36 ", b" 48 ", ["no camera model"]),
+    ("cameras", b" PINHOLE ", b" PINHOL ", ["'PINHOL'", "not a camera model"]),
+    ("cameras", b" 48 36 ", b" 48 ", ["not a camera model"]),
     ("cameras", b" 48 36 ", b" 48 x ", ["line", "'x'"]),
     ("images", b" photo_0.png", b"", ["line"]), ("points3D", b" 254 ", b" 256 ", ["0 to 255"]),
     ("points3D", b" ", b" nan ", ["line"]), ("points3D", b"0", b"\0", ["not a text file"])])
-def test_a_damaged_line_is_blamed(tmp_path, part, old, new, words):
+def test_a_damaged_line_is_named(tmp_path, part, old, new, words):
     path = write_scene(tmp_path, text=True) / "sparse" / "0" / f"{part}.txt"
     lines = path.read_bytes().splitlines(keepends=True)
     at = next(i for i, line in enumerate(lines) if not line.startswith(b"#") and old in line)
@@ -253,7 +253,7 @@ def test_every_camera_model_of_pycolmap_is_known():
             assert CAMERA_MODELS[name] == len(made.params)
 
 
-def test_names_with_blanks(tmp_path):
+def test_names_with_spaces(tmp_path):
     for text in (False, True):
         made = reconstruction()
         for image in made.images.values():
@@ -264,7 +264,8 @@ def test_names_with_blanks(tmp_path):
 
 def test_points_that_cannot_be_trained_on(tmp_path):
     for name, value, words in (("nan", np.nan, ("1 of 30 points", "not finite")),
-                               ("inf", np.inf, ("1 of 30 points", "not finite"))):
+                               ("inf", np.inf, ("1 of 30 points", "not finite")),
+                               ("far", 2e15, ("1 of 30 points", "not below 1e+15"))):
         made = reconstruction()
         next(iter(made.points3D.values())).xyz = np.array([0, value, 0])
         refused(write_scene(tmp_path / name, made), *words)

@@ -1,4 +1,4 @@
-"""Photos survive the way in and out, and damaged ones are refused by name."""
+"""Photos are written and read without loss, and messages name damaged ones."""
 
 import numpy as np
 import OpenImageIO as oiio
@@ -10,7 +10,7 @@ from clsplat.io.resample import resample
 
 
 def smooth(height, width):
-    """uint8[height, width, 3] that JPEG keeps well."""
+    """A smooth uint8[height, width, 3], which JPEG keeps well."""
     y, x = np.mgrid[:height, :width] / max(height, width)
     return (np.stack([x, y, (x + y) / 2], axis=2) * 200 + 20).astype(np.uint8)
 
@@ -66,7 +66,7 @@ def test_grey_alpha_and_deep_samples(tmp_path):
 
 
 def area_mean(pixels, size):
-    """The same by definition, a pixel at a time, in float64."""
+    """`resample` by its definition, a pixel at a time, in float64."""
     height, width = pixels.shape[:2]
     out = np.zeros((size[1], size[0], 3))
     for axis_y in range(size[1]):

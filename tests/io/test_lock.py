@@ -1,4 +1,4 @@
-"""A folder has one user at a time, who is named to the others, and whose death frees it."""
+"""One process at a time locks a folder; others are told which, and its death frees the lock."""
 
 import os
 import subprocess
@@ -7,19 +7,20 @@ import sys
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.lock import Held, exclusive, is_held
+from clsplat.io.lock import LockTaken, exclusive, is_locked
 from clsplat.io.run import RunFolder
 from tests.lock_holder import HOLD, held_elsewhere
 
 
-def test_another_process_is_refused_and_told_who_holds_it(tmp_path):
+def test_another_process_is_refused_and_told_who_locked_it(tmp_path):
     with held_elsewhere(tmp_path) as other:
-        with pytest.raises(Held, match=rf"process {other} on \S+, since 20\d\d-.*; wait for it"):
+        with pytest.raises(LockTaken,
+                           match=rf"process {other} on \S+, since 20\d\d-.*; wait for it"):
             with exclusive(tmp_path):
                 pass
-        assert is_held(tmp_path)
+        assert is_locked(tmp_path)
     with exclusive(tmp_path):
-        assert not is_held(tmp_path)  # by another process
+        assert not is_locked(tmp_path)  # by another process
     assert not (tmp_path / ".lock.json").exists()
 
 
@@ -30,19 +31,19 @@ def test_the_lock_of_a_killed_process_is_free(tmp_path):
     child.kill()
     child.communicate()
     assert (tmp_path / ".lock.json").exists()  # what it left says nothing any more
-    assert not is_held(tmp_path)
+    assert not is_locked(tmp_path)
     with exclusive(tmp_path):
         assert str(os.getpid()) in (tmp_path / ".lock.json").read_text()
 
 
-def test_the_same_process_may_enter_again(tmp_path):
+def test_the_same_process_may_lock_again(tmp_path):
     with exclusive(tmp_path):
         with exclusive(tmp_path / ".." / tmp_path.name):
             pass
         assert (tmp_path / ".lock.json").exists()
         done = subprocess.run([sys.executable, "-c", HOLD, str(tmp_path)], capture_output=True,
                               text=True, check=False, stdin=subprocess.DEVNULL)
-        assert "Held" in done.stderr
+        assert "LockTaken" in done.stderr
 
 
 def test_a_folder_that_cannot_be_locked(tmp_path):
@@ -51,7 +52,7 @@ def test_a_folder_that_cannot_be_locked(tmp_path):
             pass
 
 
-def test_a_run_folder_that_was_made_for_nothing_goes(tmp_path):
+def test_a_run_folder_that_stays_empty_is_removed(tmp_path):
     run = RunFolder(tmp_path / "new")
     with pytest.raises(ZeroDivisionError), run.locked():
         RunFolder.create(run.path)

@@ -1,4 +1,4 @@
-"""Mega-NeRF's folders: refused with what to do, and read once the example has described them."""
+"""Mega-NeRF folders are refused with a cure, and can be read once the example converted them."""
 
 import json
 import os
@@ -47,7 +47,7 @@ def save_torch(table, path):
 
 
 def name(old):
-    """Photos are numbered in their order; every fourth of the city's is there."""
+    """A Mega-NeRF folder of every fourth photo of the city, numbered in order."""
     part = "val" if old in HELD_OUT else "train"
     return f"{part}/rgbs/{int(old[:3]) // 4:06d}.jpg"
 
@@ -90,7 +90,7 @@ def test_what_pytorch_writes(tmp_path, city):
     assert_same_cameras(read_scene(tmp_path), city, name, tolerance=1e-6)
 
 
-def test_a_folder_that_is_not_described_yet_says_how(tmp_path, city):
+def test_a_folder_that_is_not_converted_is_refused_with_the_command(tmp_path, city):
     write_mega_nerf(tmp_path, city, HELD_OUT, save_json)
     with pytest.raises(InputError, match=r"a Mega-NeRF folder.*from_mega_nerf\.py") as caught:
         read_scene(tmp_path)

@@ -1,4 +1,4 @@
-"""--overwrite removes the run that clsplat wrote, and nothing of anybody else's."""
+"""--overwrite removes the run that clsplat wrote, and nobody else's files."""
 
 import json
 import os
@@ -76,7 +76,7 @@ def test_a_link_to_a_model_is_removed_and_the_model_stays(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["report.html", "options.json", "metrics.jsonl"])
-def test_what_is_no_run_is_not_overwritten(tmp_path, name):
+def test_a_folder_without_a_run_is_not_overwritten(tmp_path, name):
     """Another program's files may have the same names."""
     (tmp_path / name).write_text(json.dumps({"colour": "blue"}))
     with pytest.raises(InputError, match="no run that clsplat wrote"):
@@ -100,7 +100,7 @@ def test_a_city_is_not_overwritten_by_a_run(tmp_path, overwrite):
     assert run.has_model
 
 
-def test_what_a_killed_process_left_is_replaced_and_a_link_is_not_followed(tmp_path):
+def test_partial_files_of_a_killed_process_are_replaced_and_a_link_is_not_followed(tmp_path):
     (tmp_path / "mine").write_text("mine")
     (tmp_path / "file.part").symlink_to(tmp_path / "mine")
     with replacing(tmp_path / "file", b"new") as file:

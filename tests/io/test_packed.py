@@ -1,4 +1,4 @@
-"""A packed scene is the scene it was packed from, and a damaged pack is refused."""
+"""A packed scene equals its original, and a damaged one is refused."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_downscale(tmp_path, scene):
     assert np.array_equal(packed.observations, scene.observations)
 
 
-def test_a_pack_without_offset_is_recentred(tmp_path, scene):
+def test_a_packed_scene_without_offset_is_recentred(tmp_path, scene):
     write_packed(scene, tmp_path / "town.npz")
     arrays = dict(np.load(tmp_path / "town.npz"))
     del arrays["offset"]
@@ -54,7 +54,7 @@ def test_a_pack_without_offset_is_recentred(tmp_path, scene):
 
 @pytest.mark.parametrize("change", [lambda a: a.pop("observations"),
                                     lambda a: a.update(observations=a["observations"][:0])])
-def test_a_pack_without_tracks_has_no_observations(tmp_path, scene, change):
+def test_a_packed_scene_without_tracks_has_no_observations(tmp_path, scene, change):
     write_packed(scene, tmp_path / "town.npz")
     arrays = dict(np.load(tmp_path / "town.npz"))
     change(arrays)
@@ -115,8 +115,8 @@ def test_a_flipped_bit(tmp_path, scene):
     ("xyz", lambda a: a * 0, "one place"),
     ("xyz", lambda a: a[:0], "do not fit"),
     ("V", lambda a: a + np.inf, "pose"),
-    ("V", lambda a: a * 2, "no rotation"),
-    ("V", lambda a: a * np.diag([-1, 1, 1, 1]).sum(1)[:, None], "no rotation"),  # a mirror
+    ("V", lambda a: a * 2, "not a rotation"),
+    ("V", lambda a: a * np.diag([-1, 1, 1, 1]).sum(1)[:, None], "not a rotation"),  # a mirror
     ("K", lambda a: -a, "no focal length"),
     ("K", lambda a: a[:2], "do not fit"),
     ("sizes", lambda a: a + 1, "do not fit"),
@@ -149,7 +149,7 @@ def test_bad_arrays(tmp_path, scene, key, change, word):
         read_packed(tmp_path / "bad.npz")
 
 
-def test_no_pack(tmp_path):
+def test_not_a_packed_scene(tmp_path):
     refused(tmp_path / "missing.npz", "no such file")
     np.save(tmp_path / "array.npz", np.zeros(3))
     (tmp_path / "array.npz.npy").rename(tmp_path / "array.npz")

@@ -95,7 +95,7 @@ def without(*prefixes):
     return change
 
 
-def test_other_programs_files(tmp_path):
+def test_files_of_other_programs(tmp_path):
     gaussians = random_gaussians(5, 1)
     bare = read_ply(rewrite(tmp_path / "bare.ply", without("nx", "ny", "nz", "f_rest")))
     assert bare.sh_degree == 0 and bare.sh_rest.shape == (5, 0, 3)
@@ -171,7 +171,7 @@ def with_spheres(gaussians):
 
 @pytest.mark.parametrize("gaussians, sphere", [
     (with_spheres(random_gaussians()), False), (random_gaussians(), True)])
-def test_the_layout_is_the_standard_one_unless_asked_and_had(tmp_path, gaussians, sphere):
+def test_the_layout_is_the_standard_one_unless_spheres_are_requested(tmp_path, gaussians, sphere):
     write_ply(tmp_path / "a.ply", random_gaussians(), UTM)
     write_ply(tmp_path / "b.ply", gaussians, UTM, sphere=sphere)
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
@@ -215,7 +215,7 @@ def test_many_rows_of_spheres(tmp_path):
 
 
 @pytest.mark.parametrize("column", COLUMNS)
-def test_spheres_that_are_not_whole_or_not_finite(tmp_path, column):
+def test_incomplete_or_non_finite_spheres(tmp_path, column):
     path = tmp_path / "a.ply"
     write_ply(path, with_spheres(random_gaussians(5, 1)), sphere=True)
     table = np.array(plyfile.PlyData.read(path)["vertex"].data)

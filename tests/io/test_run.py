@@ -1,4 +1,4 @@
-"""The run folder never loses what it held, and says so when something else damaged it."""
+"""A run folder loses no data, and names the file that somebody else damaged."""
 
 import json
 import resource
@@ -152,7 +152,7 @@ def test_checkpoint_cut_short(run):
         refused(run.load_checkpoint, "checkpoint.npz", "cut short")
 
 
-def test_every_flipped_byte_is_noticed_or_harmless(run):
+def test_every_flipped_byte_is_detected_or_harmless(run):
     run.save_checkpoint(ARRAYS, STATE)
     path = run.path / "checkpoint.npz"
     data = path.read_bytes()

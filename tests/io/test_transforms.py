@@ -1,5 +1,4 @@
-"""transforms.json of nerfstudio, instant-ngp and MatrixCity: a scene written so is read back equal.
-"""
+"""transforms.json of nerfstudio, instant-ngp and MatrixCity is read as it was written."""
 
 import logging
 from dataclasses import replace
@@ -10,7 +9,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.cloud import draw_points
+from clsplat.io.cloud import sample_points
 from clsplat.io.images import read_image
 from clsplat.io.scenes import read_scene
 from clsplat.scene import View
@@ -42,7 +41,7 @@ def images(name):
 
 
 def changed(folder, table, **changes):
-    """transforms.json with other values; None leaves one out."""
+    """Write transforms.json with changed values; None removes a key."""
     table = {**table, **changes}
     write_json(folder / "transforms.json", {k: v for k, v in table.items() if v is not None})
     return folder
@@ -126,7 +125,7 @@ def test_matrixcity_export(tmp_path, city):
     assert scene.views[1].source == tmp_path / "0001.png" and scene.held_out is None
 
 
-def test_points_of_a_colmap_model_that_nerfstudio_turned(tmp_path, city):
+def test_points_of_a_colmap_model_that_nerfstudio_rotated(tmp_path, city):
     table = write_transforms(tmp_path, city)
     (tmp_path / "sparse_pc.ply").unlink()
     some = np.arange(0, 400)
@@ -150,12 +149,12 @@ def test_points_without_colour_get_the_mean_of_the_photos(tmp_path, city):
     assert np.abs(scene.colours - mean).max() <= 1 and len(np.unique(scene.colours, axis=0)) == 1
 
 
-def test_points_are_drawn_where_two_cameras_look(tmp_path, city, caplog):
+def test_points_are_sampled_where_two_cameras_look(tmp_path, city, caplog):
     table = write_transforms(tmp_path, city)
     (tmp_path / "sparse_pc.ply").unlink()
     with caplog.at_level(logging.WARNING):
         scene = read_scene(changed(tmp_path, table, ply_file_path=None))
-    assert "no sparse points: 4000 are drawn" in caplog.text
+    assert "no sparse points: 4000 are sampled" in caplog.text
     assert_same_cameras(scene, city, images)
     sees = np.zeros(len(scene.points), int)
     for view in scene.views:
@@ -177,23 +176,23 @@ def looking(positions, side=1):
             for i, p in enumerate(positions)]
 
 
-def test_drawn_points_follow_the_unit_and_need_two_places():
+def test_sampled_points_follow_the_unit_and_need_two_places():
     views = looking([(0, 0, 0), (0, 1, 0), (0, 2, 0)])
-    points = draw_points("a", views)
+    points = sample_points("a", views)
     assert len(points) == 1500
     pixels, depths = views[1].camera.project(points)
     inside = pixels[((pixels > 0) & (pixels < (64, 48))).all(axis=1)]
     assert (inside.min(axis=0) < (6, 5)).all() and (inside.max(axis=0) > (58, 43)).all()
     assert 0.7 < depths.min() < 2 and 10 < depths.max() < 17  # 0.5 to 8 times 1 or 2
-    large = draw_points("a", looking([(0, 0, 0), (0, 1e3, 0), (0, 2e3, 0)]))
+    large = sample_points("a", looking([(0, 0, 0), (0, 1e3, 0), (0, 2e3, 0)]))
     np.testing.assert_allclose(large, 1e3 * points, rtol=1e-9)
     for blind in (looking([(0, 0, 0)]), looking([(0, 0, 0)] * 3),
                   looking([(9, 0, 0)]) + looking([(-9, 0, 0)], -1)):
         with pytest.raises(InputError, match="a: no points, and no two cameras.*points3D.ply"):
-            draw_points("a", blind)
+            sample_points("a", blind)
 
 
-def test_a_colmap_model_goes_first(tmp_path, city):
+def test_a_colmap_model_is_preferred(tmp_path, city):
     write_transforms(tmp_path, city)
     write_model(tmp_path / "sparse/0", city, city.views, np.arange(len(city.points)))
     assert read_scene(tmp_path).observations is not None
@@ -212,33 +211,33 @@ def tilted(table):
 
 @pytest.mark.parametrize("change, words", [
     ({"k1": 0.01, "p2": -1}, "000.jpg: has lens distortion (k1, p2).*image_undistorter"),
-    ({"camera_model": "OPENCV_FISHEYE"}, "no pinhole camera.*image_undistorter"),
-    ({"is_fisheye": True}, "no pinhole camera"),
+    ({"camera_model": "OPENCV_FISHEYE"}, "not a pinhole camera.*image_undistorter"),
+    ({"is_fisheye": True}, "not a pinhole camera"),
     ({"frames": []}, "no frames.*copy it again"),
     ({"frames": {"a": 1}}, "no frames"),
     ({"fl_x": None}, "frame 0.*neither fl_x nor camera_angle_x"),
-    ({"fl_x": None, "camera_angle_x": 4.0}, "camera_angle_x is no angle of view"),
-    ({"fl_x": "270"}, "fl_x is no number"),
-    ({"fl_x": True}, "fl_x is no number"),
+    ({"fl_x": None, "camera_angle_x": 4.0}, "camera_angle_x is not an angle of view"),
+    ({"fl_x": "270"}, "fl_x is not a number"),
+    ({"fl_x": True}, "fl_x is not a number"),
     ({"fl_x": -3.0}, "no focal length"),
     ({"fl_y": 0}, "no focal length"),
-    ({"w": 320.5}, "w is no number of pixels"),
+    ({"w": 320.5}, "w is not a number of pixels"),
     ({"w": 640, "h": 480}, "000.jpg.*rescaled"),
-    ({"ply_file_path": 3}, "ply_file_path is no text"),
+    ({"ply_file_path": 3}, "ply_file_path is not valid text"),
     ({"ply_file_path": "none.ply"}, "none.ply.*no such file"),
-    ({"applied_transform": [[1, 2]]}, "applied_transform is no matrix"),
-    (first(file_path=None), "frame 0.*file_path is no text"),
-    (first(file_path="images/\n.jpg"), "frame 0.*file_path is no text"),
+    ({"applied_transform": [[1, 2]]}, "applied_transform is not a 3x4 or 4x4 matrix"),
+    (first(file_path=None), "frame 0.*file_path is not valid text"),
+    (first(file_path="images/\n.jpg"), "frame 0.*file_path is not valid text"),
     ({"fl_x": 10**400}, "frame 0 is damaged"),
     (first(file_path="images/lost.jpg"), "lost.jpg: no such image"),
     (first(file_path="images/004.jpg"), "004.jpg occurs twice"),
-    (first(transform_matrix=[[1, 0], [0, 1]]), "frame 0.*transform_matrix is no matrix"),
+    (first(transform_matrix=[[1, 0], [0, 1]]), "frame 0.*transform_matrix is not a 3x4"),
     (first(transform_matrix=[["a"] * 4] * 4), "frame 0 is damaged"),
-    (first(transform_matrix=[[0.0] * 4] * 4), "000.jpg is no rotation"),
+    (first(transform_matrix=[[0.0] * 4] * 4), "000.jpg is not a rotation"),
     (first(rot_mat=[[0.01, 0, 0, 0]] * 3), "frame 0.*it has no frame_index"),
-    (tilted, "000.jpg is no rotation"),
+    (tilted, "000.jpg is not a rotation"),
 ])
-def test_what_cannot_be_used(tmp_path, city, change, words):
+def test_unusable_scenes(tmp_path, city, change, words):
     table = write_transforms(tmp_path, city)
     changed(tmp_path, table, **(change(table) if callable(change) else change))
     refused(tmp_path, words)
@@ -252,16 +251,16 @@ def refused(folder, words):
 
 @pytest.mark.parametrize("text, words", [
     ("{", "transforms.json: not a transforms.json, or damaged"),
-    ('{"frames": [1, NaN]}', "NaN is no number"),
+    ('{"frames": [1, NaN]}', "NaN is not a finite number"),
     ('{"frames": [3]}', "frame 0 is damaged"),
-    ("[]", "no object"),
+    ("[]", "not a JSON object"),
 ])
-def test_files_that_are_none(tmp_path, text, words):
+def test_damaged_files(tmp_path, text, words):
     (tmp_path / "transforms.json").write_text(text)
     refused(tmp_path, words)
 
 
-def test_a_ply_without_places(tmp_path, city):
+def test_a_ply_without_positions(tmp_path, city):
     write_transforms(tmp_path, city)
     path = tmp_path / "sparse_pc.ply"
     path.write_bytes(path.read_bytes().replace(b"double x", b"double u"))

@@ -92,7 +92,7 @@ def test_a_run_that_moved_with_its_scene(whole, city, tmp_path):
     run = RunFolder.open(tmp_path / "after" / "run")
     assert run.scene_path() == tmp_path / "after" / "town"
     (tmp_path / "after" / "town").rename(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="not there any more.*--scene"):
+    with pytest.raises(InputError, match="no longer exists.*--scene"):
         run.scene_path()
     assert run.scene_path(tmp_path / "elsewhere") == tmp_path / "elsewhere"
 

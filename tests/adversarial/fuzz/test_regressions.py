@@ -124,7 +124,7 @@ def test_poses_that_are_no_poses(tmp_path, packed):
     np.savez(tmp_path / "town.npz", **{**packed, "V": poses})
     refused(read_scene, tmp_path / "town.npz", "photo_1.png is not below")
     np.savez(tmp_path / "half.npz", **{**packed, "V": packed["V"].astype(np.float16) * 2})
-    refused(read_scene, tmp_path / "half.npz", "photo_0.png is no rotation")
+    refused(read_scene, tmp_path / "half.npz", "photo_0.png is not a rotation")
 
 
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
