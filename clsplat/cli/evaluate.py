@@ -23,7 +23,7 @@ def evaluate(run, device, images, scene):
     opacity that lies more than so many pixels from the true surface.
     """
     from clsplat.device import choose_device
-    from clsplat.evaluation.error_map import MEANING
+    from clsplat.evaluation.error_map import LEGEND
     from clsplat.evaluation.run import Run
     from clsplat.evaluation.views import PANELS, evaluate_run
     opened = Run.open(run)
@@ -35,7 +35,7 @@ def evaluate(run, device, images, scene):
         if images:
             from clsplat.report.run import renew_pictures
             click.echo(f"pictures: {folder.renders.folder}\n"
-                       f"  from left to right: {', '.join(PANELS)} ({MEANING})\n"
+                       f"  from left to right: {', '.join(PANELS)} ({LEGEND})\n"
                        f"report: {renew_pictures(folder, result['pictures'])}")
 
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.city import finish, stages
-from clsplat.city.merge import KEPT, TRAINS, merge
+from clsplat.city.merge import NEVER_FILLED, TRAINS, merge
 from clsplat.cli.city import _beside
 from clsplat.cli.main import main
 from clsplat.distribute import guarded, local, run
@@ -167,7 +167,7 @@ def test_a_block_in_training_is_never_filled(city, scene, fill):  # noqa: F811
     (city.block(2).run / "point_cloud.ply").unlink()
     with held_elsewhere(city.block(2).run) as other:
         merged = merge(city, scene, fill)
-        assert states(merged) == ["merged", "merged", TRAINS, "merged"] and TRAINS in KEPT
+        assert states(merged) == ["merged", "merged", TRAINS, "merged"] and TRAINS in NEVER_FILLED
         with pytest.raises(InputError, match=f"002 in training; .*process {other} on .* trains it"):
             merged.check()
     assert states(merge(city, scene, fill))[2] == ("coarse" if fill else "unfinished")
@@ -245,7 +245,7 @@ def test_which_block_is_trained_is_told(city, monkeypatch, workers):  # noqa: F8
     monkeypatch.setattr(stages, "block_options", lambda block: None)
     monkeypatch.setattr(stages, "train_block", lambda *_: None)
     stages.train_blocks(city, workers, progress=shown,
-                        told=lambda outcome, place: said.append(("ended", place)),
+                        ended=lambda outcome, place: said.append(("ended", place)),
                         began=lambda name, place: said.append((name, place)))
     shows = ["block 2 of 4"] if workers == 1 else []
     assert said[2 + len(shows):][:2 + len(shows)] == [
