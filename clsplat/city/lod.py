@@ -104,7 +104,7 @@ class Levels:
         level: NDArray[np.integer] = enough.argmax(axis=1)
         return level
 
-    def take(self, choice: NDArray[np.integer]) -> Gaussians:
+    def select(self, choice: NDArray[np.integer]) -> Gaussians:
         """The gaussians of the chosen level, int[C], of each cell."""
         cells = np.arange(len(choice))
         pieces = np.stack([self.firsts[cells, choice], self.firsts[cells, choice + 1]], axis=1)
@@ -196,7 +196,7 @@ class Detail:
         """[H, W, 3], 0 to 1: the picture of a camera at the levels that it needs."""
         choice = self.levels.choose(camera, self.pixels)
         if not np.array_equal(choice, self._choice):
-            self.chosen, self._choice = self.levels.take(choice), choice
+            self.chosen, self._choice = self.levels.select(choice), choice
             self._on_device = self._opened(self.chosen)
         self.drawn += self.chosen.count
         return render_view(*self._on_device, camera)

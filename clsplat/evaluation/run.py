@@ -16,6 +16,7 @@ from clsplat.evaluation.score import Score
 from clsplat.evaluation.views import evaluate_run, opened
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
+from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import TrainOptions, resolve
@@ -119,7 +120,7 @@ class Run:
         try:
             return gaussians.scaled(float(record["extent"])).located(record["offset"])
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{self.path}: options.json is damaged ({error}); start again with "
+            raise InputError(f"{self.path}: options.json is damaged ({reason(error)}); start again with "
                              "overwrite=True") from None
 
     @property

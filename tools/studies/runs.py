@@ -79,7 +79,7 @@ def trained(runs, jobs, gpus):
 
     Returns
     -------
-    Scene name -> group -> the runs that are finished now, as `Trained`; and the folders that failed.
+    Scene name -> group -> the finished runs, as `Trained`; and the folders that failed.
 
     Raises
     ------
