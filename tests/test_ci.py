@@ -55,5 +55,5 @@ def test_readme_has_no_placeholder_that_nothing_replaces(listed):
 
 
 def test_every_replacement_is_used(readme, listed):
-    for pattern in readme.REPLACED:
+    for pattern in readme.REPLACEMENTS:
         assert any(re.search(pattern, said) for said, _ in listed), pattern

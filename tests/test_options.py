@@ -116,13 +116,13 @@ def test_help_has_each_group_once_with_defaults():
 
 @pytest.mark.parametrize("text, message", [
     ("iteration = 5", "unknown option 'iteration'"),
-    ("iterations = 2.5", "'iterations' wants a whole number of at least 1, got 2.5"),
-    ("iterations = true", "'iterations' wants a whole number of at least 1, got True"),
-    ("iterations = 0", "'iterations' wants a whole number of at least 1, got 0"),
-    ("sh_degree = 4", "'sh-degree' wants auto or a whole number from 0 to 3, got 4"),
-    ("ssim-weight = nan", "'ssim-weight' wants a number from 0 to 1"),
-    ("optimizer = 'sgd'", "'optimizer' wants one of dense, sparse"),
-    ("background = [1, 1]", "'background' wants three numbers"),
+    ("iterations = 2.5", "'iterations' expects a whole number of at least 1, got 2.5"),
+    ("iterations = true", "'iterations' expects a whole number of at least 1, got True"),
+    ("iterations = 0", "'iterations' expects a whole number of at least 1, got 0"),
+    ("sh_degree = 4", "'sh-degree' expects auto or a whole number from 0 to 3, got 4"),
+    ("ssim-weight = nan", "'ssim-weight' expects a number from 0 to 1"),
+    ("optimizer = 'sgd'", "'optimizer' expects one of dense, sparse"),
+    ("background = [1, 1]", "'background' expects three numbers"),
     ("iterations = ", "not valid TOML"),
 ])
 def test_a_wrong_file_is_one_line_that_names_it(text, message, toml):
@@ -142,7 +142,7 @@ def test_a_file_that_is_not_text_or_not_there(tmp_path):
 
 
 def test_a_flag_out_of_its_limits_is_refused():
-    with pytest.raises(InputError, match="option 'downscale' wants a number of at least 1, got"):
+    with pytest.raises(InputError, match="option 'downscale' expects a number of at least 1, got"):
         resolve({}, {"downscale": 0.5})
 
 
@@ -171,12 +171,12 @@ def test_elements_and_infinities_are_refused(text, wish, toml):
     with pytest.raises(InputError) as caught:
         from_toml(path)
     key = text.split(" ")[0].replace("_", "-")
-    assert str(caught.value).startswith(f"{path}: option '{key}' wants {wish}")
+    assert str(caught.value).startswith(f"{path}: option '{key}' expects {wish}")
     assert ", got " in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_an_infinite_flag_is_refused():
-    with pytest.raises(InputError, match="option 'downscale' wants a finite number"):
+    with pytest.raises(InputError, match="option 'downscale' expects a finite number"):
         resolve({}, {"downscale": float("inf")})
 
 
@@ -289,7 +289,7 @@ def test_levels_that_fall_to_1(levels):
 def test_levels_that_do_not(levels, shown):
     with pytest.raises(InputError) as caught:
         resolve({}, {"levels": levels})
-    said = "wants auto or factors that fall and end at 1, such as 4,2,1"
+    said = "expects auto or factors that fall and end at 1, such as 4,2,1"
     assert str(caught.value) == f"option 'levels' {said}, got {levels}"
     with pytest.raises(InputError) as caught:
         invoke("--levels", shown)
@@ -298,7 +298,7 @@ def test_levels_that_do_not(levels, shown):
 
 @pytest.mark.parametrize("levels", [(4, 0.5), (math.nan, 1), (math.inf, 1), (4, 0), (-2, 1)])
 def test_levels_that_are_no_factors(levels):
-    with pytest.raises(InputError, match="'levels' wants (a finite|auto or factors that fall)"):
+    with pytest.raises(InputError, match="'levels' expects (a finite|auto or factors that fall)"):
         resolve({}, {"levels": levels})
 
 
@@ -321,7 +321,8 @@ def test_lists_have_commas_or_come_in_parts(arguments, expected):
 def test_what_is_no_list_is_refused(flag, text):
     with pytest.raises(InputError) as caught:
         invoke(flag, text)
-    assert str(caught.value) == f"{flag} {text}: wants {wanted(FIELDS[flag[2:].replace('-', '_')])}"
+    option = FIELDS[flag[2:].replace("-", "_")]
+    assert str(caught.value) == f"{flag} {text}: expects {wanted(option)}"
 
 
 # --- time budget
@@ -341,7 +342,7 @@ def test_what_is_no_time_is_refused(text):
     with pytest.raises(InputError) as caught:
         resolve({}, {"time_budget": text})
     assert str(caught.value) == (
-        "option 'time-budget' wants none or a number of seconds, or one with s, m or "
+        "option 'time-budget' expects none or a number of seconds, or one with s, m or "
         f"h such as 10m, got {text!r}")
 
 

@@ -1,8 +1,10 @@
-"""The end of a city: one model of its blocks, its levels of detail, and what it scores."""
+"""The end of a city: one model of its blocks, its levels of detail, and its scores."""
 
 import dataclasses
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from clsplat.city.lod import merge_levels
 from clsplat.city.merge import Merged, merge
@@ -24,7 +26,7 @@ from clsplat.scene import Scene
 
 
 def reference_file(against: Path | None) -> Path | None:
-    """The PLY of `--against`, a finished run or a PLY file; InputError where it is neither."""
+    """The PLY of `--against`, which is a finished run or a PLY file; InputError for others."""
     if against is None:
         return None
     path = RunFolder(against).model_path if against.is_dir() else against
@@ -43,14 +45,14 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     Parameters
     ----------
     city : its folder.
-    scene : the whole, as `read_scene` gave it.
+    scene : the whole, as `read_scene` returns it.
     options : of the whole.
     device : whose name is recorded.
     fill : see `merge.merge`.
 
     Raises
     ------
-    InputError : a block is lacking; nothing is written then.
+    InputError : a block is missing; nothing is written then.
     """
     merged = merge(city, scene, fill)
     merged.check()
@@ -70,7 +72,7 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
 
 
 def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
-    """Make the coarse model, and what its levels left, levels of detail of the whole."""
+    """Make the coarse model and its snapshots levels of detail of the whole."""
     coarse, whole = RunFolder(city.coarse), RunFolder(city.path)
     for factor, path in [*coarse.snapshots(), (1.0, coarse.model_path)]:
         level = COARSE_FACTOR * factor
@@ -81,24 +83,24 @@ def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
 def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
                   against: Path | None = None
                   ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-    """Score the merged model on the held-out views, look for seams, and write the report.
+    """Score the merged model on the held-out views, measure its seams, and write the report.
 
     Parameters
     ----------
     city : its folder, merged.
-    scene : the whole, as `read_scene` gave it.
+    scene : the whole, as `read_scene` returns it.
     options : of the whole.
     device : an open device.
-    against : a PLY file that seams are measured by; None: that of the coarse model.
+    against : the PLY file of the reference for seams; None: that of the coarse model.
 
     Returns
     -------
-    The scores as of `evaluate_views`, None without held-out views; and the seams as of
-    `find_seams`, by the training views where none are held out.
+    The result of `evaluate_run`, None without held-out views; and the result of `find_seams`, by
+    the training views where none are held out, None for a single block.
     """
     run, merged = Run.open(city.path), merge_record(city)
     spent = {**cost(city), "level": 1.0, "gaussians": merged["gaussians"]}
-    counts = [share["gaussians"] for share in merged["blocks"]]
+    counts = np.array([share["gaussians"] for share in merged["blocks"]])
     scores = seams = None
     train, test = scene.reduced(options.downscale, options.max_resolution).split(options.test_every)
     if test:
@@ -109,7 +111,7 @@ def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device:
     if not city.picture.is_file():
         draw(city, partition, scene, counts)
     if len(counts) > 1:
-        def model_of(number):
+        def model_of(number: int) -> Gaussians | None:
             block = RunFolder(city.block(number).run)
             return block.load_model(scene.offset) if block.has_model else None
 
@@ -119,13 +121,13 @@ def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device:
         run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
                         "worst_seam_db": seams["worst_seam_db"]})
     write_report(run.folder, embedded(city.picture, "map of the blocks"), share_table(merged),
-                 seams and seam_table(seams),
+                 seam_table(seams) if seams else None,
                  pictures=scores["pictures"] if scores else training_pictures(run, device))
     return scores, seams
 
 
 def merge_record(city: CityFolder) -> dict[str, Any]:
-    """The last record of a merge in the city's metrics."""
+    """The latest record of a merge in the city's metrics."""
     return [record for record in RunFolder(city.path).records() if record["event"] == "merge"][-1]
 
 

@@ -1,17 +1,19 @@
-"""Levels of detail: cells far away are drawn from the coarse models that SIG's levels left.
+"""Levels of detail: cells far away are drawn from the coarse models of SIG's levels.
 
-At distance d a camera takes f / d samples a world unit (f: focal length, pixels). What a model can
-show ends at its scene frequency, one over the mean sigma of its gaussians (frequency.py; Xue et al.
-2026, whose levels this ties to f / d). So a level is enough for a cell while the mean sigma covers
-at most so many pixels there; beyond, a finer one shows more. A finer level than needed is no better
-but worse: gaussians smaller than a pixel are drawn as if they covered one.
+At distance d a camera takes f / d samples a world unit (f: focal length, pixels). The detail of a
+model is limited by its scene frequency, one over the mean sigma of its gaussians
+(training/frequency.py; Xue et al. 2026, whose levels are compared with f / d here). So a level is
+enough for a cell while its mean sigma covers at most a fixed number of pixels there; nearer, a
+finer level shows more. A finer level than needed is worse, not better: gaussians smaller than a
+pixel are drawn as if they covered one.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +32,10 @@ from clsplat.io.run import RunFolder
 from clsplat.scene import Scene
 
 # pixels that the mean sigma of a level may cover, by whether the renderer is antialiased (measured:
-# to there it meets photos as small better, or at most 0.2 dB worse, than the finest level does)
-PIXELS = {False: 2.0, True: 1.1}
-CELL = 2048  # gaussians of the finest level in a cell, at most
-TAIL = 0.01  # share of a cell's gaussians at each end of each axis that do not stretch its box
+# up to there it fits photos of that size better than the finest level, or at most 0.2 dB worse)
+MOST_SIGMA_PIXELS = {False: 2.0, True: 1.1}
+CELL_GAUSSIANS = 2048  # of the finest level, at most
+TAIL_SHARE = 0.01  # of a cell's gaussians at each end of each axis that its box leaves out
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,7 @@ class Levels:
     @classmethod
     def of(cls, models: list[Gaussians],
            owner: Callable[[NDArray[np.float64]], NDArray[np.integer]] | None = None,
-           limit: int = CELL) -> Levels:
+           limit: int = CELL_GAUSSIANS) -> Levels:
         """Cut models into cells.
 
         Parameters
@@ -88,18 +90,22 @@ class Levels:
         return cls(rows, degree, firsts, low, high, frequencies)
 
     def choose(self, camera: Camera, pixels: float) -> NDArray[np.integer]:
-        """int[C]: the level that each cell needs for a Camera: the coarsest whose mean sigma covers
-        at most so many pixels where the cell is nearest, else the finest."""
+        """The level, int[C], that each cell needs for a camera.
+
+        It is the coarsest whose mean sigma covers at most `pixels` where the cell is nearest to the
+        camera, else the finest.
+        """
         nearest = np.clip(camera.position, self.low, self.high)
         distance = np.linalg.norm(nearest - camera.position, axis=1, keepdims=True)
         enough = max(camera.focal) <= pixels * self.frequencies * distance
-        there = np.diff(self.firsts, axis=1) > 0  # a block may lack a level
-        enough &= there | ~there[:, -1:]
+        exists = np.diff(self.firsts, axis=1) > 0  # a block may lack a level
+        enough &= exists | ~exists[:, -1:]
         enough[:, -1] = True
-        return enough.argmax(axis=1)
+        level: NDArray[np.integer] = enough.argmax(axis=1)
+        return level
 
-    def take(self, choice: NDArray[np.integer]) -> Gaussians:
-        """The Gaussians of the level int[C] of each cell."""
+    def select(self, choice: NDArray[np.integer]) -> Gaussians:
+        """The gaussians of the chosen level, int[C], of each cell."""
         cells = np.arange(len(choice))
         pieces = np.stack([self.firsts[cells, choice], self.firsts[cells, choice + 1]], axis=1)
         return Gaussians({name: np.concatenate([values[first:end] for first, end in pieces])
@@ -120,28 +126,34 @@ def frequency(log_scales: NDArray[np.floating], opacity_logits: NDArray[np.float
     """
     opacity = expit(opacity_logits.astype(np.float64))
     sigma = np.exp(log_scales.astype(np.float64)).mean(axis=1)
-    return opacity.sum() / max(opacity @ sigma, np.finfo(float).tiny)
+    return float(opacity.sum() / max(opacity @ sigma, np.finfo(float).tiny))
 
 
-def _bisected(positions, members, limit):
-    """Lists of rows, an int array a level, of each cell: halves of halves of the finest level's
-    `members`, across the longest side, until none has more than `limit`."""
+Rows = list[NDArray[np.integer]]  # of a cell, an array for each level
+
+
+def _bisected(positions: list[NDArray[np.float64]], members: Rows, limit: int) -> Iterator[Rows]:
+    """The rows of each cell.
+
+    The finest level's `members` are halved across their longest side until no cell has more than
+    `limit`.
+    """
     finest = positions[-1][members[-1]]
     if len(finest) > limit:
         low, high = _box(finest)
         axis = np.argmax(high - low)
         middle = np.median(finest[:, axis])
         below = [p[rows, axis] < middle for p, rows in zip(positions, members)]
-        if below[-1].any():  # else half of them lie at one place
+        if below[-1].any():  # else half of them are at one place
             for side in (below, [~b for b in below]):
                 yield from _bisected(positions, [r[b] for r, b in zip(members, side)], limit)
             return
     yield members
 
 
-def _box(points):
-    """(low, high), float64[3] each, without the outermost of points [N, 3]."""
-    return np.quantile(points.astype(np.float64), (TAIL, 1 - TAIL), axis=0)
+def _box(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The corners [2, 3] of the box around points [N, 3], without the outermost ones."""
+    return np.quantile(points.astype(np.float64), (TAIL_SHARE, 1 - TAIL_SHARE), axis=0)
 
 
 class Detail:
@@ -150,9 +162,9 @@ class Detail:
     Parameters
     ----------
     run : a run that was trained with snapshots, or a city.
-    scene : reduced to the size to draw at; the levels are read into its frame.
+    scene : reduced to the size of the pictures; the levels are read into its frame.
     device : an open device.
-    bias : coarser levels, as if everything were so many times as far away.
+    bias : levels are as coarse as if everything were this many times as far away.
 
     Attributes
     ----------
@@ -161,7 +173,7 @@ class Detail:
 
     Raises
     ------
-    InputError : the run has no levels of detail.
+    InputError : the run does not have levels of detail.
     """
 
     def __init__(self, run: Run, scene: Scene, device: Device, bias: float = 1.0) -> None:
@@ -175,37 +187,37 @@ class Detail:
         partition = city.partition() if city.has_partition else None
         self.levels = Levels.of(models, partition and (
             lambda positions: partition.owner(scene.offset + positions)))
-        self.pixels = bias * PIXELS[run.options.antialiased]
+        self.pixels = bias * MOST_SIGMA_PIXELS[run.options.antialiased]
         self._opened = functools.partial(run.opened, device, scene)
-        self.chosen = self._choice = self._on_device = None
+        self._choice: NDArray[np.integer] = np.empty(0, int)
         self.drawn = 0
 
     def draw(self, camera: Camera) -> NDArray[np.floating]:
-        """float32[H, W, 3] in 0..1, at the levels that a Camera needs."""
+        """[H, W, 3], 0 to 1: the picture of a camera at the levels that it needs."""
         choice = self.levels.choose(camera, self.pixels)
         if not np.array_equal(choice, self._choice):
-            self.chosen, self._choice = self.levels.take(choice), choice
+            self.chosen, self._choice = self.levels.select(choice), choice
             self._on_device = self._opened(self.chosen)
         self.drawn += self.chosen.count
         return render_view(*self._on_device, camera)
 
 
 def merge_levels(city: CityFolder, scene: Scene) -> list[float]:
-    """Join the levels of a city's blocks, each cropped to its cell, to levels of the city.
+    """Join the levels of a city's blocks, each cropped to its cell, into levels of the city.
 
-    A block may lack some: its finer ones are drawn instead.
+    A block may lack some levels; its finer ones are drawn instead.
 
     Parameters
     ----------
     city : its folder.
-    scene : the whole, as `read_scene` gave it.
+    scene : the whole, as `read_scene` returns it.
 
     Returns
     -------
-    The levels' factors.
+    The factors of the levels.
     """
     partition = city.partition()
-    parts = {}
+    parts: dict[float, list[tuple[int, Path]]] = {}
     for block in city.blocks():
         for factor, path in RunFolder(block.run).snapshots():
             parts.setdefault(factor, []).append((block.read()["number"], path))

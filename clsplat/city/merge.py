@@ -1,7 +1,7 @@
-"""Blocks to one model: each cropped to its cell, so that every gaussian is owned once.
+"""Merge blocks into one model: each is cropped to its cell, so that every gaussian is owned once.
 
-A block trains a margin around its cell, and surroundings; both belong to its neighbours. What a
-block lacks is listed, never passed over: `Merged.check` refuses a model with holes.
+A block trains a margin around its cell, and surroundings; both belong to its neighbours. Missing
+blocks are listed, never ignored: `Merged.check` refuses a model with holes.
 """
 
 from dataclasses import asdict, dataclass
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.city import CityFolder
+from clsplat.io.city import BlockFolder, CityFolder
 from clsplat.io.lock import holder, is_locked
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
@@ -21,26 +21,26 @@ from clsplat.partition.input import world_of
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene
 
-STARVED = 0.1  # gaussians a sparse point of its cell: a block that has fewer did not train well
-WHOLE = ("merged", "coarse")  # states of a block whose cell is filled
+STARVED = 0.1  # gaussians for each sparse point of its cell; a block with fewer did not train well
+FILLED = ("merged", "coarse")  # states of a block whose cell is filled
 TRAINS = "in training"  # by another process, at this moment
-KEPT = (TRAINS, "refused")  # states of a block that is never filled; the last one's cure is said
+NEVER_FILLED = (TRAINS, "refused")  # states of a block; the message gives the cure of the last one
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a block gave to the merged model.
+    """The part of a block in the merged model.
 
     Attributes
     ----------
     block : its number.
-    state : merged; coarse, the coarse model's gaussians in its place; or why not: missing,
-        unfinished, in training, starved, refused.
-    gaussians : that the merged model has of it.
-    trained : gaussians of its own model, margin and surroundings included.
-    views : how many it trained with.
-    points : sparse points in its cell.
-    note : more, for people.
+    state : merged; coarse, if the coarse model's gaussians are in its place; or the reason why it
+        has no part: missing, unfinished, in training, starved, refused.
+    gaussians : number of its gaussians in the merged model.
+    trained : number of gaussians of its own model, with margin and surroundings.
+    views : number of its training views.
+    points : number of sparse points in its cell.
+    note : an explanation for people.
     """
 
     block: int
@@ -54,14 +54,14 @@ class Share:
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """Blocks as one model, whole or not.
+    """Blocks as one model, which may have holes.
 
     Attributes
     ----------
     gaussians : in the frame of the whole scene, block after block.
     shares : one for each block, in the same order.
-    dropped : name of a view -> why no block took it.
-    path : of the city.
+    dropped : name of a view -> the reason why no block has it.
+    path : the folder of the city.
     """
 
     gaussians: Gaussians
@@ -70,14 +70,14 @@ class Merged:
     path: Path
 
     def check(self) -> None:
-        """Raise InputError where a cell is empty that should not be: one line that names all."""
-        lacking = [share for share in self.shares if share.state not in WHOLE]
+        """Raise an InputError that names all cells that are empty but should not be."""
+        lacking = [share for share in self.shares if share.state not in FILLED]
         if not lacking:
             return
         named = ", ".join(f"{share.block:03d} {share.state}" for share in lacking)
         cure = (f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, or fill them from "
                 "the coarse model with --fill")
-        for state in KEPT:
+        for state in NEVER_FILLED:
             cure = next((share.note for share in lacking if share.state == state), cure)
         raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be "
                          f"merged: {named}; {cure}")
@@ -89,59 +89,66 @@ class Merged:
 
 
 def merge(city: CityFolder, scene: Scene, fill: bool = False) -> Merged:
-    """Merge the finished blocks of a city; `Merged.check` says whether it is whole.
+    """Merge the finished blocks of a city; `Merged.check` says whether the model has holes.
 
-    One block at a time is read; what its cell holds is kept.
+    One block at a time is in memory.
 
     Parameters
     ----------
     city : its folder.
-    scene : the whole, as `read_scene` gave it.
-    fill : take the coarse model's gaussians for cells that are missing, unfinished or starved; not
-        of a block that another process trains at this moment.
+    scene : the whole, as `read_scene` returns it.
+    fill : take the coarse model's gaussians for blocks that are missing, unfinished or starved, but
+        not for a block that another process trains at this moment.
 
     Raises
     ------
-    InputError : another scene, a damaged partition, or block folders that are none of it.
+    InputError : another scene, a damaged partition, or block folders of another partition.
     """
     if fingerprint(scene) != city.read()["fingerprint"]:
         raise InputError(f"{city.path}: is a city of another scene than {scene.path}; give the one "
                          "that it was begun with, or begin a new city")
     partition = city.partition(scene)
-    _refuse_strangers(city, len(partition.regions))
+    _check_numbers(city, len(partition.regions))
     owner = partition.owner(world_of(scene, scene.points))
     points = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
     pieces, shares = [], []
     for number, views in enumerate(partition.views):
         state, trained, piece, note = _block(city.block(number), number, partition, scene)
-        if state == "merged" and piece.count < STARVED * points[number]:
+        if piece and piece.count < STARVED * points[number]:
             state, note = "starved", f"only {piece.count} gaussians in its cell"
-        if state != "merged":
             piece = None
         pieces.append(piece)
         shares.append(Share(number, state, piece.count if piece else 0, trained, len(views),
                             int(points[number]), note))
-    lacking = [s for s in shares if s.state not in ("merged", *KEPT)]
+    lacking = [s for s in shares if s.state not in ("merged", *NEVER_FILLED)]
     if fill and lacking:
         coarse = RunFolder(city.coarse).load_model(scene.offset)
         for share in lacking:
-            piece = pieces[share.block] = cropped(coarse, partition, share.block, scene.offset)
+            piece = cropped(coarse, partition, share.block, scene.offset)
+            pieces[share.block] = piece
             shares[share.block] = Share(share.block, "coarse", piece.count, share.trained,
                                         share.views, share.points, f"{share.state}: {share.note}")
-    dropped = {scene.views[view].name: why for view, why in partition.dropped.items()}
+    dropped = {scene.views[view].name: reason for view, reason in partition.dropped.items()}
     return Merged(joined([piece for piece in pieces if piece]), tuple(shares), dropped, city.path)
 
 
 def cropped(gaussians: Gaussians, partition: Partition, number: int,
             offset: NDArray[np.float64]) -> Gaussians:
-    """The gaussians that block `number` owns, of those in a frame at `offset` float64[3], world."""
+    """The gaussians that block `number` owns.
+
+    Parameters
+    ----------
+    offset : [3], world = coordinates of the gaussians + offset.
+    """
     kept = partition.owner(gaussians.positions.astype(np.float64) + offset) == number
     return Gaussians({f.name: gaussians.rows[f.name][kept] for f in LEARNED}, gaussians.sh_degree)
 
 
 def joined(pieces: list[Gaussians]) -> Gaussians:
-    """One model of several, in order, with the highest SH degree among them. The pieces' rows are
-    given up one field after the other, so that both are not in memory whole."""
+    """One model of several, in order, with the highest SH degree among them.
+
+    The pieces' rows are removed one field after the other, to save memory.
+    """
     degree = max((piece.sh_degree for piece in pieces), default=0)
     pieces = [piece.with_sh_degree(degree) for piece in pieces]
     return Gaussians({
@@ -150,8 +157,9 @@ def joined(pieces: list[Gaussians]) -> Gaussians:
         for field in LEARNED}, degree)
 
 
-def _block(folder, number, partition, scene):
-    """(state, gaussians trained, those of its cell or None, note) of a BlockFolder."""
+def _block(folder: BlockFolder, number: int, partition: Partition, scene: Scene
+           ) -> tuple[str, int, Gaussians | None, str]:
+    """The state of a block, its number of trained gaussians, those of its cell, and a note."""
     if not folder.is_there:
         return "missing", 0, None, "it was never written"
     run = RunFolder(folder.run)
@@ -168,10 +176,10 @@ def _block(folder, number, partition, scene):
     return "merged", gaussians.count, cropped(gaussians, partition, number, scene.offset), ""
 
 
-def _refuse_strangers(city, count):
-    """InputError where a folder is of no block, or claims to be of another than its name says."""
+def _check_numbers(city: CityFolder, count: int) -> None:
+    """InputError where a folder's number is not that of its name, or not one of `count` blocks."""
     for folder in city.blocks():
         number = folder.read()["number"]
         if folder.path != city.block(number).path or not 0 <= number < count:
             raise InputError(f"{folder.path}: says that it is block {number} of {count}; two "
-                             "partitions are mixed here: remove those folders that are not yours")
+                             "partitions are mixed here: remove the folders of the other one")

@@ -1,20 +1,20 @@
-"""How much shows where blocks meet: overlap, density and error along each border.
+"""Seams: overlap, density and error along each border between blocks.
 
 A border is the face that two cells share; its strip reaches into both by the smaller of their
-margins, so that both blocks trained all of it. A pixel is in the strip if the point is that the
-merged model's depth puts there. Three figures a border:
+margins, so that both blocks trained all of it. A pixel is in the strip if its point is, at the
+depth of the merged model. Three figures for each border:
 
 overlap_psnr    of one block's render against the other's, both uncropped, in the strip, dB: where
                 they agree, it does not matter which of them is shown.
 density_jump    ln of the gaussians in the second's half of the strip over those in the first's; the
-                halves are of one size. What the reference has there is subtracted: a street beside
-                a house has a jump in any model.
+                halves have the same size. The jump of the reference is subtracted, since a street
+                beside a house has a jump in any model.
 seam_db         PSNR that the merged model lacks in the strip: its gain over the reference elsewhere
-                less that in the strip, mean of the views that show the strip, by how many pixels
-                they show of it. PSNR itself differs from place to place by far more than a seam, as
-                places differ in difficulty; that cancels against a model that was trained in one
-                piece and has no seams. Errors summed over views instead would be those of the few
-                corners that hardly a photo shows.
+                minus that in the strip, mean of the views that show the strip, weighted by the
+                pixels that they show of it. PSNR itself differs from place to place by far more
+                than a seam, as places differ in difficulty; that cancels against a model that was
+                trained in one piece and has no seams. A sum of errors over views would be dominated
+                by the few corners that hardly any photo shows.
 """
 
 import functools
@@ -23,20 +23,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.evaluation.colour import fit_colour
-from clsplat.evaluation.views import opened, photo_of, render_view
+from clsplat.evaluation.views import Image, opened, photo_of, render_view
 from clsplat.gaussians import Gaussians
 from clsplat.options import TrainOptions
 from clsplat.partition.partition import Partition
+from clsplat.partition.region import Space
 from clsplat.scene import Scene, View
 
 STRIP = 0.1  # of the cells' sides, where blocks have no margin
-OPAQUE = 0.5  # a pixel has a place if no more light than this passes
-OVERLAP_VIEWS = 4  # a border, those that show most of it
-LEAST_PIXELS = 500  # of a strip, and of the rest of a view; fewer say nothing
+OPAQUE = 0.5  # a pixel has a depth if its transmittance is below this
+OVERLAP_VIEWS = 4  # for each border, those that show most of it
+LEAST_PIXELS = 500  # of a strip, and of the rest of a view; fewer are too noisy
 CHUNK = 1 << 20  # gaussians at once
 
 
@@ -60,14 +62,14 @@ class Border:
     high: np.ndarray
 
     def side(self, coordinates: NDArray[np.float64]) -> NDArray[np.int8]:
-        """int8[N]: of coordinates [N, 3], -1 in the first's half of the strip, 1 in the second's,
-        0 elsewhere."""
+        """[N]: for coordinates [N, 3], -1 in the first half of the strip, 1 in the second, else 0.
+        """
         within = ((coordinates >= self.low) & (coordinates < self.high)).all(axis=1)
         half = np.where(coordinates[:, self.axis] < self.at, -1, 1)
         return np.where(within, half, 0).astype(np.int8)
 
     def pixels(self, coordinates: NDArray[np.float64]) -> NDArray[np.int64]:
-        """int64[K]: which of coordinates [N, 3], those of a picture, are in the strip."""
+        """[K]: the indices of those of a picture's coordinates [N, 3] that are in the strip."""
         if not len(coordinates) or (coordinates.max(axis=0) < self.low).any() or (
                 coordinates.min(axis=0) >= self.high).any():
             return np.empty(0, np.int64)  # most borders of a city are not in the picture
@@ -75,7 +77,7 @@ class Border:
 
 
 def find_borders(partition: Partition) -> list[Border]:
-    """The Borders of a Partition, each pair of neighbours once."""
+    """The borders of a partition, each pair of neighbours once."""
     regions = partition.regions
     low, high = (np.array([getattr(region, end) for region in regions]) for end in ("low", "high"))
     borders = []
@@ -93,27 +95,27 @@ def find_borders(partition: Partition) -> list[Border]:
 
 
 def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
-               options: TrainOptions, merged: Gaussians, counts: Sequence[int],
+               options: TrainOptions, merged: Gaussians, counts: NDArray[np.integer],
                reference: Gaussians, block_model: Callable[[int], Gaussians | None]
                ) -> dict[str, Any]:
-    """Measure how much shows where blocks meet. All models are in the scene's frame.
+    """Measure how visible the seams between blocks are. All models are in the scene's frame.
 
     Parameters
     ----------
     device : an open device.
     partition : the blocks.
     scene : the whole.
-    views : those of its views to look from, at the size to look at.
+    views : the views to render, at the size of the renders.
     options : how models are rendered.
     merged : the model, block after block.
-    counts : how many gaussians of it each block gave.
+    counts : how many of its gaussians each block owns.
     reference : a model trained in one piece: the coarse one, or another to compare with.
     block_model : a block's number -> its model, not cropped, or None.
 
     Returns
     -------
-    {"borders": [a dict a border], "seam_db", "worst_seam_db", "views"}; None for a figure that
-    nothing can be said about.
+    {"borders": [a dict for each border], "seam_db", "worst_seam_db", "views"}; figures that cannot
+    be measured are None.
     """
     borders = find_borders(partition)
     on_device = functools.partial(opened, device, scene=scene, options=options)
@@ -136,11 +138,23 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
             "seam_db": _scores(errors[-1])["seam_db"]}
 
 
-def _inspect_views(borders, space, offset, views, merged, reference):
-    """(shown_in, errors). shown_in: a border's [(pixels, view, flat indices int[K])], most pixels
-    first, OVERLAP_VIEWS at most. errors: for each border and at last for all, [float64[2, 3] a
-    view]: in the strip and elsewhere, pixels, squared errors of merged, and of reference."""
-    shown_in, errors = [[] for _ in borders], [[] for _ in range(len(borders) + 1)]
+Model = tuple[Any, Any, int]  # on a device, see `evaluation.views.opened`
+Shown = tuple[int, View, NDArray[np.int64]]  # a strip in a view: pixels, view, flat indices [K]
+
+
+def _inspect_views(borders: list[Border], space: Space, offset: NDArray[np.float64],
+                   views: Sequence[View], merged: Model, reference: Model
+                   ) -> tuple[list[list[Shown]], list[list[list[NDArray[np.float64]]]]]:
+    """Where each border is visible, and the errors beside it.
+
+    Returns
+    -------
+    The OVERLAP_VIEWS that show most of each border. For each border, and finally for all of them
+    together, float64[2, 3] a view: in the strip and elsewhere, the pixels and the squared errors of
+    the merged model and the reference.
+    """
+    shown_in: list[list[Shown]] = [[] for _ in borders]
+    errors: list[list[list[NDArray[np.float64]]]] = [[] for _ in range(len(borders) + 1)]
     for view in views:
         image, place = _picture(merged, view.camera)
         known = np.isfinite(place).all(axis=-1)
@@ -163,8 +177,8 @@ def _inspect_views(borders, space, offset, views, merged, reference):
     return shown_in, errors
 
 
-def _picture(model, camera):
-    """(float32[H, W, 3] in 0..1, float64[H, W, 3]: the point each pixel shows, nan where none)."""
+def _picture(model: Model, camera: Camera) -> tuple[Image, NDArray[np.float64]]:
+    """The image of a camera, and the point [H, W, 3] that each pixel shows; nan where none."""
     renderer, rows, degree = model
     frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree, True)
     image = np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
@@ -177,8 +191,12 @@ def _picture(model, camera):
     return image, (place - camera.translation) @ camera.rotation
 
 
-def _overlaps(borders, shown_in, on_device, block_model):
-    """dB a border, or None: one block's render against its neighbour's. Each block is opened once.
+def _overlaps(borders: list[Border], shown_in: list[list[Shown]],
+              on_device: Callable[[Gaussians], Model],
+              block_model: Callable[[int], Gaussians | None]) -> list[float | None]:
+    """PSNR, dB, of one block's render against its neighbour's, for each border that has both.
+
+    Each block is opened once.
     """
     shown = {}  # (border, block): its colours in the strip
     for block in sorted({block for border in borders for block in (border.first, border.second)}):
@@ -187,7 +205,8 @@ def _overlaps(borders, shown_in, on_device, block_model):
         gaussians = block_model(block) if own else None
         if gaussians is None:
             continue
-        model, pictures = on_device(gaussians), {}
+        model = on_device(gaussians)
+        pictures: dict[str, NDArray[np.floating]] = {}
         for number in own:
             parts = []
             for _, view, pixels in shown_in[number]:
@@ -195,17 +214,20 @@ def _overlaps(borders, shown_in, on_device, block_model):
                     pictures[view.name] = render_view(*model, view.camera).reshape(-1, 3)
                 parts.append(pictures[view.name][pixels])
             shown[number, block] = np.concatenate(parts)
-    result = []
+    result: list[float | None] = []
     for number, border in enumerate(borders):
         one, other = (shown.get((number, block)) for block in (border.first, border.second))
-        enough = one is not None and other is not None and len(one) >= LEAST_PIXELS
-        result.append(float(_psnr(np.mean((one.astype(np.float64) - other) ** 2))) if enough
-                      else None)
+        if one is None or other is None or len(one) < LEAST_PIXELS:
+            result.append(None)
+        else:
+            result.append(float(_psnr(np.mean((one.astype(np.float64) - other) ** 2))))
     return result
 
 
-def _halves(borders, space, positions, counts, offset):
-    """int64[B, 2]: gaussians in either half of each strip; positions: block after block."""
+def _halves(borders: list[Border], space: Space, positions: NDArray[np.floating],
+            counts: NDArray[np.integer], offset: NDArray[np.float64]
+            ) -> NDArray[np.int64]:
+    """[B, 2]: gaussians in either half of each strip, from positions block after block."""
     halves = np.zeros((len(borders), 2), np.int64)
     for block, (end, count) in enumerate(zip(np.cumsum(counts), counts)):
         own = [n for n, border in enumerate(borders) if block in (border.first, border.second)]
@@ -217,26 +239,27 @@ def _halves(borders, space, positions, counts, offset):
     return halves
 
 
-def _jump(halves):
-    """ln of the second over the first; half a gaussian more, so that none has a logarithm."""
+def _jump(halves: NDArray[np.int64]) -> float:
+    """ln of the second over the first; both plus a half, since 0 does not have a logarithm."""
     return float(np.log((halves[1] + 0.5) / (halves[0] + 0.5)))
 
 
-def _scores(errors):
-    """What the errors of `_inspect_views` say of a border."""
+def _scores(errors: ArrayLike) -> dict[str, Any]:
+    """The scores of a border from the errors of `_inspect_views`."""
     names = "psnr", "reference_psnr", "elsewhere_psnr", "elsewhere_reference_psnr"
-    errors = np.reshape(errors, (-1, 2, 3))
-    pixels = int(errors[:, 0, 0].sum())
-    errors = errors[errors[..., 0].min(axis=1) >= LEAST_PIXELS]
-    if not len(errors):
+    views: NDArray[np.float64] = np.reshape(errors, (-1, 2, 3))
+    pixels = int(views[:, 0, 0].sum())
+    views = views[views[..., 0].min(axis=1) >= LEAST_PIXELS]
+    if not len(views):
         return {"pixels": pixels, **dict.fromkeys(names), "seam_db": None}
-    weights = errors[:, 0, 0]
+    weights = views[:, 0, 0]
     near, near_reference, far, far_reference = (
-        float(np.average(_psnr(errors[:, where, model] / errors[:, where, 0]), weights=weights))
+        float(np.average(_psnr(views[:, where, model] / views[:, where, 0]), weights=weights))
         for where in (0, 1) for model in (1, 2))
     return {"pixels": pixels, **dict(zip(names, (near, near_reference, far, far_reference))),
             "seam_db": (far - far_reference) - (near - near_reference)}
 
 
-def _psnr(square):
+def _psnr(square: ArrayLike) -> Any:
+    """PSNR, dB, of a squared error or several."""
     return -10 * np.log10(np.maximum(square, 1e-12))

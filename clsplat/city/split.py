@@ -1,28 +1,43 @@
-"""A block that its device cannot hold, cut in two."""
+"""Blocks that do not fit their device are cut in two."""
+
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.distribute import Outcome
 from clsplat.errors import TOO_LARGE
+from clsplat.io.city import CityFolder
 from clsplat.partition.grid import best_cut
 from clsplat.partition.partition import Partition
+from clsplat.scene import Scene
 
 
-def too_large(outcomes):
-    """Numbers of the blocks that failed for memory."""
+def too_large(outcomes: Iterable[Outcome]) -> list[int]:
+    """Numbers of the blocks that failed for lack of device memory."""
     return [int(outcome.task.name) for outcome in outcomes
             if not outcome.ok and TOO_LARGE in outcome.message]
 
 
-def split_blocks(city, scene, numbers, positions_world):
-    """Cut these blocks of a CityFolder across their longer side, into halves of equal content.
+def split_blocks(city: CityFolder, scene: Scene, numbers: Iterable[int],
+                 positions_world: NDArray[np.float64]) -> tuple[Partition, list[int]]:
+    """Cut blocks of a city across their longer side, into halves of equal content.
 
-    scene: the whole; positions_world: float64[N, 3], of the coarse gaussians. The first half keeps
-    the number, the other gets a new one; both keep the views. The folders of these blocks are
-    removed, the others are theirs as before. Returns the Partition, and which of the blocks could
-    not be cut.
+    The first half keeps the number, the other gets a new one; both keep the views. The folders of
+    these blocks are removed, those of the others stay.
+
+    Parameters
+    ----------
+    scene : the whole.
+    positions_world : [N, 3], of the coarse gaussians.
+
+    Returns
+    -------
+    The new partition, and the numbers of the blocks that could not be cut.
     """
     partition = city.partition(scene)
-    regions, views, whole = list(partition.regions), list(partition.views), []
+    regions, views = list(partition.regions), list(partition.views)
+    whole: list[int] = []
     coordinates = partition.space.to(positions_world)
     notes = list(partition.notes)
     for number in numbers:

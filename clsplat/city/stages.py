@@ -1,56 +1,63 @@
-"""What is done to a city's folder, in order: begin, coarse, cut into blocks, train them."""
+"""The stages of a city in order: begin, train the coarse run, cut into blocks, train the blocks."""
 
 import dataclasses
 import json
-from contextlib import nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.city.split import split_blocks, too_large
 from clsplat.city.visibility import DropTest
 from clsplat.config.option import differences, plain
-from clsplat.distribute import Task, run
+from clsplat.device import Device
+from clsplat.distribute import Outcome, Task, run
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.atomic import replacing
-from clsplat.io.city import CITY, PARTITION
+from clsplat.io.city import PARTITION, CityFolder
 from clsplat.io.folders import make_folder
-from clsplat.io.run import RunFolder
+from clsplat.io.run import CITY, RunFolder
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.options import checked, resolve
+from clsplat.options import TrainOptions, checked, resolve
 from clsplat.partition.blocks import block_start, find_windows
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
+from clsplat.partition.options import PartitionOptions
 from clsplat.partition.outline import geojson
+from clsplat.partition.partition import Partition
 from clsplat.report.map import write_map
+from clsplat.scene import Scene
 from clsplat.schedule import schedule_of
-from clsplat.training.block import (
-    block_options,
-    decided_by,
-    options_of_blocks,
-    train_block,
-)
+from clsplat.training.block import block_options, decided_by, options_of_blocks, train_block
 from clsplat.training.loop import resume, train
 
-COARSE_FACTOR = 2  # by which the coarse run's photos are smaller
+COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
-ASKED = "asked"  # key of partition.json: the PartitionOptions
-SPLITS = 4  # of a block, one after the other
+REQUESTED = "asked"  # key of partition.json for the PartitionOptions
+MOST_SPLITS = 4  # of a block, one after the other
 
 
-def begin(city, scene, options):
-    """Write what was asked for into city.json; InputError where it holds another scene or other
-    options. options: TrainOptions of the whole, as one run would have them."""
+def begin(city: CityFolder, scene: Scene, options: TrainOptions) -> None:
+    """Write the scene and the options of the whole into city.json.
+
+    Raises
+    ------
+    InputError : the folder holds a city of another scene, or one with other options.
+    """
     record = {**scene_record(scene.path, city.path), "fingerprint": fingerprint(scene),
               "options": dataclasses.asdict(options)}
     if city.has_record:
-        there = city.read(options=dict)
-        if there["fingerprint"] != record["fingerprint"]:
+        earlier = city.read(options=dict)
+        if earlier["fingerprint"] != record["fingerprint"]:
             raise InputError(f"{city.path}: is the city of another scene, "
-                             f"{there.get('scene_absolute')}; choose another --output")
-        changed = next(differences(there["options"], options), None)
-        if changed and RunFolder(city.coarse).is_begun:  # else nothing was made of them yet
+                             f"{earlier.get('scene_absolute')}; choose another --output")
+        changed = next(differences(earlier["options"], options), None)
+        if changed and RunFolder(city.coarse).is_begun:  # else they have not been used yet
             raise InputError(f"{city.path}: was begun with {changed[0]} {changed[1]}; give the "
                              "same options, or choose another --output")
     else:
@@ -59,15 +66,21 @@ def begin(city, scene, options):
     city.write(record)
 
 
-def begin_from_coarse(city, given=None):
-    """(Scene, TrainOptions of the whole) of a city by its city.json, which is written here where
-    the coarse run in CITY/coarse was trained by itself. given: where the scene is now, if it was
-    moved."""
+def begin_from_coarse(city: CityFolder, scene_path: Path | None = None
+                      ) -> tuple[Scene, TrainOptions]:
+    """The scene of a city, and the options of the whole, from city.json.
+
+    That file is written here if the coarse run in CITY/coarse was trained by itself.
+
+    Parameters
+    ----------
+    scene_path : where the scene is now, if it was moved.
+    """
     if city.has_record:
         record = city.read(scene=str, options=dict)
         options = resolve({}, {key: checked(str(city.path / CITY), key, value)
                                for key, value in record["options"].items()})
-        scene = read_scene(recorded_scene(record, city.path, given), options.images)
+        scene = read_scene(recorded_scene(record, city.path, scene_path), options.images)
         if fingerprint(scene) != record["fingerprint"]:
             raise InputError(f"{city.path}: its scene {scene.path} has changed since; put it "
                              "back, or begin a new city")
@@ -77,7 +90,7 @@ def begin_from_coarse(city, given=None):
     if not coarse.coarse:
         raise InputError(f"{city.coarse}: was not trained with --coarse; begin again with "
                          f"`clsplat train SCENE --coarse -o {city.coarse}`")
-    scene = run.scene(given, whole=True)
+    scene = run.scene(scene_path, whole=True)
     options = dataclasses.replace(
         coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         max_resolution=COARSE_FACTOR * coarse.max_resolution,
@@ -86,24 +99,23 @@ def begin_from_coarse(city, given=None):
     return scene, options
 
 
-def train_coarse(city, scene, options, device, progress=None):
-    """Train the scaffold into city.coarse, or go on with it; returns its RunFolder."""
+def train_coarse(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+                 progress: Callable[..., object] | None = None) -> RunFolder:
+    """Train the coarse model in CITY/coarse, or continue its training; return its folder."""
     folder = RunFolder(city.coarse)
     if folder.is_begun and folder.read_options().get("fingerprint") != fingerprint(scene):
         raise InputError(f"{folder.path}: is a run of another scene; choose another --output")
     if folder.is_finished:
         return folder
-    wanted = coarse_options(options)
     with folder.locked():
         start = resume if folder.is_begun else train
         folder = folder if folder.is_begun else RunFolder.create(city.coarse)
-        start(scene, wanted, device, folder, progress)
+        start(scene, coarse_options(options), device, folder, progress)
     return folder
 
 
-def coarse_options(options):
-    """TrainOptions of the coarse run: photos half as large as the blocks', and part of the steps.
-    """
+def coarse_options(options: TrainOptions) -> TrainOptions:
+    """The options of the coarse run: photos half as large as the blocks', and half of the steps."""
     return dataclasses.replace(
         options, coarse=True, downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
@@ -111,12 +123,22 @@ def coarse_options(options):
         iterations=max(1, int(COARSE_SHARE * options.iterations)), eval_at=(), eval_every=0)
 
 
-def cut_into_blocks(city, scene, options, wanted, device):
-    """Make the Partition of a city whose coarse run is finished, and its blocks' folders.
+def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
+                    partition_options: PartitionOptions | None, device: Device
+                    ) -> tuple[Partition, NDArray[np.integer]]:
+    """Make the partition of a city whose coarse run is finished, and the folders of its blocks.
 
-    options: TrainOptions of the whole; wanted: PartitionOptions, of no use where there is a
-    partition. What is there already stays as it is. A block takes as many steps a view as one run
-    of the whole would.
+    An existing partition and existing blocks stay as they are. A block has as many steps a view as
+    one run of the whole would.
+
+    Parameters
+    ----------
+    options : of the whole.
+    partition_options : an existing partition must have been made with these, unless this is None.
+
+    Returns
+    -------
+    The partition, and the coarse gaussians that each block owns, [B].
     """
     coarse = Run.open(city.coarse)
     small, gaussians = coarse.options, coarse.finished_model
@@ -126,36 +148,36 @@ def cut_into_blocks(city, scene, options, wanted, device):
     if city.has_partition:
         city.adopt()
         partition = city.partition(scene)
-        _check_asked(city, wanted)
+        if partition_options:
+            _check_same(city, partition_options)
     else:
+        assert partition_options is not None
         drop = None
-        if wanted.method == "citygs" and wanted.grid != (1, 1):
+        if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
-        partition = make_partition(scene, wanted, gaussians, views, drop)
-        city.write_partition({**partition.record(), ASKED: plain(wanted)})
+        partition = make_partition(scene, partition_options, gaussians, views, drop)
+        city.write_partition({**partition.record(), REQUESTED: plain(partition_options)})
     counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
     exposures = coarse.exposures
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
-        share = len(chosen) / len(views)
-        given = block_steps(options, share)
-        shown = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
-                                    observations=None)
-        windows = find_windows(gaussians, scene, region, shown.views)
-        shown = shown.cropped(windows).reduced(options.downscale, options.max_resolution)
-        part = block_start(gaussians, scene, region, shown.views)
+        own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
+                                  observations=None)
+        windows = find_windows(gaussians, scene, region, own.views)
+        own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
+        part = block_start(gaussians, scene, region, own.views)
         city.write_block(
             number, scene, chosen, region, windows, part.gaussians, exposures,
-            options_of_blocks(given, decided),
+            options_of_blocks(block_steps(options, len(chosen) / len(views)), decided),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings})
     return partition, counts
 
 
-def block_steps(options, share):
-    """{option: value} of a block with this share of the views."""
+def block_steps(options: TrainOptions, share: float) -> dict[str, Any]:
+    """The options, by name, of a block with this share of the views."""
     steps = max(1, round(options.iterations * share))
     schedule = schedule_of(options.schedule)
     shrunk = dataclasses.replace(options, iterations=steps, eval_at=(), eval_every=0,
@@ -165,8 +187,12 @@ def block_steps(options, share):
             if field.name not in ("init", "coarse")}
 
 
-def draw(city, partition, scene, counts):
-    """Write the partition as a map and as GeoJSON; counts: int[B], gaussians that each block owns.
+def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[np.integer]) -> None:
+    """Write the partition as a map and as GeoJSON.
+
+    Parameters
+    ----------
+    counts : [B], gaussians that each block owns.
     """
     with replacing(city.picture) as file:
         write_map(file, partition, scene, counts)
@@ -175,37 +201,45 @@ def draw(city, partition, scene, counts):
             {"gaussians": int(count)} for count in counts])) + "\n").encode())
 
 
-def train_blocks(city, workers=1, scheduler="", devices=(), progress=None, told=None, began=None):
-    """Train what is not finished; the Outcome of every block.
+def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
+                 devices: Sequence[str] = (),
+                 progress: Callable[[str], AbstractContextManager[Any]] | None = None,
+                 ended: Callable[[Outcome, str], object] | None = None,
+                 began: Callable[[str, str], object] | None = None) -> list[Outcome]:
+    """Train the blocks that are not finished; return the outcome of every block.
 
-    workers, scheduler, devices: see `distribute.run`; progress: called with "block 2 of 9", say,
-    makes that of a training, a context manager, where blocks are trained one after the other in
-    this process; told: called with each Outcome as it comes, and began with a block's name as it
-    begins, both with "block 2 of 9", say, after that.
+    Parameters
+    ----------
+    workers, scheduler, devices : see `distribute.run`.
+    progress : called with a title such as "block 2 of 9", for a training in this process; returns
+        the progress of that training.
+    ended : called with each outcome and such a title.
+    began : called with the name of a block that begins and such a title.
     """
     blocks = {block.path.name: block for block in city.blocks()}
-    places = {name: f"block {number} of {len(blocks)}" for number, name in enumerate(blocks, 1)}
+    titles = {name: f"block {number} of {len(blocks)}" for number, name in enumerate(blocks, 1)}
     chosen = ("--device", devices[0]) if len(devices) == 1 else ()
     tasks = [Task(name, ("block", str(block.path.resolve()), "-q", *chosen),
                   RunFolder(block.run).model_path)
              for name, block in blocks.items()]
 
-    def here(task):
+    def in_this_process(task: Task) -> None:
         block = blocks[task.name]
         block.check()
         options = block_options(block, **({"device": devices[0]} if devices else {}))
-        with progress(places[task.name]) if progress else nullcontext() as shown:
+        with progress(titles[task.name]) if progress else nullcontext() as shown:
             train_block(block, options, shown)
 
-    return run(tasks, workers, scheduler, devices=devices, call=here,
-               progress=told and (lambda outcome: told(outcome, places[outcome.task.name])),
-               began=began and (lambda name: began(name, places[name])))
+    return run(tasks, workers, scheduler, devices=devices, call=in_this_process,
+               progress=ended and (lambda outcome: ended(outcome, titles[outcome.task.name])),
+               began=began and (lambda name: began(name, titles[name])))
 
 
-def train_all_blocks(city, scene, options, device, **how):
-    """`train_blocks`; blocks that do not fit their device are cut in two and begun again."""
-    outcomes = train_blocks(city, **how)
-    for _ in range(SPLITS):
+def train_all_blocks(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+                     **settings: Any) -> list[Outcome]:
+    """`train_blocks` with these settings; blocks that do not fit their device are cut in two."""
+    outcomes = train_blocks(city, **settings)
+    for _ in range(MOST_SPLITS):
         numbers = too_large(outcomes)
         if not numbers:
             break
@@ -214,16 +248,17 @@ def train_all_blocks(city, scene, options, device, **how):
         if len(whole) == len(numbers):
             break
         cut_into_blocks(city, scene, options, None, device)
-        outcomes = train_blocks(city, **how)
+        outcomes = train_blocks(city, **settings)
     return outcomes
 
 
-def _check_asked(city, wanted):
-    """InputError where the blocks that are there were cut as PartitionOptions say otherwise."""
-    asked = city.read_partition().get(ASKED) or {}
-    if not isinstance(asked, dict):
-        raise InputError(f"{city.path / PARTITION}: damaged ({ASKED} is {str(asked)[:20]!r}); "
-                         f"remove it, and make it with `clsplat partition {city.path}`")
-    for name, there, here in differences({**plain(wanted), **asked}, wanted) if wanted else ():
-        raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {there}, not {here}; "
-                         "remove partition.json and blocks/ there, or choose another --output")
+def _check_same(city: CityFolder, options: PartitionOptions) -> None:
+    """InputError where the existing blocks were cut with other options."""
+    recorded = city.read_partition().get(REQUESTED) or {}
+    if not isinstance(recorded, dict):
+        raise InputError(f"{city.path / PARTITION}: damaged ({REQUESTED} is "
+                         f"{str(recorded)[:20]!r}); remove it, and make it with `clsplat partition "
+                         f"{city.path}`")
+    for name, old, new in differences({**plain(options), **recorded}, options):
+        raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {old}, not {new}; "
+                         "remove its partition.json and blocks/, or choose another --output")

@@ -1,5 +1,7 @@
 """`clsplat block`: one block of a city, trained to its end."""
 
+from __future__ import annotations
+
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -12,34 +14,31 @@ from clsplat.errors import Interrupted
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--device", envvar=DEVICE,
-              help="As for `clsplat train`, instead of what the city was given.")
+              help="As for `clsplat train`; default: that of the city.")
 @click.option("--stop-at", type=click.IntRange(min=1), help="Stop after this step.")
 @click.option("--wait", type=FiniteRange(0, 86400), default=0, show_default=True,
               help="Seconds to wait for another process that trains this block.")
-@click.option("-q", "--quiet", is_flag=True, help="No progress line.")
-def block(folder, device, stop_at, wait, quiet):
-    """Train the block in FOLDER, a CITY/blocks/NNN, into its folder run/.
+@click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
+def block(folder: Path, device: str | None, stop_at: int | None, wait: float, quiet: bool) -> None:
+    """Train the block of a city in FOLDER.
 
-    Goes on from the last checkpoint, and does nothing where the block is finished. It needs nothing
-    but its folder and the photos, so it runs anywhere: `clsplat city` calls it, and so may a
-    cluster's queue.
+    FOLDER is a CITY/blocks/NNN; the run is written to run/ in it. Continues from the last
+    checkpoint, and does nothing if the block is finished. It needs only the folder and the photos,
+    so it runs on any machine: `clsplat city` calls it, and so may the queue of a cluster.
     """
+    from clsplat.cli.progress import Progress
     from clsplat.io.city import BlockFolder
     from clsplat.training.block import block_options, train_block
-    there = BlockFolder(folder)
-    there.check()
+    city_block = BlockFolder(folder)
+    city_block.check()
     changes = {"device": device, "stop_at": stop_at}
-    options = block_options(there, **{key: value for key, value in changes.items() if value})
+    options = block_options(city_block, **{key: value for key, value in changes.items()
+                                                if value})
     try:
-        with nullcontext() if quiet else _progress(options) as progress:
-            trained = train_block(there, options, progress, wait)
+        with nullcontext() if quiet else Progress(options.stop_at) as progress:
+            trained = train_block(city_block, options, progress, wait)
     except Interrupted:
-        raise Interrupted(f"{folder}: stopped, its state is saved; the same command goes on"
+        raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues"
                           ) from None
     if not quiet:
-        click.echo(f"{there.run}: {'finished' if trained else 'was finished before'}")
-
-
-def _progress(options):
-    from clsplat.cli.progress import Progress
-    return Progress(options.stop_at)
+        click.echo(f"{city_block.run}: {'finished' if trained else 'was finished before'}")

@@ -1,10 +1,14 @@
 """A campaign: the same scene trained with several schedules and seeds, then compared.
 
-A run is folder OUTPUT/SCHEDULE.SEED. The same command again goes on where the last one ended.
+A run is the folder OUTPUT/SCHEDULE.SEED. The same command again continues an interrupted campaign.
 """
 
+from __future__ import annotations
+
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,25 +16,33 @@ from clsplat.config.option import differences, options_of
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.options import TrainOptions, resolve, serves
 
-NEW, STARTED, FINISHED = "from the start", "going on from its checkpoint", "finished before"
+if TYPE_CHECKING:
+    from clsplat.io.run import RunFolder
+
+NEW, STARTED, FINISHED = "from the start", "from its checkpoint", "finished before"
 
 
-def combinations(file_values, flag_values, schedules, seeds):
-    """The TrainOptions of every schedule with every seed; those of one seed follow each other, so
-    that a campaign cut short has compared all schedules.
+def combinations(file_values: dict[str, Any], flag_values: dict[str, Any], schedules: str,
+                 seeds: int) -> list[TrainOptions]:
+    """The options of every schedule with every seed.
 
-    file_values, flag_values: as for `resolve`, which each schedule completes in its own way; one
-    that means something to another of the schedules only is left out. schedules: names with commas
-    between them; seeds: how many, counted from the seed given. Raises InputError.
+    All schedules with one seed come before those with the next, so that an interrupted campaign can
+    compare them.
+
+    Parameters
+    ----------
+    file_values, flag_values : as for `resolve`; a schedule ignores options of the other schedules.
+    schedules : names with commas between them.
+    seeds : the number of seeds, counted from the option's seed.
     """
     names = schedules.split(",")
     if len(set(names)) < len(names):
         raise InputError(f"--schedules {schedules}: names one twice; leave the second out")
     if seeds < 1:
-        raise InputError(f"--seeds {seeds}: wants at least 1")
+        raise InputError(f"--seeds {seeds}: expects at least 1")
     given = {**file_values, **flag_values}
     if given.get("stop_at"):
-        raise InputError("--stop-at: cannot go with --schedules, which finishes every run; "
+        raise InputError("--stop-at: cannot be used with --schedules, which finishes every run; "
                          "leave one of them out")
     serving = {option.name: [name for name in names if serves(option, name)]
                for option in options_of(TrainOptions)}
@@ -40,24 +52,32 @@ def combinations(file_values, flag_values, schedules, seeds):
             for number in range(seeds) for name in names]
 
 
-def run_campaign(train_one, wanted, output, scene):
-    """Train what is not finished yet, then print and write the comparison of all.
+def run_campaign(train_one: Callable[[TrainOptions, Path, bool], object],
+                 runs: list[TrainOptions], output: Path, scene: Path) -> None:
+    """Train the runs that are not finished, then print and write the comparison of all.
 
-    train_one: called as train_one(options, folder, resume), resume: whether to go on from the
-    folder's checkpoint; if not, it may overwrite: the folder holds at most a start without one.
-    wanted: TrainOptions as from `combinations`; scene: the path that they train on. A run that
-    fails does not stop the others. Raises InputError: before any training if a folder holds another
-    run, at the end if one failed.
+    A run that fails does not stop the others.
+
+    Parameters
+    ----------
+    train_one : called with the options, the folder, and whether to resume from the checkpoint; if
+        not, it may overwrite the folder, which has no checkpoint.
+    runs : the result of `combinations`.
+    scene : the path of the scene.
+
+    Raises
+    ------
+    InputError : before any training if a folder holds another run; at the end if a run failed.
     """
-    states = [_state(Path(output) / f"{o.schedule}.{o.seed}", o, scene) for o in wanted]
+    states = [_state(Path(output) / f"{o.schedule}.{o.seed}", o, scene) for o in runs]
     finished, failed = [], []
-    for number, (options, (folder, state)) in enumerate(zip(wanted, states), 1):
-        click.echo(f"[{number}/{len(wanted)}] {folder}: {state}")
+    for number, (options, (folder, state)) in enumerate(zip(runs, states), 1):
+        click.echo(f"[{number}/{len(runs)}] {folder}: {state}")
         if state != FINISHED:
             try:
                 train_one(options, folder, state == STARTED)
             except Interrupted as error:
-                raise Interrupted(f"{error}; the same command as before goes on with the whole "
+                raise Interrupted(f"{error}; the same command as before continues the whole "
                                   "campaign") from None
             except ClsplatError as error:
                 click.echo(f"failed: {error}", err=True)
@@ -69,12 +89,12 @@ def run_campaign(train_one, wanted, output, scene):
         text, page = write_comparison(finished, output)
         click.echo(f"\n{text}\n\npage: {click.format_filename(page)}")
     if failed:
-        raise InputError(f"{', '.join(map(str, failed))}: {len(failed)} of {len(wanted)} runs "
-                         "failed, for the reasons above; the same command tries them again")
+        raise InputError(f"{', '.join(map(str, failed))}: {len(failed)} of {len(runs)} runs "
+                         "failed for the reasons above; the same command tries them again")
 
 
-def _state(folder, options, scene):
-    """(folder, NEW, STARTED or FINISHED); InputError if the folder holds another run."""
+def _state(folder: Path, options: TrainOptions, scene: Path) -> tuple[Path, str]:
+    """The folder, and NEW, STARTED or FINISHED; InputError if it holds another run."""
     from clsplat.io.run import OPTIONS, RunFolder
     if not (folder / OPTIONS).exists():
         with RunFolder(folder).locked():
@@ -85,14 +105,14 @@ def _state(folder, options, scene):
     cure = "choose another -o, or remove that folder"
     if not _is_of(run, record, scene):
         raise InputError(f"{folder}: holds a run of another scene, {record.get('scene')}; {cure}")
-    for name, there, here in differences(record, options):
-        raise InputError(f"{folder}: holds a run with {name} {there}, not {here}; {cure}")
+    for name, old, new in differences(record, options):
+        raise InputError(f"{folder}: holds a run with {name} {old}, not {new}; {cure}")
     if run.is_finished:
         return folder, FINISHED
     return folder, STARTED if run.has_checkpoint else NEW
 
 
-def _is_of(run, record, scene):
+def _is_of(run: RunFolder, record: dict[str, Any], scene: Path) -> bool:
     """Whether a run was trained on this scene, which may have been moved since."""
     from clsplat.io.scenes import fingerprint, read_scene
     try:
@@ -100,4 +120,5 @@ def _is_of(run, record, scene):
             return True
     except (InputError, OSError):
         pass
-    return fingerprint(read_scene(scene, record.get("images") or "")) == record.get("fingerprint")
+    images = record.get("images") or ""
+    return bool(fingerprint(read_scene(scene, images)) == record.get("fingerprint"))

@@ -1,8 +1,11 @@
 """`clsplat city` and its stages `partition` and `merge`: large scenes, block by block."""
 
+from __future__ import annotations
+
 import os
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,7 +14,15 @@ from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.errors import InputError, Interrupted
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 
-BLOCKS = {"cls": SectionedOption, "section": "Blocks"}
+if TYPE_CHECKING:
+    from clsplat.cli.progress import Progress
+    from clsplat.device import Device
+    from clsplat.distribute import Outcome
+    from clsplat.io.city import CityFolder
+    from clsplat.options import TrainOptions
+    from clsplat.scene import Scene
+
+BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
 
 
 @click.command(cls=SectionedCommand)
@@ -19,31 +30,29 @@ BLOCKS = {"cls": SectionedOption, "section": "Blocks"}
 @training_flags
 @flags_of(PartitionOptions)
 @click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
-              help="Folder of the city; SCENE.city where left out.")
+              help="Folder of the city; default: SCENE.city.")
 @click.option("--workers", default=1, show_default=True, **BLOCKS,
-              help="Blocks trained at a time on this machine; a chosen grid has at least as many.")
+              help="Number of blocks that are trained at a time on this machine; --grid auto makes "
+              "at least as many blocks.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
               "tcp://10.0.0.1:8786, whose workers train the blocks.")
-@click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, take the coarse model's "
+@click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "
               "gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
-              "scene, or its PLY, that seams are measured by, in place of the coarse model.")
-@click.option("-q", "--quiet", is_flag=True, help="No progress line.")
+              "scene, or its PLY, as the reference for seams, in place of the coarse model.")
+@click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 @click.pass_context
-def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
-    """Train SCENE in blocks: coarse run, partition, blocks, merge, evaluation.
+def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, scheduler: str,
+         fill: bool, against: Path | None, quiet: bool, **_options: object) -> None:
+    """Train a large SCENE in blocks, and merge them.
 
-    Run again after any failure, it goes on where it was. The folder is a run like any other, for
-    `clsplat eval`, `render` and `compare`. Several devices: --device 0,1 with --workers 2.
+    The stages are a coarse run, partition, training of the blocks, merge and evaluation. After any
+    failure, the same command continues. The folder is a run like any other, for `clsplat eval`,
+    `render` and `compare`. For several devices, use --device 0,1 with --workers 2.
     """
     from clsplat.city.finish import reference_file
     from clsplat.city.forecast import block_table
-    from clsplat.city.stages import (
-        begin,
-        cut_into_blocks,
-        train_all_blocks,
-        train_coarse,
-    )
+    from clsplat.city.stages import begin, cut_into_blocks, train_all_blocks, train_coarse
     from clsplat.device import choose_device
     from clsplat.distribute import check_scheduler, check_workers
     from clsplat.io.city import CityFolder
@@ -57,12 +66,12 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     check_workers(workers)
     against = reference_file(against)
     if options.init != "sfm" or options.coarse:
-        raise InputError("--init, --coarse: the coarse run begins a city, blocks begin with it; "
-                         "leave them out")
+        raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out")
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
     device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
-    wanted = partition_options(given_options(ctx, PartitionOptions), data, options, device, workers)
+    cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device,
+                                workers)
     if scheduler and not RunFolder(folder.coarse).has_model:
         check_scheduler(scheduler)
     if not folder.has_record:
@@ -72,21 +81,30 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
     if not quiet and (note := size_note(data.views, options)):
         click.echo(note)
 
-    def shown(title):
-        return nullcontext() if quiet else _progress(options, title)
+    def shown(title: str) -> AbstractContextManager[Progress | None]:
+        from clsplat.cli.progress import Progress
+        return nullcontext() if quiet else Progress(options.stop_at, title=title)
+
+    def began(name: str, title: str) -> None:
+        if not quiet and (scheduler or workers > 1):
+            click.echo(f"{title}: training in blocks/{name}")
+
+    def ended(outcome: Outcome, title: str) -> None:
+        if not quiet:
+            click.echo(f"{title} (blocks/{outcome.task.name}): "
+                       f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
 
     try:
         with shown("coarse run") as progress:
             train_coarse(folder, data, options, device, progress)
-        _, counts = cut_into_blocks(folder, data, options, wanted, device)
+        _, counts = cut_into_blocks(folder, data, options, cutting, device)
         if not quiet:
             click.echo(block_table(folder, device, counts).text())
-        outcomes = train_all_blocks(
-            folder, data, options, device, told=_told(quiet), began=_began(quiet or not (
-                scheduler or workers > 1)), workers=workers, scheduler=scheduler, devices=devices,
-            progress=shown)
+        outcomes = train_all_blocks(folder, data, options, device, workers=workers,
+                                    scheduler=scheduler, devices=devices, progress=shown,
+                                    began=began, ended=ended)
     except Interrupted:
-        raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command goes on"
+        raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues"
                           ) from None
     failed = [outcome for outcome in outcomes if not outcome.ok]
     for outcome in failed:
@@ -101,64 +119,69 @@ def city(ctx, scene, output, workers, scheduler, fill, against, quiet, **_):
 @click.option("--scene", type=click.Path(path_type=Path), **BLOCKS, help="Where the scene is now, "
               "if it was moved.")
 @click.pass_context
-def partition_command(ctx, folder, scene, **_):
-    """Cut the scene of CITY into blocks, by the coarse run in CITY/coarse.
+def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, **_options: object
+                      ) -> None:
+    """Cut the scene of CITY into blocks.
 
-    Writes partition.json, partition.geojson, the map partition.png, and a folder a block.
+    Needs a finished coarse run in CITY/coarse. Writes partition.json, partition.geojson, the map
+    partition.png, and a folder for each block.
     """
     from clsplat.city.forecast import block_table
     from clsplat.city.stages import begin_from_coarse, cut_into_blocks
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
-    there = CityFolder(folder)
-    there.check_there()
+    city = CityFolder(folder)
+    city.check_there()
     ctx.with_resource(RunFolder(folder).locked())
-    data, options = begin_from_coarse(there, scene)
+    data, options = begin_from_coarse(city, scene)
     device = choose_device(options.device, form=options.form)
-    wanted = partition_options(given_options(ctx, PartitionOptions), data, options, device)
-    _, counts = cut_into_blocks(there, data, options, wanted, device)
-    click.echo(block_table(there, device, counts).text())
-    click.echo(f"{there.picture}")
+    cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device)
+    _, counts = cut_into_blocks(city, data, options, cutting, device)
+    click.echo(block_table(city, device, counts).text())
+    click.echo(f"{city.picture}")
 
 
 @click.command()
 @click.argument("folder", metavar="CITY", type=click.Path(path_type=Path))
-@click.option("--fill", is_flag=True, help="Take the coarse model's gaussians where a block is "
-              "missing, unfinished or starved; the report says so.")
+@click.option("--fill", is_flag=True, help="Use the coarse model's gaussians where a block is "
+              "missing, unfinished, or has too few gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
-              "PLY, that seams are measured by, in place of the coarse model.")
+              "PLY, as the reference for seams, in place of the coarse model.")
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--scene", type=click.Path(path_type=Path), help="Where the scene is now, if it was "
               "moved.")
 @click.pass_context
-def merge(ctx, folder, fill, against, device, scene):
-    """Merge the finished blocks of CITY to one model, and score it.
+def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, device: str,
+          scene: Path | None) -> None:
+    """Merge the finished blocks of CITY into one model.
 
-    Every gaussian is owned once. Says what is missing, and then ends with exit code 2.
+    It is evaluated on the held-out views. If blocks are missing, the command lists them and ends
+    with exit code 2.
     """
     from clsplat.city.finish import reference_file
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
-    there = CityFolder(folder)
-    there.check_there()
+    city = CityFolder(folder)
+    city.check_there()
     against = reference_file(against)
     ctx.with_resource(RunFolder(folder).locked())
-    data, options = begin_from_coarse(there, scene)
-    _finish(there, data, options, choose_device(device), fill, against, False)
+    data, options = begin_from_coarse(city, scene)
+    _finish(city, data, options, choose_device(device), fill, against, False)
 
 
-def _finish(folder, data, options, device, fill, against, quiet):
+def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device, fill: bool,
+            against: Path | None, quiet: bool) -> None:
     from clsplat.city.finish import evaluate_city, merge_city
     from clsplat.cli.evaluate import summary
     from clsplat.report.city import seam_table, share_table
     merged = merge_city(folder, data, options, device, fill)
     scores, seams = evaluate_city(folder, data, options, device, against)
     if against and seams is None:
-        click.echo("--against: not used, as one block has no seams", err=True)
+        click.echo("--against: not used, since a single block has no seams", err=True)
     if quiet:
         return
     click.echo(share_table(merged.record()).text())
@@ -170,9 +193,9 @@ def _finish(folder, data, options, device, fill, against, quiet):
                "blocks")
 
 
-def partition_options(given, scene, options, device, workers=1):
-    """PartitionOptions of what is given, as from `given_options`; blocks fit the device unless it
-    says otherwise."""
+def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions, device: Device,
+                      workers: int = 1) -> PartitionOptions:
+    """The PartitionOptions from the result of `given_options`; by default blocks fit the device."""
     from clsplat.city.forecast import expected_gaussians, gaussians_that_fit
     expected = expected_gaussians(scene, options)
     return PartitionOptions(**{
@@ -182,47 +205,26 @@ def partition_options(given, scene, options, device, workers=1):
         "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS))})
 
 
-def _beside(scene):
-    """The folder of a city where none is named: beside SCENE, by its name."""
+def _beside(scene: Path) -> Path:
+    """The default folder of a city, beside SCENE."""
     if scene.name in ("", ".."):
         scene = Path(os.path.abspath(scene))
     if not scene.name:
-        raise InputError(f"{scene}: has no name; say with --output where the city goes")
+        raise InputError(f"{scene}: has no name; name the folder of the city with --output")
     return scene.with_name(scene.name + ".city")
 
 
-def _devices(text, workers, scheduler):
+def _devices(text: str, workers: int, scheduler: str) -> tuple[str, ...]:
     """The names in --device 0,1; InputError where some would not be used."""
     if not text:
         return ()
     names = tuple(text.split(","))
     if not all(names):
-        raise InputError(f"--device {text}: wants names with a comma between two of them, such as "
-                         "0,1")
+        raise InputError(f"--device {text}: expects names separated by commas, such as 0,1")
     if len(names) > 1 and scheduler:
-        raise InputError(f"--device {text}: with --scheduler, each worker has its own, as "
-                         "CLSPLAT_DEVICE says there; name one for the coarse run")
+        raise InputError(f"--device {text}: with --scheduler, CLSPLAT_DEVICE on each worker names "
+                         "its device; name one device here, for the coarse run")
     if len(names) > max(1, workers):
         raise InputError(f"--device {text}: names {len(names)} devices for --workers {workers}; "
                          f"use --workers {len(names)}, or name fewer")
     return names
-
-
-def _began(quiet):
-    def began(name, place):
-        if not quiet:
-            click.echo(f"{place}: training in blocks/{name}")
-    return began
-
-
-def _told(quiet):
-    def told(outcome, place):
-        if not quiet:
-            click.echo(f"{place} (blocks/{outcome.task.name}): "
-                       f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
-    return told
-
-
-def _progress(options, title):
-    from clsplat.cli.progress import Progress
-    return Progress(options.stop_at, title=title)

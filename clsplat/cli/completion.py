@@ -10,7 +10,7 @@ from click.shell_completion import get_completion_class
 @click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:
-    """Print the script by which a SHELL completes commands and options.
+    """Print a script for completion of commands in a SHELL.
 
     For bash: `clsplat completion bash >> ~/.bashrc`; zsh: the same with ~/.zshrc; fish:
     `clsplat completion fish > ~/.config/fish/completions/clsplat.fish`.

@@ -18,7 +18,10 @@ NO_DEVICE = ("no OpenCL device; install one: `pip install intel-opencl-rt intel-
 @click.command()
 @click.option("--check", is_flag=True, help="Run the correctness self-test on each working device.")
 def devices(check: bool) -> None:
-    """List all OpenCL devices and whether they work; exit code 2 if none works or a check fails."""
+    """List all OpenCL devices and whether they work.
+
+    The exit code is 2 if no device works or a check fails.
+    """
     from clsplat.device import list_devices
     listed = list_devices()
     click.echo(table(listed) if listed else NO_DEVICE)

@@ -1,12 +1,18 @@
 """`clsplat export`: a run's gaussians in a format that other programs open."""
 
+from __future__ import annotations
+
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from clsplat.cli.flags import FiniteRange
 from clsplat.errors import InputError
+
+if TYPE_CHECKING:
+    from clsplat.evaluation.run import Run
 
 FORMATS = {".ply": "the format of Kerbl et al. 2023, which splat viewers open"}
 
@@ -16,22 +22,24 @@ FORMATS = {".ply": "the format of Kerbl et al. 2023, which splat viewers open"}
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="File to write; its suffix selects the format (.ply).")
 @click.option("--sh-degree", type=click.Choice(("all", "auto", "0", "1", "2", "3")), default="all",
-              show_default=True, help="Highest degree of the harmonics to write; auto: the lowest "
-              "that costs the held-out views less than --sh-cost.")
+              show_default=True, help="Highest degree of the spherical harmonics to write; auto: "
+              "the lowest that costs the held-out views less than --sh-cost.")
 @click.option("--sh-cost", type=FiniteRange(min=0), default=0.05, show_default=True,
-              help="PSNR that --sh-degree auto may cost, dB.")
+              help="Loss of PSNR, dB, that --sh-degree auto allows.")
 @click.option("--device", default="auto", show_default=True,
               help="For --sh-degree auto: as for `clsplat eval`.")
 @click.option("--scene", type=click.Path(path_type=Path),
-              help="For --sh-degree auto: where RUN's scene is, if it was moved.")
-def export(run, output, sh_degree, sh_cost, device, scene):
-    """Write the gaussians of RUN, in the world coordinates of its scene, to one file.
+              help="For --sh-degree auto: where the scene is now, if it was moved.")
+def export(run: Path, output: Path, sh_degree: str, sh_cost: float, device: str,
+           scene: Path | None) -> None:
+    """Write the gaussians of RUN to a file for other programs.
 
-    Those that no view can show, being fainter than a step of 8 bits, are left out.
+    They are in the world coordinates of the scene. Gaussians that are invisible in every view, with
+    an opacity below one step of 8 bits, are left out.
     """
     if output.suffix.lower() not in FORMATS:
         known = "; ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
-        raise InputError(f"{output}: no format has the suffix '{output.suffix}'; known: {known}")
+        raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: {known}")
     from clsplat.evaluation.run import Run
     from clsplat.export.prune import alive
     from clsplat.io.atomic import replacing
@@ -48,19 +56,18 @@ def export(run, output, sh_degree, sh_cost, device, scene):
         degree = int(sh_degree)
     if not keep.any():
         what = f"all {len(keep):,} gaussians are too faint to be seen" if len(keep) else "is empty"
-        raise InputError(f"{source}: {what}, so nothing is left to write; train "
-                         "longer, or look at its report")
+        raise InputError(f"{source}: {what}, so nothing is left to write; train longer, or see the "
+                         "report of the run")
     if keep.all() and degree == gaussians.sh_degree:
         with open(source, "rb") as model, replacing(output) as copy:
             shutil.copyfileobj(model, copy)
     else:
         write_part(output, source, keep, degree)
-    dead = len(keep) - keep.sum()
-    click.echo(f"{output}: {keep.sum():,} gaussians, harmonics to degree {degree}; {dead:,} that "
-               "no view can show are left out")
+    click.echo(f"{output}: {keep.sum():,} gaussians, spherical harmonics to degree {degree}; "
+               f"{len(keep) - keep.sum():,} invisible ones are left out")
 
 
-def _measured_degree(opened, device, cost, scene):
+def _measured_degree(opened: Run, device: str, cost: float, scene: Path | None) -> int:
     from clsplat.device import choose_device
     from clsplat.export.prune import needed_sh_degree
     degree, scores = needed_sh_degree(opened, choose_device(device), cost, scene)

@@ -1,69 +1,82 @@
 """The flags of commands, derived from dataclasses of options."""
 
+from __future__ import annotations
+
 import math
+import re
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
 from clsplat.cli.sections import SectionedOption
-from clsplat.config.option import check_flag, flag_name, kind_of, options_of, parsed, wanted
+from clsplat.config.option import Option, check_flag, flag_name, kind_of, options_of, parsed, wanted
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
 NAMES = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-class GivenPath(click.Path):
-    """A path that is not empty: "" would be the current folder."""
+class NonEmptyPath(click.Path):
+    """A path that is not empty, since "" would be the current folder."""
 
-    def convert(self, value, param, ctx):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Check and convert a value."""
         if str(value) == "":
             self.fail("is empty; give a path, or . for the current folder", param, ctx)
         return super().convert(value, param, ctx)
 
 
 class FiniteRange(click.FloatRange):
-    """A finite number within limits, which `nan` would slip through."""
+    """A finite number within limits; click's own type accepts nan."""
 
-    def convert(self, value, param, ctx):
-        number = super().convert(value, param, ctx)
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+                ) -> float:
+        """Check and convert a value."""
+        number: float = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
 
 
-class Value(click.ParamType):
-    """A value of an option as its text says it, or one of the option's words."""
+class Value(click.ParamType):  # type: ignore[type-arg]  # generic only since click 8.3
+    """The value of an option, or one of the option's words."""
 
-    def __init__(self, option):
+    def __init__(self, option: Option) -> None:
         self.option, self.choices = option, option.metadata["choices"]
         kind, count = kind_of(option)
         self.name = ("LIST" if count is None else
                      option.metadata["separator"].join("NM") if count else NAMES[kind])
 
-    def get_metavar(self, param, ctx):
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """The placeholder in the help."""
         shown = (*self.option.metadata["words"], *(self.choices or (self.name,)))
         return f"[{'|'.join(shown)}]" if len(shown) > 1 else self.name
 
-    def shell_complete(self, ctx, param, incomplete):
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str
+                       ) -> list[click.shell_completion.CompletionItem]:
+        """The words and choices that begin with a text."""
         return [click.shell_completion.CompletionItem(word)
                 for word in (*self.option.metadata["words"], *self.choices)
                 if word.startswith(incomplete)]
 
-    def convert(self, value, param, ctx):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Parse a value, which is checked later."""
         if not isinstance(value, str):
             return value
         try:
             return parsed(self.option, value)
         except ValueError:
-            raise InputError(f"{flag_name(self.option.name)} {value}: wants {wanted(self.option)}"
-                             ) from None
+            raise InputError(f"{flag_name(self.option.name)} {value}: expects "
+                             f"{wanted(self.option)}") from None
 
 
-def flags_of(kind):
-    """Decorator: one flag for each option of a dataclass, in order, under its group's heading."""
-    def decorate(command):
+def flags_of(kind: type) -> Callable[[Command], Command]:
+    """A decorator that adds a flag for each option of a dataclass, in order."""
+    def decorate(command: Command) -> Command:
         for option in reversed(options_of(kind)):
             command = _flag(option)(command)
         return command
@@ -73,29 +86,32 @@ def flags_of(kind):
 training_flags = flags_of(TrainOptions)
 
 
-def given_options(ctx, kind=TrainOptions):
-    """{option: value} of the flags of a dataclass that the user wrote; defaults are left out."""
+def given_options(ctx: click.Context, kind: type = TrainOptions) -> dict[str, Any]:
+    """The options of a dataclass, by name, that the user gave as flags."""
     return {option.name: ctx.params[option.name] for option in options_of(kind)
             if ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
 
 
-def _flag(option):
+def _flag(option: Option) -> Callable[[Command], Command]:
     meta, default, name = option.metadata, option.default, flag_name(option.name)
     kind, count = kind_of(option)
     word = next((word for word, value in meta["words"].items() if value == default), None)
-    settings = {"help": meta["help"], "default": default if word is None else word,
-                "show_default": True}
+    text = meta["help"]
+    if re.split("[:,]", text)[0] not in (*meta["words"], *meta["choices"], default):  # not a value
+        text = text[0].upper() + text[1:]
+    settings: dict[str, Any] = {"help": f"{text}.", "show_default": True,
+                                "default": default if word is None else word}
     if kind is bool:
         name = f"{name}/--no-{name[2:]}"
     elif count is None:  # one list, or several that are joined
-        settings.update(type=Value(option), multiple=True, default=(), show_default=word)
+        settings.update(type=Value(option), multiple=True, default=() if word is None else (word,))
     elif count and not meta["separator"]:
         settings.update(type=kind, nargs=count, default=default)
     else:
         settings["type"] = Value(option)
 
-    def check(ctx, param, value):
-        if ctx.get_parameter_source(param.name) is ParameterSource.DEFAULT:
+    def check(ctx: click.Context, param: click.Parameter, value: Any) -> Any:
+        if ctx.get_parameter_source(param.name or "") is ParameterSource.DEFAULT:
             return option.default
         return check_flag(option, sum(value, ()) if count is None else value)
 

@@ -21,7 +21,7 @@ from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
 from clsplat.cli.evaluate import evaluate
 from clsplat.cli.export import export
-from clsplat.cli.flags import GivenPath
+from clsplat.cli.flags import NonEmptyPath
 from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
 from clsplat.cli.render import render
@@ -135,4 +135,4 @@ for _command in (main, *main.commands.values()):
         help="Show where in the code an error arose."))
     for _parameter in _command.params:
         if isinstance(_parameter.type, click.Path):
-            _parameter.type = GivenPath(path_type=Path)
+            _parameter.type = NonEmptyPath(path_type=Path)

@@ -1,6 +1,9 @@
-"""`clsplat plan`: what a training would leave out, and the memory and time it would take."""
+"""`clsplat plan`: the decisions of a training, and a forecast of its memory and time."""
+
+from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -8,27 +11,32 @@ from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
 
+if TYPE_CHECKING:
+    from clsplat.device import Device
+    from clsplat.estimate.forecast import Forecast
+
 MIB = 2**20
 MOST_PHOTOS = 10**9
-WIDTH = 12  # of the column of names
+NAME_WIDTH = 12  # characters
 
 
 @click.command(cls=SectionedCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
 @click.option("--config", type=click.Path(path_type=Path),
-              help="TOML file of options; flags win over it.")
-@click.option("--photos", default="", help="Also say what cities of so many photos like these "
-              "would take, in blocks: such as 1000,10000,100000.")
+              help="TOML file of options; flags override it.")
+@click.option("--photos", default="", help="Also forecast cities with these numbers of photos "
+              "like those of SCENE, such as 1000,10000,100000.")
 @click.option("--margin", default=0.3, show_default=True,
-              help="Of these blocks; see `clsplat city`.")
+              help="With --photos: margin of the blocks, as for `clsplat city`.")
 @click.pass_context
-def plan(ctx, scene, config, photos, margin, **_):
-    """Say what `clsplat train` would do with SCENE, given the same options.
+def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, margin: float,
+         **_options: object) -> None:
+    """Forecast the decisions, memory and time of a training.
 
-    One line a part that may be left out: its value, the reason, and the number behind it; a flag
-    overrides a line. Then the memory that the training takes on the device at most, and its time,
-    from a few real steps.
+    Takes the options of `clsplat train`. Prints a line for each part of the training that can be
+    left out, with the decision and its reason; the part's own flag overrides the decision. Then it
+    takes a few real steps, and prints the largest memory on the device and the time.
     """
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
@@ -39,7 +47,7 @@ def plan(ctx, scene, config, photos, margin, **_):
     from clsplat.partition.options import PartitionOptions
     from clsplat.training.photos import size_note
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
-    photos, margin = _numbers(photos), PartitionOptions(margin=margin).margin
+    counts, margin = _numbers(photos), PartitionOptions(margin=margin).margin
     busy, progress = load(), Progress()
     with progress:
         progress.phase("reading the scene")
@@ -58,12 +66,12 @@ def plan(ctx, scene, config, photos, margin, **_):
     _line("photos", forecast.streaming.reason)
     _line("memory", _memory(forecast, device))
     _line("time", _time(forecast, busy))
-    if photos:
+    if counts:
         from clsplat.city.forecast import scale_table
-        click.echo("\n" + scale_table(planned, forecast, device, margin, photos).text())
+        click.echo("\n" + scale_table(planned, forecast, device, margin, counts).text())
 
 
-def _numbers(text):
+def _numbers(text: str) -> list[int]:
     if not text:
         return []
     try:
@@ -71,24 +79,24 @@ def _numbers(text):
         if min(numbers) < 1 or max(numbers) > MOST_PHOTOS:
             raise ValueError
     except ValueError:
-        raise InputError(f"--photos {text[:80]}: wants whole numbers from 1 to {MOST_PHOTOS:,}, "
+        raise InputError(f"--photos {text[:80]}: expects whole numbers from 1 to {MOST_PHOTOS:,}, "
                          "such as 1000,10000,100000") from None
     return numbers
 
 
-def _line(name, text):
-    click.echo(f"  {name.replace('_', ' '):<{WIDTH}}  {text}")
+def _line(name: str, text: str) -> None:
+    click.echo(f"  {name.replace('_', ' '):<{NAME_WIDTH}}  {text}")
 
 
-def _memory(forecast, device):
-    memory, there = forecast.memory, device.handle.global_mem_size
-    text = (f"{memory.total / MIB:,.0f} MiB at most, of {there / MIB:,.0f}: "
+def _memory(forecast: Forecast, device: Device) -> str:
+    memory, available = forecast.memory, device.handle.global_mem_size
+    text = (f"{memory.total / MIB:,.0f} MiB at most, of {available / MIB:,.0f}: "
             f"{forecast.gaussians:,} gaussians {memory.model / MIB:,.0f}, photos "
             f"{memory.photos / MIB:,.0f}, the rest for the step")
-    return text if memory.total < there else f"{text}; does not fit: use --max-gaussians or -r"
+    return text if memory.total < available else f"{text}; does not fit: use --max-gaussians or -r"
 
 
-def _time(forecast, load):
+def _time(forecast: Forecast, load: tuple[float, int] | None) -> str:
     (_, _, begin), (level, gaussians, end) = forecast.ends
     text = (f"about {duration(forecast.seconds)} for {forecast.steps:,} steps: a step takes "
             f"{1e3 * begin:.1f} ms at first, and {1e3 * end:.1f} ms at the end at level {level:g} "
@@ -99,8 +107,8 @@ def _time(forecast, load):
     return text
 
 
-def duration(seconds):
-    """Such as 45 s, 12 min 05 s, 6 h 37 min."""
+def duration(seconds: float) -> str:
+    """A duration for people, such as 45 s, 12 min 05 s, 6 h 37 min."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

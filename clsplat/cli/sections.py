@@ -38,7 +38,7 @@ class SectionedCommand(click.Command):
         """Write the sections."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for param in self.get_params(ctx):
-            record = param.get_help_record(ctx)  # None for arguments
+            record = isinstance(param, click.Option) and param.get_help_record(ctx)
             if record and (SHOW_ALL in ctx.meta or getattr(param, "main", True)):
                 sections.setdefault(getattr(param, "section", "Other"), []).append(record)
         other = sections.pop("Other")

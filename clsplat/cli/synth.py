@@ -23,15 +23,19 @@ def _pair(context: click.Context, option: click.Parameter, text: str) -> tuple[i
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="Folder of the new scene.")
 @click.option("--blocks", default="2x2", show_default=True, callback=_pair,
-              help="City blocks along x and y.")
+              help="Number of city blocks along x and y.")
 @click.option("--views", default=32, show_default=True, help="Number of photos.")
 @click.option("--size", default="320x240", show_default=True, callback=_pair,
               help="Width and height of a photo, pixels.")
-@click.option("--seed", default=0, show_default=True, help="The same seed gives the same bytes.")
+@click.option("--seed", default=0, show_default=True,
+              help="Seed of the city; the same seed gives the same bytes.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier synthetic scene.")
 def synth(output: Path, blocks: tuple[int, int], views: int, size: tuple[int, int], seed: int,
           overwrite: bool) -> None:
-    """Make a procedural city scene: photos, a COLMAP model, and the true geometry."""
+    """Make a synthetic city scene with known geometry.
+
+    It has photos, a COLMAP model and the true geometry.
+    """
     from clsplat.cli.progress import Progress
     from clsplat.synth.write import synthesise
     with Progress() as progress:

@@ -81,7 +81,7 @@ def kind_of(option: Option) -> tuple[Any, int | None]:
 
 
 def wanted(option: Option) -> str:
-    """What an option wants, for a refusal."""
+    """What an option expects, for an error message."""
     meta = option.metadata
     low, high = meta["minimum"], meta["maximum"]
     if meta["wish"]:
@@ -171,7 +171,7 @@ def check_flag(option: Option, value: Any) -> Any:
         between = option.metadata["separator"] or (" " if kind_of(option)[1] else ",")
         text = between.join(f"{part:g}" if isinstance(part, float) else str(part)
                             for part in (value if isinstance(value, tuple) else (value,)))
-        raise InputError(f"{flag_name(option.name)} {text[:SHOWN]}: wants "
+        raise InputError(f"{flag_name(option.name)} {text[:SHOWN]}: expects "
                          f"{str(error) or wanted(option)}") from None
 
 
@@ -185,7 +185,7 @@ def checked(kind: type, source: str, key: str, value: Any) -> Any:
     try:
         return checked_value(known[key], value)
     except ValueError as error:
-        raise InputError(f"{source}option '{key.replace('_', '-')}' wants "
+        raise InputError(f"{source}option '{key.replace('_', '-')}' expects "
                          f"{str(error) or wanted(known[key])}, got {_shown(value)}") from None
 
 

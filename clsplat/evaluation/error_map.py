@@ -1,19 +1,27 @@
-"""Where a render differs from its photo, as a picture."""
+"""The difference between a render and its photo, as a picture."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-LARGEST_ERROR = 0.25  # of full brightness: what is drawn in the last colour
+LARGEST_ERROR = 0.25  # of full brightness, drawn in the last colour
 # matplotlib's "inferno", whose lightness grows evenly, at each tenth: from black to light yellow
 COLOURS = ((0, 0, 4), (24, 12, 60), (66, 10, 104), (106, 23, 110), (147, 38, 103), (188, 55, 84),
            (221, 81, 58), (243, 118, 27), (252, 165, 10), (246, 215, 70), (252, 255, 164))
-MEANING = f"black: none, light yellow: {LARGEST_ERROR:.0%} of full brightness or more"
+LEGEND = f"black: none, light yellow: {LARGEST_ERROR:.0%} of full brightness or more"
 
 
-def error_map(render, photo):
-    """uint8[H, W, 3]: the absolute difference of each pixel, mean of its channels, in COLOURS from
-    none to LARGEST_ERROR.
+def error_map(render: NDArray[np.floating], photo: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """The absolute difference of each pixel, mean of its channels, in COLOURS up to LARGEST_ERROR.
 
-    render, photo: float[H, W, 3] in 0..1; a pixel that is not finite has the largest error.
+    A pixel that is not finite has the largest error.
+
+    Parameters
+    ----------
+    render, photo : [H, W, 3], 0 to 1.
+
+    Returns
+    -------
+    [H, W, 3].
     """
     error = np.abs(render - photo).mean(axis=2) / LARGEST_ERROR
     place = np.clip(np.nan_to_num(error, nan=1.0), 0, 1) * (len(COLOURS) - 1)

@@ -1,69 +1,84 @@
-"""How much of a model floats: gaussians away from the true surfaces of a synthetic city."""
+"""Floaters: the gaussians of a model that are away from the true surfaces of a synthetic city."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
-from clsplat.synth.geometry import BLOCK_WIDTH, distance, load
+from clsplat.camera import Camera
+from clsplat.gaussians import Gaussians
+from clsplat.synth.geometry import BLOCK_WIDTH, City, distance, load
 from clsplat.synth.write import GEOMETRY
 
-PIXELS = (1, 3, 10)  # footprints within which a gaussian counts as on the surface
-CHUNK = 1 << 12  # gaussians at once: neighbours, so that few solids and cameras concern them
+TOLERANCES = (1, 3, 10)  # pixels within which a gaussian counts as on the surface
+CHUNK = 1 << 12  # neighbouring gaussians at once, which few solids and cameras concern
 
 
-def geometry_path(scene_path):
-    """Where the ground truth of a scene lies if it has one: geometry.json in its folder;
-    NAME.geometry.json beside a packed NAME.npz."""
+def geometry_path(scene_path: Path) -> Path:
+    """The file with the ground truth of a scene, if it has one.
+
+    It is geometry.json in the scene's folder, or NAME.geometry.json beside a packed NAME.npz.
+    """
     return (scene_path / GEOMETRY if scene_path.is_dir()
             else scene_path.with_suffix(f".{GEOMETRY}"))
 
 
-def ground_truth(scene_path):
-    """The City that a scene shows, or None where that is not known; InputError if damaged."""
+def ground_truth(scene_path: Path) -> City | None:
+    """The city that a scene shows, or None where that is not known; InputError if damaged."""
     path = geometry_path(scene_path)
     return load(path) if path.is_file() else None
 
 
-def floater_share(city, gaussians, cameras, offset):
+def floater_share(city: City, gaussians: Gaussians, cameras: Sequence[Camera],
+                  offset: NDArray[np.float64]) -> dict[str, float]:
     """The share of opacity whose gaussians lie farther from the true surface than a pixel there.
 
-    city: synth.geometry.City, in original world coordinates; gaussians: Gaussians, in local ones;
-    cameras: the training Cameras, local, at the size trained on; offset: float64[3] of the scene,
-    original = local + offset. Returns {"floaters", "floaters_3", "floaters_10"}: 0..1, beyond 1, 3
-    and 10 pixels; 0 without gaussians.
+    A pixel's footprint is depth / fx in the camera for which that is least. Occlusion is ignored,
+    and a centre that no camera sees has its distance to the nearest camera as depth.
 
-    A pixel's footprint is depth / fx in the camera that sees the centre most closely: occlusion is
-    ignored, and a centre that none sees takes its distance to the nearest camera as depth.
+    Parameters
+    ----------
+    city : in original world coordinates.
+    gaussians : in local coordinates.
+    cameras : the training cameras, local, at the size trained on.
+    offset : [3], of the scene; original = local + offset.
+
+    Returns
+    -------
+    {"floaters", "floaters_3", "floaters_10"}: 0 to 1, beyond 1, 3 and 10 pixels; 0 without
+    gaussians.
     """
     positions = gaussians.positions.astype(np.float64)
     opacity = expit(gaussians.opacity_logits.astype(np.float64))
-    floating = np.zeros(len(PIXELS))
+    floating = np.zeros(len(TOLERANCES))
     order = _neighbours_together(positions + offset)
     for begin in range(0, len(order), CHUNK):
         rows = order[begin:begin + CHUNK]
         world = positions[rows] + offset
         away = distance(_around(city, world), world)
         footprint = _footprint(positions[rows], cameras)
-        floating += [opacity[rows] @ (away > pixels * footprint) for pixels in PIXELS]
+        floating += [opacity[rows] @ (away > pixels * footprint) for pixels in TOLERANCES]
     shares = floating / max(opacity.sum(), np.finfo(float).tiny)
     return {"floaters" if pixels == 1 else f"floaters_{pixels}": float(share)
-            for pixels, share in zip(PIXELS, shares)}
+            for pixels, share in zip(TOLERANCES, shares)}
 
 
-def _neighbours_together(points):
-    """An order int[N] of points float64[N, 3]: by octave of height, then by city block."""
+def _neighbours_together(points: NDArray[np.float64]) -> NDArray[np.integer]:
+    """An order int[N] of points [N, 3]: by octave of height, then by city block."""
     x, y = np.floor(points[:, :2] / BLOCK_WIDTH).T
     return np.lexsort((y, x, np.ceil(np.log2(points[:, 2].clip(1)))))
 
 
-def _around(city, points):
+def _around(city: City, points: NDArray[np.float64]) -> City:
     """The city without the solids that cannot change the distance of any of the points.
 
-    `distance` takes the least signed one; the ground's is at most the points' largest height, and
-    a solid's at least its distance sideways.
+    `distance` is the least signed distance; that of the ground is at most the points' largest
+    height, and that of a solid at least its horizontal distance.
     """
     low, high = city.bounds[:, 0, :2], city.bounds[:, 1, :2]
     gap = np.maximum(low - points[:, :2].max(axis=0), points[:, :2].min(axis=0) - high).max(axis=1)
@@ -73,17 +88,17 @@ def _around(city, points):
                    spheres=city.spheres[spheres])
 
 
-def _footprint(points, cameras):
-    """World units a pixel, float64[N], at points float64[N, 3]."""
+def _footprint(points: NDArray[np.float64], cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """World units a pixel, [N], at points [N, 3]."""
     planes = np.array([_planes(camera) for camera in cameras])
     focal = np.array([camera.focal[0] for camera in cameras])
     ends = zip(points.min(axis=0), points.max(axis=0))
     corners = np.array([*product(*ends, [1])])
     # a camera may see some of the points unless one of its planes has all corners behind it
-    able = ((planes @ corners.T).max(axis=2) >= 0).all(axis=1)
+    may_see = ((planes @ corners.T).max(axis=2) >= 0).all(axis=1)
     footprint = np.full(len(points), np.inf)
     homogeneous = np.column_stack([points, np.ones(len(points))]).T
-    for camera in np.flatnonzero(able):
+    for camera in np.flatnonzero(may_see):
         inside = planes[camera] @ homogeneous
         sees = (inside >= 0).all(axis=0)
         footprint[sees] = np.minimum(footprint[sees], inside[0, sees] / focal[camera])
@@ -94,9 +109,11 @@ def _footprint(points, cameras):
     return footprint
 
 
-def _planes(camera):
-    """float64[5, 4]: a point (x, y, z, 1) is in the image where all five products are >= 0; the
-    first is its depth, the others are depth times its pixels from the image's four sides."""
+def _planes(camera: Camera) -> NDArray[np.float64]:
+    """[5, 4]: a point (x, y, z, 1) is in the image where all five products are >= 0.
+
+    The first product is its depth, the others are depth times its pixels from the image's sides.
+    """
     depth = np.append(camera.rotation[2], camera.translation[2])
     sides = []
     for axis, size in enumerate((camera.width, camera.height)):

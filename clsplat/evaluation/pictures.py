@@ -1,43 +1,60 @@
-"""The views that a person should look at first: the worst, the median and the best."""
+"""The pictures of a report: the views with the worst, the median and the best score."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.evaluation.error_map import error_map
 from clsplat.io.resample import resample
 
-LONGEST = 640  # pixels, of the longer side of a picture in a page
+MOST_PIXELS = 640  # of the longer side of a picture in a page
 
 
 @dataclass(frozen=True)
 class ShownView:
-    """A view as it is shown: place: "worst", "median", "best"; scores: its part of `per_view`;
-    photo, render (after the colour fit), error: uint8[H, W, 3], not larger than LONGEST."""
+    """A view as a report shows it; images are [H, W, 3], with at most MOST_PIXELS a side.
+
+    Attributes
+    ----------
+    place : "worst", "median", "best", or "only".
+    scores : its part of `per_view`.
+    render : after the colour fit.
+    """
 
     place: str
-    scores: dict
-    photo: np.ndarray
-    render: np.ndarray
-    error: np.ndarray
+    scores: dict[str, Any]
+    photo: NDArray[np.uint8]
+    render: NDArray[np.uint8]
+    error: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """shown: ShownViews, worst first; held_out: whether they are, or were trained on; count: of the
-    views that they were chosen from."""
+    """The views that a report shows.
 
-    shown: list
+    Attributes
+    ----------
+    shown : the worst first.
+    held_out : whether they are held-out views, not training views.
+    count : of the views from which they were chosen.
+    """
+
+    shown: list[ShownView]
     held_out: bool
     count: int
 
 
-def chosen_views(per_view):
-    """[(place, index)] of the worst, median and best of the scores that `evaluate_views` lists, by
-    PSNR after the colour fit; of two the worst and best, of one "only"."""
-    def score(index):
-        psnr = per_view[index]["psnr_cc"]
+def chosen_views(per_view: Sequence[dict[str, Any]]) -> list[tuple[str, int]]:
+    """(place, index) of the worst, median and best score, by PSNR after the colour fit.
+
+    Two views are the worst and the best; one view is the "only" one.
+    """
+    def score(index: int) -> float:
+        psnr: float = per_view[index]["psnr_cc"]
         return -math.inf if math.isnan(psnr) else psnr
 
     order = sorted(range(len(per_view)), key=score)
@@ -47,19 +64,22 @@ def chosen_views(per_view):
     return chosen if len(order) > 2 else [chosen[0], chosen[-1]]
 
 
-def shown_view(place, scores, fitted, photo):
-    """The ShownView of a render after the colour fit and its photo, float[H, W, 3] each."""
+def shown_view(place: str, scores: dict[str, Any], fitted: NDArray[np.floating],
+               photo: NDArray[np.floating]) -> ShownView:
+    """The ShownView of a render after the colour fit and its photo, [H, W, 3] each, 0 to 1."""
     pixels = (_pixels(photo), _pixels(fitted), error_map(fitted, photo))
     return ShownView(place, scores, *map(_reduced, pixels))
 
 
-def _pixels(image):
-    return (np.clip(np.nan_to_num(image), 0, 1) * 255 + 0.5).astype(np.uint8)
+def _pixels(image: NDArray[np.floating]) -> NDArray[np.uint8]:
+    pixels: NDArray[np.floating] = np.clip(np.nan_to_num(image), 0, 1) * 255 + 0.5
+    return pixels.astype(np.uint8)
 
 
-def _reduced(pixels):
-    """Pixels resampled so that the longer side is at most LONGEST."""
+def _reduced(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image resampled so that its longer side has at most MOST_PIXELS."""
     height, width = pixels.shape[:2]
-    scale = min(1, LONGEST / max(height, width))
+    scale = min(1, MOST_PIXELS / max(height, width))
     size = max(1, round(width * scale)), max(1, round(height * scale))
-    return pixels if scale == 1 else resample(pixels, size)
+    reduced: NDArray[np.uint8] = pixels if scale == 1 else resample(pixels, size)
+    return reduced

@@ -1,4 +1,4 @@
-"""A training on disk, finished or not: the object through which every reader of runs goes."""
+"""A run on disk, finished or not: the object by which all code reads runs."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from clsplat.evaluation.score import Score
 from clsplat.evaluation.views import evaluate_run, opened
 from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
+from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import TrainOptions, resolve
@@ -23,7 +24,7 @@ from clsplat.scene import Scene
 
 
 def shown(model: Gaussians, path: Path) -> Gaussians:
-    """The model that was read from `path`, if pictures of it would show anything."""
+    """The model that was read from `path`; InputError if it is empty."""
     if not model.count:
         raise InputError(f"{path}: holds no gaussians, so there is nothing to show; give another "
                          "model")
@@ -31,20 +32,20 @@ def shown(model: Gaussians, path: Path) -> Gaussians:
 
 
 def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, TrainOptions]:
-    """What `clsplat render` shows.
+    """The model, scene and options of `clsplat render`.
 
     Parameters
     ----------
     path : a run's folder, or a PLY file.
-    scene_path : of any scene whose cameras to use; None: the run's own.
+    scene_path : a scene whose cameras to use; None: the run's own.
 
     Returns
     -------
-    The model, the scene at the size to render at, and how it is rendered.
+    The model, the scene at the size of the renders, and the options.
 
     Raises
     ------
-    clsplat.ClsplatError : where the run is not finished, or nobody names the cameras of a PLY file.
+    clsplat.ClsplatError : the run is not finished, or a PLY file is given without a scene.
     """
     if path.is_dir():
         run = Run.open(path)
@@ -65,7 +66,7 @@ class Run:
     Attributes
     ----------
     path : its folder.
-    folder : what reads and writes its files.
+    folder : the object that reads and writes its files.
     """
 
     def __init__(self, folder: RunFolder) -> None:
@@ -82,25 +83,24 @@ class Run:
 
         Raises
         ------
-        clsplat.ClsplatError : where the folder holds no run.
+        clsplat.ClsplatError : the folder does not hold a run.
         """
         return cls(RunFolder.open(path))
 
     @property
     def options(self) -> TrainOptions:
-        """What the run was trained with, every option as resolved."""
+        """The options of the training, with all defaults resolved."""
         record, known = self.record, TrainOptions.__dataclass_fields__
         return resolve({key: value for key, value in record.items() if key in known}, {})
 
     @property
     def record(self) -> dict[str, Any]:
-        """options.json as it was written: the options, and facts such as the device."""
-        found: dict[str, Any] = self.folder.read_options()
-        return found
+        """The content of options.json: the options, and facts such as the device."""
+        return self.folder.read_options()
 
     @property
     def is_finished(self) -> bool:
-        """Whether all its steps are taken and its report is written."""
+        """Whether all steps are done and the report is written."""
         return self.folder.is_finished
 
     @property
@@ -116,26 +116,25 @@ class Run:
         from clsplat.training.checkpoint import saved_gaussians
 
         record = self.record
-        found = saved_gaussians(self.folder, record, *self.folder.load_checkpoint())
+        gaussians = saved_gaussians(self.folder, record, *self.folder.load_checkpoint())
         try:
-            return found.scaled(float(record["extent"])).located(record["offset"])
+            return gaussians.scaled(float(record["extent"])).located(record["offset"])
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{self.path}: options.json lacks a good {error}; start again with "
+            raise InputError(f"{self.path}: options.json is damaged ({reason(error)}); start again with "
                              "overwrite=True") from None
 
     @property
     def finished_model(self) -> Gaussians:
-        """Its gaussians, once all steps are taken; before, an error that says how to go on."""
+        """Its gaussians after the last step; an error that says how to continue before that."""
         return self.folder.load_model()
 
     @property
     def exposures(self) -> dict[str, NDArray[np.float64]] | None:
         """Name of a training view -> float64[3, 4], its colour transform; None without any."""
-        found: dict[str, NDArray[np.float64]] | None = self.folder.load_exposures()
-        return found
+        return self.folder.load_exposures()
 
     def scene(self, path: str | Path | None = None, *, whole: bool = False) -> Scene:
-        """The scene that it was trained on, at the size that it was trained at.
+        """The scene of the training, at the size of the training.
 
         Parameters
         ----------
@@ -144,19 +143,19 @@ class Run:
 
         Raises
         ------
-        clsplat.ClsplatError : where it is not there, or is another scene.
+        clsplat.ClsplatError : the scene is missing, or is another one.
         """
         place, options = self.folder.scene_path(None if path is None else Path(path)), self.options
         scene = read_scene(place, options.images)
-        wanted = self.record.get("fingerprint")
-        if wanted is not None and fingerprint(scene) != wanted:
+        recorded = self.record.get("fingerprint")
+        if recorded is not None and fingerprint(scene) != recorded:
             raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "
                              "that one with --scene")
         return scene if whole else scene.reduced(options.downscale, options.max_resolution)
 
     def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
                ) -> tuple[Any, Any, int]:
-        """A model on a device, to render views of a scene as the run was trained.
+        """A model on a device, to be rendered with the options of the run.
 
         Parameters
         ----------
@@ -170,7 +169,7 @@ class Run:
 
         Raises
         ------
-        clsplat.ClsplatError : where the model holds nothing to show.
+        clsplat.ClsplatError : the model is empty.
         """
         model = shown(model or self.finished_model, self.path)
         renderer, rows, degree = opened(device, model, scene, self.options)
@@ -178,16 +177,16 @@ class Run:
 
     def resume(self, *, device: Device | None = None,
                callbacks: Iterable[Callable[[dict[str, Any]], object]] = ()) -> None:
-        """Go on with a training that was stopped, from its last checkpoint to its end.
+        """Continue a training that was stopped, from its last checkpoint to its end.
 
         Parameters
         ----------
-        device : an open device; None: what the run's option says.
+        device : an open device; None: that of the run's option.
         callbacks : as for `clsplat.train`.
 
         Raises
         ------
-        clsplat.ClsplatError : where its scene is gone or its checkpoint is damaged.
+        clsplat.ClsplatError : its scene is missing or its checkpoint is damaged.
         """
         from clsplat.training.loop import resume
 
@@ -213,11 +212,11 @@ class Run:
 
         Raises
         ------
-        clsplat.ClsplatError : where the run has no model or holds out no view.
+        clsplat.ClsplatError : the run has no model or holds out no view.
         """
         if not self.folder.has_model:
-            raise InputError(f"{self.path}: has no finished model yet; go on with it first, or "
-                             "give Run.model to clsplat.evaluate")
+            raise InputError(f"{self.path}: has no finished model yet; resume it first, or give "
+                             "Run.model to clsplat.evaluate")
         return Score.of(evaluate_run(self, device or choose_device("auto"), save_images=False))
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""`clsplat.Score`: what an evaluation of held-out views says."""
+"""`clsplat.Score`: the result of an evaluation on held-out views."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Score:
 
     @classmethod
     def of(cls, result: dict[str, Any]) -> Score:
-        """The Score of what `evaluate_views` returned.
+        """The Score from the result of `evaluate_views`.
 
         Parameters
         ----------
-        result : with the keys of the attributes, and others.
+        result : has the keys of the attributes, and others.
         """
         return cls(result["views"], result["psnr"], result["ssim"], result["psnr_cc"],
                    result["ssim_cc"], tuple(result["per_view"]))

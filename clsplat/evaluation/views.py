@@ -1,4 +1,4 @@
-"""Renders of a model beside the photos of a scene, and what they score."""
+"""Renders of a model beside the photos of a scene, and their scores."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.error_map import error_map
 from clsplat.evaluation.floaters import floater_share, ground_truth
 from clsplat.evaluation.metrics import psnr, ssim
-from clsplat.evaluation.pictures import Pictures, chosen_views, shown_view
+from clsplat.evaluation.pictures import Pictures, ShownView, chosen_views, shown_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_photo, write_image
@@ -28,30 +28,31 @@ from clsplat.scene import Scene, View
 if TYPE_CHECKING:
     from clsplat.evaluation.run import Run
 
+Image = NDArray[np.floating]  # [H, W, 3], 0 to 1
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
-SAMPLED = 24  # training views to choose pictures from, where no view is held out
+MOST_SAMPLED = 24  # training views from which to choose pictures, where no view is held out
 SCORES = ("psnr", "ssim", "psnr_cc", "ssim_cc")
 
 
-def render_view(renderer: Any, rows: Any, degree: int, camera: Camera) -> NDArray[np.floating]:
-    """float32[H, W, 3] in 0..1: what a Camera sees."""
+def render_view(renderer: Any, rows: Any, degree: int, camera: Camera) -> Image:
+    """float32[H, W, 3], 0 to 1: the image of a camera."""
     frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree)
-    return np.clip(frame.image.download().transpose(1, 2, 0), 0, 1)
+    image: Image = frame.image.download().transpose(1, 2, 0)
+    return np.clip(image, 0, 1)
 
 
 def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
                    keep: Callable[..., object] | None = None) -> dict[str, Any]:
-    """Compare renders from the cameras of views with their photos, resampled to that size.
+    """Compare renders from the cameras of views with their photos.
 
     Parameters
     ----------
     renderer, rows, degree : a model on the device; see `opened`.
-    views : whose cameras and photos to take.
-    keep : called with (view, image, fitted image, photo), each float[H, W, 3], for every view.
+    keep : called for every view with (view, image, fitted image, photo).
 
     Returns
     -------
-    {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", "per_view"}: means over views, dB and 0..1;
+    {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", "per_view"}: means over views, dB and 0 to 1;
     `_cc` after the quadratic colour fit of each render to its photo.
     """
     per_view = []
@@ -69,31 +70,33 @@ def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
 
 def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
                 train: Sequence[View], per_view: list[dict[str, Any]] | None = None) -> Pictures:
-    """The pictures that a report of a model begins with.
+    """The pictures at the beginning of a model's report.
 
-    What is chosen is rendered again, so that no more than one view is in memory at full size.
+    The chosen views are rendered again, so that only one view is in memory at full size.
 
     Parameters
     ----------
     renderer, rows, degree : the model on the device; see `opened`.
     test : the held-out views, which are shown.
-    train : the training views; where none is held out, at most SAMPLED of them are looked at.
-    per_view : the scores of `test` as `evaluate_views` lists them; None: they are made here.
+    train : the training views; where none is held out, at most MOST_SAMPLED of them are rendered.
+    per_view : the scores of `test` as `evaluate_views` lists them; None: they are computed here.
     """
-    views = test or train[::-(-len(train) // SAMPLED)]
+    views = test or train[::-(-len(train) // MOST_SAMPLED)]
     if not (test and per_view):
         per_view = evaluate_views(renderer, rows, degree, views)["per_view"]
-    shown = []
+    shown: list[ShownView] = []
     for place, index in chosen_views(per_view):
-        def keep(_, image, fitted, photo, place=place, scores=per_view[index]):
+        def keep(_view: View, _image: Image, fitted: Image, photo: Image, place: str = place,
+                 scores: dict[str, Any] = per_view[index]) -> None:
             shown.append(shown_view(place, scores, fitted, photo))
         evaluate_views(renderer, rows, degree, [views[index]], keep)
     return Pictures(shown, bool(test), len(views))
 
 
 def photo_of(view: View) -> NDArray[np.float32]:
-    """float32[H, W, 3] in 0..1: the view's photo at its camera's size."""
-    return read_photo(view) / np.float32(255)
+    """[H, W, 3], 0 to 1: the photo of a view at its camera's size."""
+    photo: NDArray[np.float32] = read_photo(view) / np.float32(255)
+    return photo
 
 
 def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOptions
@@ -104,8 +107,8 @@ def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOpt
     ----------
     device : an open device.
     gaussians : the model, in the frame of the scene.
-    scene : whose views are rendered; its unit and size say where the near plane is.
-    options : near, antialiased and background are followed.
+    scene : decides, with `options.near`, where the near plane is.
+    options : of which near, antialiased and background are used.
     """
     renderer, rows = open_model(device, gaussians, scene.near(options.near), options.antialiased,
                                 options.background)
@@ -125,8 +128,8 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
 
     Returns
     -------
-    What `evaluate_views` returns, and `pictures`; where the scene has its ground truth, also that
-    of `floaters.floater_share`.
+    The result of `evaluate_views`, with `pictures` and, where the scene has ground truth, the
+    result of `floaters.floater_share`.
 
     Raises
     ------
@@ -140,7 +143,7 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     gaussians, city = run.finished_model, ground_truth(scene.path)
     model = run.opened(device, scene, gaussians)
 
-    def keep(view, image, fitted, photo):
+    def keep(view: View, image: Image, fitted: Image, photo: Image) -> None:
         error = error_map(fitted, photo) / np.float32(255)
         beside = np.concatenate([photo, image, fitted, error], axis=1)
         write_image(run.folder.renders.path("test", view.name), beside)
@@ -156,20 +159,18 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
 
 
 def training_pictures(run: Run, device: Device) -> Pictures:
-    """The Pictures of a Run's finished model where it holds out no view."""
+    """The pictures of a run's finished model where the run holds out no view."""
     scene = run.scene()
     return pictures_of(*run.opened(device, scene), [], scene.views)
 
 
-def render_views(draw: Callable[[Camera], NDArray[np.floating]], views: Sequence[View],
+def render_views(draw: Callable[[Camera], Image], views: Sequence[View],
                  folder: Path, beside: bool = False) -> None:
     """Write pictures of views, FOLDER/NAME.png.
 
     Parameters
     ----------
-    draw : makes float[H, W, 3] in 0..1 of a Camera.
-    views : whose cameras to draw from.
-    folder : where to.
+    draw : called with a camera; returns [H, W, 3], 0 to 1.
     beside : put the photo at the picture's right.
     """
     for view in views:

@@ -1,1 +1,1 @@
-"""What leaves clsplat: finished models made smaller for viewers and other programs."""
+"""Export: finished models made smaller for viewers and other programs."""

@@ -1,5 +1,4 @@
-"""What a finished model can do without: gaussians that no view can show, and harmonics that no
-held-out view misses."""
+"""Smaller finished models: without invisible gaussians and unneeded spherical harmonics."""
 
 from pathlib import Path
 
@@ -15,8 +14,11 @@ from clsplat.gaussians import Gaussians
 
 
 def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """bool[N]: whether a gaussian can be seen at all. Alpha is opacity times what falls off from 1,
-    and below 1 / ALPHA_STEPS is nothing: without the others every image has the same bytes."""
+    """[N]: whether a gaussian is visible at all.
+
+    Its alpha is at most its opacity, and the renderer skips alpha below 1 / ALPHA_STEPS: without
+    the invisible gaussians every image has the same bytes.
+    """
     with np.errstate(over="ignore"):
         return 1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))) >= 1 / ALPHA_STEPS
 
@@ -29,7 +31,7 @@ def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | N
     ----------
     run : a finished run.
     device : an open device.
-    cost : dB of PSNR, a mean over views, that may be lost.
+    cost : dB, the loss of PSNR, mean over views, that is allowed.
     scene_path : where the scene is now; None: where the run has recorded it.
 
     Returns
@@ -38,7 +40,7 @@ def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | N
 
     Raises
     ------
-    InputError : the run holds out no view.
+    InputError : the run does not hold out a view.
     """
     test_every, scene = run.options.test_every, run.scene(scene_path)
     _, views = scene.split(test_every)

@@ -43,7 +43,7 @@ class PartitionOptions:
                          "that see it; vastgs: cells with equally many cameras", choices=METHODS)
     grid: tuple[int, int] | None = option(
         None, "Blocks", "number of blocks along both sides of the ground, such as 3x3; auto: as "
-        "many as --block-gaussians asks for", words={AUTO: None}, separator="x", minimum=1,
+        "many as --block-gaussians requires", words={AUTO: None}, separator="x", minimum=1,
         wish="blocks along both sides, 1 or more each way, such as 3x3")
     block_gaussians: int = option(  # the grid that it chose is kept
         0, "Blocks", "gaussians that a block may end with; auto: as many as fit the device",

@@ -1,14 +1,14 @@
-"""What the records of runs say: a page for each run, and comparisons of several.
+"""Reports from the records of runs: a page for each run, and comparisons of several.
 
-The only package that imports matplotlib.
+This is the only package that imports matplotlib.
 """
 
 import os
 
 from clsplat.errors import InputError
 
-# matplotlib refuses to be imported where this names no backend that it knows; nothing here opens a
-# window, so that the choice is of no use
+# matplotlib cannot be imported if this variable names an unknown backend; nothing here opens a
+# window, so the choice does not matter
 _backend = os.environ.pop("MPLBACKEND", None)
 try:
     import matplotlib  # noqa: F401  (here first, for all modules of the package)

@@ -1,4 +1,4 @@
-"""Tables of a city: what each block gave to the merged model, and what shows where two meet."""
+"""Tables of a city: the blocks of the merged model, and the seams between them."""
 
 from typing import Any
 
@@ -6,16 +6,21 @@ from clsplat.report.page import Table
 
 
 def share_table(record: dict[str, Any]) -> Table:
-    """The Table of the blocks; record: of a `city.merge.Merged`, as in the city's metrics."""
+    """A row for each block.
+
+    Parameters
+    ----------
+    record : `city.merge.Merged.record`, as in the city's metrics.
+    """
     names = ("state", "gaussians", "trained", "views", "points", "note")
     rows = [(f"{share['block']:03d}", *(str(share[name]) for name in names))
             for share in record["blocks"]]
     return Table("Blocks", ("block", *names), rows, range(2, 6), tuple(
-        f"{name}: in no block: {why}" for name, why in record["dropped"].items()))
+        f"{name}: in no block: {reason}" for name, reason in record["dropped"].items()))
 
 
 def seam_table(seams: dict[str, Any]) -> Table:
-    """The Table of what `city.seams.find_seams` found."""
+    """A row for each border, from the result of `city.seams.find_seams`."""
     def cell(value: float | None) -> str:
         return "-" if value is None else f"{value:.2f}"
 
@@ -27,6 +32,6 @@ def seam_table(seams: dict[str, Any]) -> Table:
     return Table("Seams", ("blocks", "overlap dB", "density jump", "pixels", "PSNR", "elsewhere",
                            "seam dB"), rows, (1, 2, 3, 4, 5, 6), (
         "overlap: one block against the other, uncropped, beside their border; density jump: ln of "
-        "gaussians beyond it over those before it, less that of the reference; seam: PSNR "
-        "(colour-corrected, mean of views) gained over the reference elsewhere, less that gained "
-        "beside the border.",))
+        "the gaussians on one side over those on the other, minus that of the reference; seam: "
+        "gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, minus the "
+        "gain beside the border.",))

@@ -1,37 +1,45 @@
-"""Runs against each other: error over training time, and what was equal between them."""
+"""Comparisons of runs: error over training time, and in which options they differ."""
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.records import write_object
-from clsplat.report.curves import curve, reached, spread, value_at
+from clsplat.report.curves import Curve, Record, curve, reached, spread, value_at
 from clsplat.report.drawing import as_png, drawn
 from clsplat.report.figures import comparison_figure, cost_figure
-from clsplat.report.groups import differing, equal, grouped, read_runs, title, warnings
+from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
 from clsplat.report.page import Table, as_utf8, folded, headed, page, warning
 
 SCORES = ("psnr_cc", "psnr", "ssim_cc", "ssim")
 COSTS = ("pixel_pairs", "kernel_bytes")
-NO_CURVE = ("No curve: every run has a single evaluation at most. Train with --eval-every STEPS, "
-            "an eighth of -n or less, to see the error over time.")
-STEP = 0.5  # dB: levels chosen from the data are multiples of it
+NO_CURVE = ("No curve: no run has more than one evaluation. Train with --eval-every STEPS, an "
+            "eighth of -n or less, to see the error over time.")
+LEVEL_STEP = 0.5  # dB: levels chosen from the data are multiples of it
 
 
-def write_comparison(paths, folder=None, levels=()):
-    """Compare the runs in the folders `paths`; write compare.png, .html and .json.
+def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = None,
+                     levels: Sequence[float] = ()) -> tuple[str, Path]:
+    """Compare runs and write compare.png, compare.html and compare.json.
 
-    folder: where to; None takes what the paths have in common. levels: colour-corrected PSNR, dB,
-    whose training times are wanted; empty: chosen from the data. Returns (the tables as text, the
-    path of the page). Raises InputError.
+    Parameters
+    ----------
+    paths : folders with runs.
+    folder : for the files; None: the common folder of the runs.
+    levels : colour-corrected PSNR, dB, whose training times to list; empty: chosen from the data.
+
+    Returns
+    -------
+    The tables as text, and the path of the page.
     """
     runs, parent, empty = read_runs(paths)
     groups = grouped(runs)
     result = compare(groups, levels)
     if empty:
-        result["warnings"].append("Left out, since nothing is recorded of them yet: "
-                                  f"{', '.join(empty)}.")
+        result["warnings"].append(f"Left out, since they have no records yet: {', '.join(empty)}.")
     final, time = final_table(result), time_table(result)
     different, same = equality_tables(groups)
     folder = Path(folder or parent)
@@ -48,7 +56,7 @@ def write_comparison(paths, folder=None, levels=()):
         "render's colours to its photo.",
         curves or f"<p class=note>{NO_CURVE}</p>\n",
         *map(warning, result["warnings"]), final.html(), time.html(),
-        headed("Against what it costs on any machine", drawn(
+        headed("Over cost, which does not depend on the machine", drawn(
             "PSNR over pairs of gaussian and pixel, and over bytes", cost_figure, groups)),
         different.html(), folded(same.title, same.html()))
     written = folder / "compare.html"
@@ -58,15 +66,16 @@ def write_comparison(paths, folder=None, levels=()):
     text = "\n\n".join([
         f"{same.title}: {len(same.rows)} options and facts, at the end of {written.name}",
         different.text(), final.text(), time.text(), *([] if curves else [NO_CURVE]),
-        *(f"warning: {found}" for found in result["warnings"])])
+        *(f"warning: {sentence}" for sentence in result["warnings"])])
     return as_utf8(text), written
 
 
-def _write_picture(path, groups, levels):
-    """The curves as PNG; where there are none, no picture of another comparison stays there."""
+def _write_picture(path: Path, groups: Mapping[str, Sequence[Trained]], levels: Sequence[float]
+                   ) -> None:
+    """Write the curves as PNG; without curves, remove the picture of an earlier comparison."""
     try:
         data = as_png(comparison_figure, groups, levels)
-    except Exception:  # noqa: BLE001  (the page says why)
+    except Exception:  # noqa: BLE001  (the page gives the reason)
         data = None
     if data is None:
         path.unlink(missing_ok=True)
@@ -75,8 +84,9 @@ def _write_picture(path, groups, levels):
         file.write(data)
 
 
-def compare(groups, levels=()):
-    """The numbers of compare.json, from `grouped` runs: lists, dicts, numbers, text and None.
+def compare(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float] = ()
+            ) -> dict[str, Any]:
+    """The content of compare.json, from the result of `grouped`.
 
     Times are training seconds, interpolated linearly between evaluations.
     """
@@ -97,28 +107,31 @@ def compare(groups, levels=()):
             "deviation": {key: deviation for key, (_, deviation) in means.items()}, "runs": rows})
         for row in rows:
             del row["measured"]
-    found = warnings(groups)
+    sentences = warnings(groups)
     missing = [run.name for run in runs if run.name not in lines]
     if missing:
-        found.append(f"Not evaluated, so without scores: {', '.join(missing)}. Runs with "
-                     "--test-every none hold out no view.")
-    return {"levels": levels, "equal_seconds": shortest, "warnings": found,
+        sentences.append(f"Without scores, since they were not evaluated: {', '.join(missing)}. "
+                         "Runs with --test-every none hold out no view.")
+    return {"levels": levels, "equal_seconds": shortest, "warnings": sentences,
             "equal": {key: runs[0].options.get(key) for key in equal(runs)},
             "different": different, "groups": compared}
 
 
-def levels_from(groups):
-    """Up to three PSNR levels, dB, from the curves of each group's runs: the highest that all runs
-    reach, the highest that a whole group reaches, and one below."""
+def levels_from(groups: Iterable[Sequence[Curve]]) -> list[float]:
+    """Up to three PSNR levels, dB, from the curves of each group's runs.
+
+    They are the highest that all runs reach, the highest that a whole group reaches, and one below.
+    """
     best = [min(max(y) for _, y in group) for group in groups if group]
     if not best:
         return []
-    common, highest = (math.floor(level / STEP) * STEP for level in (min(best), max(best)))
+    common, highest = (math.floor(level / LEVEL_STEP) * LEVEL_STEP
+                       for level in (min(best), max(best)))
     return sorted({common - 1, common, highest if highest > common else common - 2})
 
 
-def final_table(result):
-    """The end of the runs: one row a group."""
+def final_table(result: Mapping[str, Any]) -> Table:
+    """The end of the runs, a row for each group."""
     rows = []
     for group in result["groups"]:
         mean, deviation = group["mean"], group["deviation"]
@@ -134,13 +147,13 @@ def final_table(result):
                                 "SSIM", "gaussians", "training, s", "pairs", "bytes"),
                  rows, range(3, 11),
                  ("cc: after the colour fit. ± is the standard deviation over the runs of a group.",
-                  "What training cost on any machine: pairs of gaussian and pixel, all those of a "
-                  "tile that the gaussian meets; bytes of the arrays given to kernels, once a "
-                  "launch."))
+                  "The cost of training does not depend on the machine. Pairs: of gaussian and "
+                  "pixel, with all pixels of the tiles that a gaussian touches; bytes: of the "
+                  "arrays given to kernels, in every launch."))
 
 
-def time_table(result):
-    """Training time at given PSNR, and PSNR at the same training time: one row a group."""
+def time_table(result: Mapping[str, Any]) -> Table:
+    """Training time at given PSNR, and PSNR at equal training time, a row for each group."""
     levels, rows, notes = result["levels"], [], []
     for group in result["groups"]:
         cells = []
@@ -166,18 +179,18 @@ def time_table(result):
                          "had no evaluation by then.")
         rows.append((group["name"], *cells))
     if any(cell.startswith("≤") for row in rows for cell in row):
-        notes.append("≤: a run's first evaluation was already there.")
+        notes.append("≤: a run had reached it at its first evaluation.")
     equal = result["equal_seconds"]
     last = "at equal time" if equal is None else f"PSNR cc at {equal:,.1f} s, dB"
     return Table("Against training time",
                  ("group", *(f"to {level:g} dB, s" for level in levels), last), rows,
                  range(1, len(levels) + 2),
-                 ("Seconds of training until the colour-corrected PSNR was reached, and that PSNR "
+                 ("Seconds of training until the colour-corrected PSNR was reached, and the PSNR "
                   "when the shortest run ended; linear between evaluations.", *notes))
 
 
-def equality_tables(groups):
-    """(what differs between the groups, what is equal in all): one row an option or fact."""
+def equality_tables(groups: Mapping[str, Sequence[Trained]]) -> tuple[Table, Table]:
+    """The options and facts that differ between the groups, and those that are equal in all."""
     runs = [group[0] for group in groups.values()]
     different = differing(runs)
     return (
@@ -190,15 +203,15 @@ def equality_tables(groups):
               [(title(key), runs[0].text(key)) for key in equal(runs)]))
 
 
-def _psnr(run):
+def _psnr(run: Trained) -> Curve:
     return curve(run.records, "train_seconds", "psnr_cc", "eval")
 
 
-def _numbers(run, levels, shortest):
+def _numbers(run: Trained, levels: Sequence[float], shortest: float | None) -> dict[str, Any]:
     """One run's part of compare.json; `measured` names the keys that have a mean over seeds."""
     line = _psnr(run)
     crossings = [reached(line, level) or (None, False) for level in levels]
-    numbers = {key: _last(run.records, key, "eval") for key in SCORES}
+    numbers: dict[str, Any] = {key: _last(run.records, key, "eval") for key in SCORES}
     numbers |= {key: _last(run.records, key) for key in ("gaussians", "train_seconds", *COSTS)}
     numbers["psnr_cc_at_equal_seconds"] = None if shortest is None else value_at(line, shortest)
     return {"folder": run.name, "seed": run.options.get("seed"), "finished": run.finished,
@@ -208,13 +221,13 @@ def _numbers(run, levels, shortest):
             "measured": tuple(numbers)}
 
 
-def _last(records, key, event=None):
+def _last(records: Sequence[Record], key: str, event: str | None = None) -> Any:
     values = [record[key] for record in records
               if record.get(key) is not None and event in (None, record.get("event"))]
     return values[-1] if values else None
 
 
-def _with_spread(mean, deviation, digits):
+def _with_spread(mean: float | None, deviation: float | None, digits: int) -> str:
     if mean is None:
         return "-"
     return f"{mean:,.{digits}f}" + ("" if deviation is None else f" ± {deviation:.{digits}f}")

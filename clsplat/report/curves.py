@@ -1,45 +1,54 @@
 """Numbers from the records of a run: curves, crossings, means over seeds.
 
-A curve is a pair (x, y) of float64[N], in the order of the records; between two of its points it is
-a straight line, outside of them nothing is known.
+A curve is a straight line between two of its points; outside of them nothing is known.
 """
 
+from collections.abc import Iterable, Sequence
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
+
+Record = dict[str, Any]  # a line of metrics.jsonl
+Curve = tuple[NDArray[np.float64], NDArray[np.float64]]  # x and y, [N] each, in the records' order
 
 
-def curve(records, x, y, event=None):
-    """The curve of two keys over the records of one event (None: all) that have both."""
+def curve(records: Iterable[Record], x: str, y: str, event: str | None = None) -> Curve:
+    """The curve of two keys over the records of one event, or of all, that have both keys."""
     points = [(record.get(x), record.get(y)) for record in records
               if event is None or record.get("event") == event]
     points = [point for point in points if None not in point]
-    return tuple(np.array(points, np.float64).reshape(-1, 2).T)
+    columns = np.array(points, np.float64).reshape(-1, 2).T
+    return columns[0], columns[1]
 
 
-def frequency_curves(records):
-    """{variant: {axis: curve over iterations}} of the scene frequencies in the step records."""
+def frequency_curves(records: Iterable[Record]) -> dict[str, dict[str, Curve]]:
+    """The scene frequencies in the step records over iterations, by variant and axis."""
     samples = [{**(record.get("frequency") or {}), "iteration": record.get("iteration")}
                for record in records if record.get("event") == "step"]
     names = {name: None for sample in samples for name in sample if name != "iteration"}
-    found = {}
+    curves: dict[str, dict[str, Curve]] = {}
     for name in names:
         x, y = curve(samples, "iteration", name)
         if len(x):
             variant, _, axis = name.rpartition("_")
-            found.setdefault(variant, {})[axis] = x, y
-    return found
+            curves.setdefault(variant, {})[axis] = x, y
+    return curves
 
 
-def value_at(line, when):
-    """y of a curve at x = `when`, or None outside of it."""
+def value_at(line: Curve, x_at: float) -> float | None:
+    """y of a curve at x = `x_at`, or None outside of the curve."""
     x, y = line
-    if not len(x) or not x[0] <= when <= x[-1]:
+    if not len(x) or not x[0] <= x_at <= x[-1]:
         return None
-    return float(np.interp(when, x, y))
+    return float(np.interp(x_at, x, y))
 
 
-def reached(line, level):
-    """Where a curve first has y >= level: (x, False); (x, True) where its first point has, so that
-    x is only an upper bound; None where it never has."""
+def reached(line: Curve, level: float) -> tuple[float, bool] | None:
+    """The x at which a curve first has y >= level, or None if it never has.
+
+    The flag says that already the first point has it, so that x is only an upper bound.
+    """
     x, y = line
     above = np.flatnonzero(y >= level)
     if not len(above):
@@ -51,10 +60,10 @@ def reached(line, level):
     return float(x[after - 1] + share * (x[after] - x[after - 1])), False
 
 
-def band(curves):
-    """(x, mean, low, high), float64[M] each, of curves over the range of x that all of them have.
+def band(curves: Sequence[Curve]) -> tuple[NDArray[np.float64], ...]:
+    """The x, mean, minimum and maximum, float64[M] each, of curves where all of them are known.
 
-    x are the places where any of them has a point. Curves without points are left out.
+    x has every point that any of the curves has there. Curves without points are left out.
     """
     curves = [line for line in curves if len(line[0])]
     nothing = (np.zeros(0),) * 4
@@ -69,8 +78,11 @@ def band(curves):
     return places, values.mean(axis=0), values.min(axis=0), values.max(axis=0)
 
 
-def spread(values):
-    """(mean, sample standard deviation) of those that are not None; None where too few are."""
-    values = [value for value in values if value is not None]
-    return (float(np.mean(values)) if values else None,
-            float(np.std(values, ddof=1)) if len(values) > 1 else None)
+def spread(values: Iterable[float | None]) -> tuple[float | None, float | None]:
+    """The mean and the sample standard deviation of the values that are not None.
+
+    Each is None where there are too few values.
+    """
+    known = [value for value in values if value is not None]
+    return (float(np.mean(known)) if known else None,
+            float(np.std(known, ddof=1)) if len(known) > 1 else None)

@@ -1,26 +1,40 @@
-"""The drawings of the reports: matplotlib figures, without a window system.
+"""The matplotlib figures of the reports, which need no window system.
 
-Each is drawn within `drawing.clean_look`. narrow: for a telephone, panels one below the other.
+Each is drawn within `drawing.own_settings`. A `narrow` figure is for a telephone: its panels are
+one below the other.
 """
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 
-from clsplat.report.curves import band, curve, frequency_curves
-from clsplat.report.drawing import SMALL
+from clsplat.report.curves import Curve, Record, band, curve, frequency_curves
+from clsplat.report.drawing import LABEL_COLOUR
+from clsplat.report.groups import Trained
 
-# Okabe and Ito (2008), apart for the colour-blind; yellow left out, it does not show on white
+# Okabe and Ito (2008), distinct for the colour-blind; without yellow, which is too pale on white
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 DASHES = ("-", "--", ":", "-.")
 WIDE, NARROW = 10, 4.4  # inches
 
 
-def comparison_figure(groups, levels, narrow=False):
-    """Colour-corrected PSNR, its SSIM and the gaussians over training time: a line at the mean of
-    each group's runs, a band from the lowest to the highest, a dot at every evaluation.
+def comparison_figure(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float],
+                      narrow: bool = False) -> Figure | None:
+    """Colour-corrected PSNR and SSIM, and the number of gaussians, over training time.
 
-    groups: {name: list of Trained}; levels: PSNR, dB, to mark. None where no run was evaluated
-    twice: there is no curve then.
+    Each group has a line at the mean of its runs, a band from the minimum to the maximum, and a dot
+    at every evaluation.
+
+    Parameters
+    ----------
+    levels : PSNR, dB, to mark.
+
+    Returns
+    -------
+    None where no run was evaluated twice.
     """
     if not any(_is_curve(curve(run.records, "train_seconds", "psnr_cc", "eval"))
                for runs in groups.values() for run in runs):
@@ -48,9 +62,11 @@ def comparison_figure(groups, levels, narrow=False):
     return figure
 
 
-def cost_figure(groups, narrow=False):
-    """Colour-corrected PSNR over what no machine's noise touches, drawn as in `comparison_figure`:
-    pairs of gaussian and pixel, and bytes; None where no run has counted them twice."""
+def cost_figure(groups: Mapping[str, Sequence[Trained]], narrow: bool = False) -> Figure | None:
+    """Colour-corrected PSNR over costs that do not depend on the machine.
+
+    The costs are pairs of gaussian and pixel, and bytes. None where no run has counted them twice.
+    """
     axes_of = (("pixel_pairs", "pairs of gaussian and pixel"),
                ("kernel_bytes", "bytes of the arrays given to kernels"))
     lines = {key: {name: [curve(run.records, key, "psnr_cc", "eval") for run in runs]
@@ -72,9 +88,11 @@ def cost_figure(groups, narrow=False):
     return figure
 
 
-def score_figure(records, narrow=False):
-    """PSNR and SSIM over training time, plain and after the colour fit; None with fewer than two
-    evaluations: there is no curve then."""
+def score_figure(records: Sequence[Record], narrow: bool = False) -> Figure | None:
+    """PSNR and SSIM over training time, plain and after the colour fit.
+
+    None with fewer than two evaluations.
+    """
     if not any(_is_curve(curve(records, "train_seconds", key, "eval")) for key in ("psnr", "ssim")):
         return None
     figure, panels = _two_panels(narrow, 3.3)
@@ -90,7 +108,7 @@ def score_figure(records, narrow=False):
     return figure
 
 
-def step_figure(records, narrow=False):
+def step_figure(records: Sequence[Record], narrow: bool = False) -> Figure | None:
     """Gaussians, loss and, where it changes, level over iterations; None without a curve."""
     gaussians, loss, level = (curve(records, "iteration", key)
                               for key in ("gaussians", "loss", "level"))
@@ -120,9 +138,8 @@ def step_figure(records, narrow=False):
     return figure
 
 
-def frequency_figure(records, narrow=False):
-    """The scene frequency over iterations, a panel a variant, level changes marked; None without
-    a curve."""
+def frequency_figure(records: Sequence[Record], narrow: bool = False) -> Figure | None:
+    """The scene frequency over iterations, with a panel for each variant; None without a curve."""
     variants = {variant: lines for variant, lines in frequency_curves(records).items()
                 if any(map(_is_curve, lines.values()))}
     if not variants:
@@ -143,13 +160,13 @@ def frequency_figure(records, narrow=False):
     return figure
 
 
-def _is_curve(line):
-    """Whether a curve has more than one place."""
+def _is_curve(line: Curve) -> bool:
+    """Whether the points of a curve differ in x."""
     return len(set(line[0])) > 1
 
 
-def _two_panels(narrow, height, sharey=False):
-    """(Figure, two axes beside each other, or below each other where it is narrow)."""
+def _two_panels(narrow: bool, height: float, sharey: bool = False) -> tuple[Figure, Any]:
+    """A figure and its two axes, side by side or, if it is narrow, one below the other."""
     if narrow:
         figure = Figure(figsize=(NARROW, 1.75 * height), layout="constrained")
         return figure, figure.subplots(2, 1)
@@ -157,31 +174,30 @@ def _two_panels(narrow, height, sharey=False):
     return figure, figure.subplots(1, 2, sharey=sharey)
 
 
-def _draw_band(axes, lines, name, number, dots):
-    """A line at the mean of a group's curves, a band from the lowest to the highest, and a dot at
-    every point; colour and dashes are those of group `number`."""
-    style = {"color": COLOURS[number % len(COLOURS)],
-             "linestyle": DASHES[number // len(COLOURS) % len(DASHES)]}
+def _draw_band(axes: Axes, lines: Sequence[Curve], name: str, number: int, dots: object) -> None:
+    """Draw the mean, the range and, if wanted, the points of the curves of group `number`."""
+    colour = COLOURS[number % len(COLOURS)]
     x, mean, low, high = band(lines)
-    axes.plot(x, mean, label=name, **style)
-    axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0)
+    axes.plot(x, mean, label=name, color=colour,
+              linestyle=DASHES[number // len(COLOURS) % len(DASHES)])
+    axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
     for line in lines if dots else ():
-        axes.plot(*line, ".", color=style["color"], markersize=4, alpha=0.6)
+        axes.plot(*line, ".", color=colour, markersize=4, alpha=0.6)
 
 
-def _logarithmic(axes):
-    """A logarithmic y axis that has numbers also where it spans less than a decade."""
+def _logarithmic(axes: Axes) -> None:
+    """Make the y axis logarithmic, with numbers also where it spans less than a decade."""
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter("")
 
 
-def _mark_changes(axes, records, named):
-    """A vertical line at each level change, with the new level above it where it is named."""
+def _mark_changes(axes: Axes, records: Sequence[Record], named: bool) -> None:
+    """Draw a vertical line at each level change, with the new level beside it if `named`."""
     for iteration, level in zip(*curve(records, "iteration", "level", "level")):
         axes.axvline(iteration, color="#8b9095", linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
         if named:
             axes.annotate(f"level {level:g}", (iteration, 1), xycoords=("data", "axes fraction"),
                           xytext=(3, -2), textcoords="offset points", va="top", fontsize=9,
-                          color=SMALL)
+                          color=LABEL_COLOUR)

@@ -1,18 +1,23 @@
-"""Which runs belong together, what tells the groups apart, and whether comparing them is fair."""
+"""Groups of runs that differ only by seed, and whether comparing the groups is fair."""
+
+from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from clsplat.config.option import options_of
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.io.run import find_runs
 from clsplat.options import TrainOptions, serves
+from clsplat.report.curves import Record
 
 FACTS = ("fingerprint", "opencl_device", "kernel_form", "version", "commit")
-# runs of a group differ by seed, and kernel_form says what `form` became
+# without the seed, by which runs of a group differ, and `form`, whose result is kernel_form
 OPTIONS = {option.name: option for option in options_of(TrainOptions)
            if option.metadata["affects"] == "model" and option.name not in ("seed", "form")}
 KEYS = (*sorted(OPTIONS, key=lambda name: name != "schedule"), *FACTS)
@@ -21,25 +26,31 @@ TITLES = {"fingerprint": "scene", "opencl_device": "OpenCL device"}
 
 @dataclass(frozen=True)
 class Trained:
-    """A run as it was read: its folder relative to what all have in common, options.json, the
-    metrics and whether it is finished."""
+    """A run as it was read.
+
+    Attributes
+    ----------
+    name : its folder, relative to the common folder of all runs.
+    options : options.json.
+    records : metrics.jsonl.
+    """
 
     name: str
-    options: dict
-    records: list
+    options: dict[str, Any]
+    records: list[Record]
     finished: bool
 
-    def uses(self, key):
-        """Whether one of KEYS means something to the run's schedule."""
+    def uses(self, key: str) -> bool:
+        """Whether the run's schedule uses one of KEYS."""
         if key not in OPTIONS:
             return True
         try:
             return serves(OPTIONS[key], str(self.options.get("schedule")))
-        except InputError:  # a schedule of a package that is not there
+        except InputError:  # a schedule of a package that is not installed
             return OPTIONS[key].metadata["part"] is None
 
-    def text(self, key):
-        """What the run has of one of KEYS, in words."""
+    def text(self, key: str) -> str:
+        """The run's value of one of KEYS, for people."""
         value = self.options.get(key)
         if key == "fingerprint":
             return f"{scene_name(self.options)} ({(value or '?')[:8]})"
@@ -54,8 +65,8 @@ class Trained:
         return value if isinstance(value, str) else json.dumps(value)
 
 
-def read_runs(paths):
-    """(Trained of every run in the folders, their common folder, names of runs without metrics)."""
+def read_runs(paths: Iterable[str | Path]) -> tuple[list[Trained], Path, list[str]]:
+    """All runs in some folders, the common folder, and the names of runs without metrics."""
     paths = [Path(path).resolve() for path in paths]
     parent = Path(os.path.commonpath(paths))
     runs = {folder.path: Run(folder) for path in paths for folder in find_runs(path)}
@@ -64,39 +75,39 @@ def read_runs(paths):
     read = [Trained(names[path], run.record, run.metrics, run.folder.has_model)
             for path, run in runs.items() if run.folder.has_metrics]
     if not read:
-        raise InputError(f"{parent}: none of its runs has metrics yet; let them train first")
+        raise InputError(f"{parent}: none of the runs has metrics yet; train them first")
     return read, parent, [names[path] for path, run in runs.items()
                           if not run.folder.has_metrics]
 
 
-def scene_name(options):
+def scene_name(options: Mapping[str, Any]) -> str:
     """The name of the scene that options.json records, without a suffix."""
     return Path(options.get("scene_absolute") or options.get("scene") or "?").stem or "?"
 
 
-def differing(runs):
-    """Those of KEYS in which not all runs are equal, of those whose schedules use them."""
+def differing(runs: Sequence[Trained]) -> list[str]:
+    """Those of KEYS in which the runs differ that use them."""
     return [key for key in KEYS if len({_plain(run, key) for run in runs if run.uses(key)}) > 1]
 
 
-def equal(runs):
+def equal(runs: Sequence[Trained]) -> list[str]:
     """Those of KEYS that all runs use, and in which they are equal."""
     different = differing(runs)
     return [key for key in KEYS if key not in different and all(run.uses(key) for run in runs)]
 
 
-def grouped(runs):
-    """{name: runs that differ at most in their seed, ordered by it}, in the order of the runs.
+def grouped(runs: Iterable[Trained]) -> dict[str, list[Trained]]:
+    """Groups of runs that differ at most in their seed, by name, in the order of the runs.
 
-    A name says no more than it takes to tell the groups apart.
+    Each group is in the order of seeds. Its name has only what distinguishes it from the others.
     """
-    groups = {}
+    by_values: dict[tuple[str | None, ...], list[Trained]] = {}
     for run in runs:
-        groups.setdefault(tuple(_plain(run, key) for key in KEYS), []).append(run)
+        by_values.setdefault(tuple(_plain(run, key) for key in KEYS), []).append(run)
     groups = [sorted(group, key=lambda run: (run.options.get("seed") or 0, run.name))
-              for group in groups.values()]
+              for group in by_values.values()]
     firsts = [group[0] for group in groups]
-    names = [()] * len(firsts)
+    names: list[tuple[str, ...]] = [()] * len(firsts)
     for key in differing(firsts):
         longer = [(*name, _part(run, key)) for name, run in zip(names, firsts)]
         if len(set(longer)) > len(set(names)):
@@ -105,60 +116,61 @@ def grouped(runs):
     return {", ".join(name) or alone: group for name, group in zip(names, groups)}
 
 
-def warnings(groups):
-    """Sentences on what makes the comparison unfair or uncertain; groups as from `grouped`."""
+def warnings(groups: Mapping[str, Sequence[Trained]]) -> list[str]:
+    """Sentences on what makes the comparison of groups unfair or uncertain."""
     runs = [run for group in groups.values() for run in group]
-    found = []
+    sentences = []
     for meaning, keys in (
-            ("The runs have different scenes, so that no score says which is better",
+            ("The runs have different scenes, so no score says which is better",
              ("fingerprint",)),
-            ("The runs are scored on different photos or sizes, so that scores do not compare",
+            ("The runs are scored on different photos or sizes, so scores cannot be compared",
              ("test_every", "downscale", "max_resolution")),
-            ("The runs used different devices: scores compare, times do not",
+            ("The runs used different devices: scores can be compared, times cannot",
              ("opencl_device", "kernel_form")),
             ("The runs were made by different versions of clsplat", ("version", "commit"))):
         for key in keys:
             texts = sorted({run.text(key) for run in runs})
             if len({_plain(run, key) for run in runs}) > 1:
-                found.append(f"{meaning} ({title(key)}: {' / '.join(texts)}).")
+                sentences.append(f"{meaning} ({title(key)}: {' / '.join(texts)}).")
     views = sorted({record["views"] for run in runs for record in run.records
                     if record.get("event") == "eval" and record.get("views") is not None})
     if len(views) > 1:
-        found.append("The runs have different numbers of held-out views, so that scores do not "
-                     f"compare ({' / '.join(map(str, views))}).")
+        sentences.append("The runs have different numbers of held-out views, so scores cannot be "
+                         f"compared ({' / '.join(map(str, views))}).")
     if any(str(run.options.get("commit")).endswith("-dirty") for run in runs):
-        found.append("clsplat's code had changes that were not committed: runs of the same commit "
-                     "may still differ in code.")
+        sentences.append("clsplat's code had changes that were not committed: runs of the same "
+                         "commit may still differ in code.")
     unfinished = [f"{run.name} (step {steps(run):,})" for run in runs if not run.finished]
     if unfinished:
-        found.append(f"Not finished yet: {', '.join(unfinished)}.")
+        sentences.append(f"Not finished yet: {', '.join(unfinished)}.")
     seeds = {name: [run.options.get("seed") for run in group] for name, group in groups.items()}
     if len({tuple(of_group) for of_group in seeds.values()}) > 1:
-        found.append("The groups have different seeds: part of what differs between them may be "
-                     "chance.")
+        sentences.append("The groups have different seeds: part of what differs between them may "
+                         "be chance.")
     twice = [name for name, of_group in seeds.items() if len(set(of_group)) < len(of_group)]
     if twice:
-        found.append(f"{', '.join(twice)}: a seed occurs twice, so that the spread shown is "
-                     "smaller than the true one.")
-    return found
+        sentences.append(f"{', '.join(twice)}: a seed occurs twice, so the spread shown is smaller "
+                         "than the true one.")
+    return sentences
 
 
-def title(key):
-    """What a table calls one of KEYS."""
+def title(key: str) -> str:
+    """The name of one of KEYS in a table."""
     return TITLES.get(key, key.replace("_", " "))
 
 
-def steps(run):
+def steps(run: Trained) -> int:
     """The last iteration in the records of a run."""
     return max((record.get("iteration") or 0 for record in run.records), default=0)
 
 
-def _plain(run, key):
-    """The value of one of KEYS as text, None where the run does not use it."""
+def _plain(run: Trained, key: str) -> str | None:
+    """The value of one of KEYS as text; None where the run does not use it."""
     return json.dumps(run.options.get(key), sort_keys=True) if run.uses(key) else None
 
 
-def _part(run, key):
+def _part(run: Trained, key: str) -> str:
+    """The part of a group's name for one of KEYS."""
     text = run.text(key)
     if key == "commit":
         text = text[:8] + ("-dirty" if text.endswith("-dirty") else "")

@@ -1,44 +1,56 @@
-"""A map of a partition, for a person to judge: points, cells and cameras from above."""
+"""A map of a partition: its points, cells and cameras from above."""
+
+from typing import BinaryIO
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from clsplat.partition.input import world_of
 from clsplat.partition.outline import centroid, extent, outline
-from clsplat.report.drawing import clean_look
+from clsplat.partition.partition import Partition
+from clsplat.report.drawing import own_settings
 from clsplat.report.figures import COLOURS
+from clsplat.scene import Scene
 
-POINTS = 60_000  # drawn
-PALE = 0.55  # share of white in their colours
-LABELLED = 16  # blocks; of more, only the numbers are written
-WIDTH, HEIGHT = 10, (4, 14)  # inches; the height follows the map within these
+MOST_POINTS = 60_000  # drawn
+WHITE_SHARE = 0.55  # of the colours of points
+MOST_LABELLED = 16  # blocks; if there are more, only their numbers are written
+WIDTH, HEIGHTS = 10, (4, 14)  # inches; the height follows the map within these limits
 
 
-def write_map(file, partition, scene, counts=None):
+def write_map(file: BinaryIO, partition: Partition, scene: Scene,
+              counts: NDArray[np.integer] | None = None) -> None:
     """Write `partition_map` as PNG to a binary file."""
-    with clean_look():
+    with own_settings():
         partition_map(partition, scene, counts).savefig(file, format="png", dpi=110)
 
 
-def partition_map(partition, scene, counts=None):
-    """The Figure of a Partition of a Scene; counts: int[B], gaussians a block owns (None: sparse
-    points), written into the cells. Coordinates are those of `Space.map`."""
+def partition_map(partition: Partition, scene: Scene, counts: NDArray[np.integer] | None = None
+                  ) -> Figure:
+    """The map of a partition, in the coordinates of `Space.map`.
+
+    Parameters
+    ----------
+    counts : [B], the gaussians that each block owns, written into the cells; None: sparse points.
+    """
     points = world_of(scene, scene.points)
-    what = "points" if counts is None else "gaussians"
+    counted = "points" if counts is None else "gaussians"
     if counts is None:
         owner = partition.owner(points)
         counts = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
     ends = extent(partition, scene)
     rings = [outline(region, *ends) for region in partition.regions]
     corners = np.concatenate(rings)
-    wide, high = np.ptp(corners, axis=0)
-    with clean_look(**{"axes.grid": False}):
-        figure = Figure(figsize=(WIDTH, np.clip(0.9 * WIDTH * high / wide, *HEIGHT)),
+    width, height = np.ptp(corners, axis=0)
+    with own_settings(**{"axes.grid": False}):
+        figure = Figure(figsize=(WIDTH, np.clip(0.9 * WIDTH * height / width, *HEIGHTS)),
                         layout="constrained")
         axes = figure.subplots()
         _draw_points(axes, partition, scene, points)
@@ -47,10 +59,10 @@ def partition_map(partition, scene, counts=None):
             linewidths=1.3, zorder=3))
         for block, ring in enumerate(rings):
             if len(ring):
-                _label(axes, block, ring, partition, counts, what)
+                _label(axes, block, ring, partition, f"{counts[block]:,} {counted}")
         _draw_cameras(figure, axes, partition, scene)
-        axes.set_xlim(*_ends(corners[:, 0]))
-        axes.set_ylim(*_ends(corners[:, 1]))
+        axes.set_xlim(*_limits(corners[:, 0]))
+        axes.set_ylim(*_limits(corners[:, 1]))
         axes.set_aspect("equal")
         axes.set_xlabel("x of the map, world units")
         axes.set_ylabel("y of the map, world units")
@@ -58,37 +70,42 @@ def partition_map(partition, scene, counts=None):
     return figure
 
 
-def _title(partition, scene):
-    taken = [len(views) for views in partition.views]
-    each = sum(taken) / max(1, len(np.unique(np.concatenate(partition.views))))
-    lost = f", {len(partition.dropped)} in none" if partition.dropped else ""
-    return (f"{scene.name}: {len(taken)} blocks by {partition.method}, a view in {each:.1f} of "
-            f"them{lost}")
+def _title(partition: Partition, scene: Scene) -> str:
+    counts = [len(views) for views in partition.views]
+    mean = sum(counts) / max(1, len(np.unique(np.concatenate(partition.views))))
+    dropped = f", {len(partition.dropped)} in none" if partition.dropped else ""
+    return (f"{scene.name}: {len(counts)} blocks by {partition.method}, a view in {mean:.1f} of "
+            f"them{dropped}")
 
 
-def _ends(values):
+def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
     room = 0.02 * np.ptp(values)
     return values.min() - room, values.max() + room
 
 
-def _draw_points(axes, partition, scene, points):
-    step = max(1, -(-len(points) // POINTS))
+def _draw_points(axes: Axes, partition: Partition, scene: Scene, points: NDArray[np.float64]
+                 ) -> None:
+    step = max(1, -(-len(points) // MOST_POINTS))
     x, y = partition.space.map(points[::step]).T
-    colours = PALE + (1 - PALE) * scene.colours[::step] / 255
+    colours = WHITE_SHARE + (1 - WHITE_SHARE) * scene.colours[::step] / 255
     axes.scatter(x, y, s=3, c=colours, linewidths=0, rasterized=True, zorder=1)
 
 
-def _label(axes, block, ring, partition, counts, what):
+def _label(axes: Axes, block: int, ring: NDArray[np.float64], partition: Partition, count: str
+           ) -> None:
     lines = [str(block)]
-    if len(partition.regions) <= LABELLED:
-        lines += [f"{counts[block]:,} {what}", f"{len(partition.views[block])} views"]
-    axes.annotate("\n".join(lines), centroid(ring), ha="center", va="center", fontsize=9,
+    if len(partition.regions) <= MOST_LABELLED:
+        lines += [count, f"{len(partition.views[block])} views"]
+    axes.annotate("\n".join(lines), tuple(centroid(ring)), ha="center", va="center", fontsize=9,
                   fontweight="bold", zorder=5,
                   path_effects=[withStroke(linewidth=3, foreground="white")])
 
 
-def _draw_cameras(figure, axes, partition, scene):
-    """A dot a camera, coloured by how many blocks take its view; dropped ones are crossed out."""
+def _draw_cameras(figure: Figure, axes: Axes, partition: Partition, scene: Scene) -> None:
+    """Draw a dot for each camera, coloured by the number of blocks with its view.
+
+    Views in no block have a cross.
+    """
     blocks = np.zeros(len(scene.views), int)
     for views in partition.views:
         blocks[views] += 1
@@ -99,12 +116,12 @@ def _draw_cameras(figure, axes, partition, scene):
     dots = axes.scatter(x[shown], y[shown], s=26, c=blocks[shown], cmap=colours, zorder=4,
                         norm=BoundaryNorm(np.arange(most + 1) + 0.5, most), edgecolors="#1d1f21",
                         linewidths=0.6)
-    figure.colorbar(dots, ax=axes, label="blocks that take a camera's view", shrink=0.6,
+    figure.colorbar(dots, ax=axes, label="blocks with a camera's view", shrink=0.6,
                     ticks=MaxNLocator(8, integer=True, min_n_ticks=1))
     for kind, marker, colour in (("in no block", "x", COLOURS[1]), ("held out", "+", "#8b9095")):
-        of = [index for index in np.flatnonzero(~shown)
-              if (index in partition.dropped) == (kind == "in no block")]
-        if of:
-            axes.plot(x[of], y[of], marker, color=colour, markersize=9, markeredgewidth=2,
+        chosen = [index for index in np.flatnonzero(~shown)
+                  if (index in partition.dropped) == (kind == "in no block")]
+        if chosen:
+            axes.plot(x[chosen], y[chosen], marker, color=colour, markersize=9, markeredgewidth=2,
                       label=kind, zorder=4)
             axes.legend(loc="upper left", frameon=True, framealpha=0.9)

@@ -1,4 +1,4 @@
-"""What notebooks show: a table of facts; a run as a sentence, its curve and its scores."""
+"""HTML for notebooks: a table of facts, and a run with its curve and scores."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import score_figure
+from clsplat.report.page import html_of
 from clsplat.report.run import lead, score_table
 
 if TYPE_CHECKING:
@@ -14,17 +15,15 @@ if TYPE_CHECKING:
 
 
 def table(rows: dict[str, str]) -> str:
-    """An HTML table of two columns."""
+    """An HTML table with two columns."""
     return "<table>" + "".join(
         f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in rows.items()
     ) + "</table>"
 
 
 def run_page(run: Run) -> str:
-    """HTML without head and body."""
+    """A run as HTML, without head and body."""
     options, records = run.record, run.metrics
-    scores = score_table(records)
-    parts = (f"<p>{escape(lead(options, records))}</p>",
-             drawn("PSNR and SSIM over training time", score_figure, records),
-             scores and scores.html())
-    return "".join(filter(None, parts))
+    return html_of(f"<p>{escape(lead(options, records))}</p>",
+                   drawn("PSNR and SSIM over training time", score_figure, records),
+                   score_table(records))

@@ -5,8 +5,10 @@ A Table is also text, for the terminal.
 
 import base64
 import textwrap
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 
 from clsplat.report.style import STYLE
 
@@ -15,29 +17,36 @@ NOTES_WIDTH = 100  # characters, of notes in the terminal
 
 @dataclass(frozen=True)
 class Table:
-    """head: column titles; rows: cells as text; numbers: the columns that are aligned at the right;
-    notes: what a reader must know of the cells."""
+    """A table with cells of text, for a page or the terminal.
+
+    Attributes
+    ----------
+    numbers : indices of the columns that are aligned at the right.
+    notes : what a reader must know about the cells.
+    """
 
     title: str
-    head: tuple
-    rows: list
-    numbers: tuple = ()
-    notes: tuple = ()
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    numbers: Collection[int] = ()
+    notes: Sequence[str] = ()
 
-    def html(self):
-        def row(cells, tag):
+    def html(self) -> str:
+        """The table for a page."""
+        def row(cells: Sequence[str], tag: str) -> str:
             return "<tr>" + "".join(
                 f"<{tag}{' class=number' if column in self.numbers else ''}>{escape(cell)}</{tag}>"
                 for column, cell in enumerate(cells)) + "</tr>"
         body = "\n".join(row(cells, "td") for cells in self.rows)
         notes = "".join(f"<p class=note>{escape(note)}</p>\n" for note in self.notes)
         title = f"<h2>{escape(self.title)}</h2>\n" if self.title else ""
-        # words in two columns need no table where there is no room for one
+        # on a narrow screen, two columns of words are shown as paragraphs
         kind = " class=pairs" if len(self.head) == 2 and not self.numbers else ""
         return (f"{title}<div class=scroll><table{kind}>\n<thead>{row(self.head, 'th')}</thead>\n"
                 f"<tbody>{body}</tbody>\n</table></div>\n{notes}")
 
-    def text(self):
+    def text(self) -> str:
+        """The table for the terminal."""
         lines = [self.head, *self.rows]
         widths = [max(len(line[column]) for line in lines) for column in range(len(self.head))]
         aligned = ["  ".join(cell.rjust(width) if column in self.numbers else cell.ljust(width)
@@ -47,38 +56,43 @@ class Table:
         return "\n".join([self.title, *aligned, *notes])
 
 
-def embedded(path, what):
-    """HTML of a PNG file, held in the page; `what` describes it to who cannot see. On a telephone
-    it scrolls, so that its text can be read."""
+def embedded(path: Path, description: str) -> str:
+    """HTML with a PNG file in it, which scrolls on a telephone so that its text can be read.
+
+    Parameters
+    ----------
+    description : the text for readers who cannot see the picture.
+    """
     data = base64.b64encode(path.read_bytes()).decode()
-    return (f'<div class=scroll><img alt="{escape(what)}" src="data:image/png;base64,{data}">'
-            "</div>\n")
+    return (f'<div class=scroll><img alt="{escape(description)}" src="data:image/png;base64,{data}'
+            '"></div>\n')
 
 
-def warning(text):
+def warning(text: str) -> str:
+    """HTML of a sentence that the reader must not miss."""
     return f"<p class=warning>{escape(text)}</p>\n"
 
 
-def folded(title, html):
+def folded(title: str, html: str) -> str:
     """HTML that opens at a click."""
     return f"<details><summary>{escape(title)}</summary>\n{html}</details>\n"
 
 
-def headed(heading, *parts):
-    """HTML of those parts, Tables or HTML, that are there below a heading; "" where none is."""
-    html = "".join(map(html_of, filter(None, parts)))
+def headed(heading: str, *parts: Table | str | None) -> str:
+    """HTML of a heading and the parts that are not empty; "" if all are."""
+    html = html_of(*parts)
     return f"<h2>{escape(heading)}</h2>\n{html}" if html else ""
 
 
-def html_of(part):
-    """HTML of a Table, or of what is HTML already."""
-    return part if isinstance(part, str) else part.html()
+def html_of(*parts: Table | str | None) -> str:
+    """HTML of Tables, and of parts that are HTML already; empty parts are left out."""
+    return "".join(part if isinstance(part, str) else part.html() for part in parts if part)
 
 
-def page(title, lead, *parts):
+def page(title: str, lead: str, *parts: str) -> str:
     """The whole page: title and lead as text, parts as HTML.
 
-    What UTF-8 cannot hold, such as the name of a file that is no text, is written as \\udcff.
+    Characters that UTF-8 cannot encode, as in the name of a file, are written as \\udcff.
     """
     text = (f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8">\n'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -88,6 +102,6 @@ def page(title, lead, *parts):
     return as_utf8(text)
 
 
-def as_utf8(text):
-    """Text with what UTF-8 cannot hold written out."""
+def as_utf8(text: str) -> str:
+    """Text in which characters that UTF-8 cannot encode are written out."""
     return text.encode("utf-8", "backslashreplace").decode()

@@ -1,34 +1,35 @@
-"""The pictures that a report begins with: photo, render and error of a few views."""
+"""The pictures at the beginning of a report: photo, render and error of a few views."""
 
 import base64
 from html import escape
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR
+from clsplat.evaluation.pictures import Pictures, ShownView
 from clsplat.io.images import encode_jpeg
 
-QUALITY = 85  # of JPEG
-# comments around the pictures in a page, where `renew` finds them again
+JPEG_QUALITY = 85
+# comments around the pictures in a page, by which `with_pictures` finds them
 BEGIN, END = "<!-- pictures -->\n", "<!-- end of pictures -->\n"
 # attribute of a ShownView, caption
 PANELS = (("photo", "photo"), ("render", "render after the colour fit"), ("error", "its error"))
 
 
-def pictures_html(pictures):
-    """The section of a report for Pictures of `evaluation/pictures.py`; None: one without any.
-
-    An error becomes a line: no picture is worth a page.
-    """
+def pictures_html(pictures: Pictures | None) -> str:
+    """The section of a report for its pictures; an error becomes a line of text."""
     return f"{BEGIN}{_section(pictures)}{END}"
 
 
-def with_pictures(html, pictures):
-    """A page with its section of pictures replaced; None where it has no such section."""
+def with_pictures(html: str, pictures: Pictures) -> str | None:
+    """A page with its section of pictures replaced; None where it does not have one."""
     before, begin, rest = html.partition(BEGIN)
     _, end, after = rest.partition(END)
     return f"{before}{pictures_html(pictures)}{after}" if begin and end else None
 
 
-def _section(pictures):
+def _section(pictures: Pictures | None) -> str:
     if not pictures or not pictures.shown:
         return ""
     try:
@@ -37,13 +38,13 @@ def _section(pictures):
         return f"<p class=note>Pictures could not be made ({escape(str(error))}).</p>\n"
     if pictures.held_out:
         title = "Held-out views"
-        which = "Photos that the training did not use, beside what the model shows from there."
+        which = "Photos that the training did not use, beside renders of the same views."
     else:
         title = "Training views"
-        which = ("No view is held out, so these photos were trained on: they say less about the "
-                 f"model than others would. Chosen from {pictures.count} of them.")
+        which = ("No view is held out, so these photos were trained on, and say less about the "
+                 f"model than others would. They were chosen from {pictures.count}.")
     colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
-    return (f"<h2>{title}</h2>\n<p>{which} PSNR and SSIM are higher where both are more alike."
+    return (f"<h2>{title}</h2>\n<p>{which} PSNR and SSIM are higher where the two are more similar."
             "</p>\n<div class=scale><b>error: none</b> "
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
             f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"
@@ -52,7 +53,7 @@ def _section(pictures):
             "`clsplat eval` have the renders without the fit, too.</p>\n")
 
 
-def _view(view):
+def _view(view: ShownView) -> str:
     name, scores = escape(view.scores["name"]), view.scores
     title = {"only": name}.get(view.place, f"{view.place.capitalize()}: {name}")
     panels = "\n".join(
@@ -64,9 +65,9 @@ def _view(view):
             f"<div class=panels>\n{panels}\n</div>\n</div>\n")
 
 
-def _jpeg(pixels, what):
-    """HTML of pixels uint8[H, W, 3]; what: escaped text."""
+def _jpeg(pixels: NDArray[np.uint8], description: str) -> str:
+    """HTML of an image [H, W, 3] with an escaped description."""
     height, width = pixels.shape[:2]
-    data = base64.b64encode(encode_jpeg(pixels, QUALITY)).decode()
-    return (f'<img alt="{what}" width={width} height={height} style="height: auto" '
+    data = base64.b64encode(encode_jpeg(pixels, JPEG_QUALITY)).decode()
+    return (f'<img alt="{description}" width={width} height={height} style="height: auto" '
             f'src="data:image/jpeg;base64,{data}">')

@@ -1,4 +1,4 @@
-"""How the pages look, on a wide screen and on a telephone."""
+"""The style sheet of the pages, for wide screens and telephones."""
 
 STYLE = """
 :root { color-scheme: light; --ink: #1d1f21; --soft: #565b60; --line: #e3e4e6; --paper: #fcfcfb; }

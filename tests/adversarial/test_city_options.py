@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.city import finish, stages
-from clsplat.city.merge import KEPT, TRAINS, merge
+from clsplat.city.merge import NEVER_FILLED, TRAINS, merge
 from clsplat.cli.city import _beside
 from clsplat.cli.main import main
 from clsplat.distribute import guarded, local, run
@@ -30,11 +30,11 @@ from tests.data.tiny_training import CITY, trained
 
 ROOT = Path(__file__).parents[2]
 CITY_FLAGS = [
-    ("--grid 0x0", "--grid 0x0: wants auto or blocks along both sides"),
-    ("--grid 2", "--grid 2: wants auto or blocks along both sides"),
-    ("--grid 1x1x1", "--grid 1x1x1: wants auto or blocks along both sides"),
-    ("--grid -1x-1", "--grid -1x-1: wants auto or blocks along both sides"),
-    ("--grid 1e3x1", "--grid 1e3x1: wants auto or blocks along both sides"),
+    ("--grid 0x0", "--grid 0x0: expects auto or blocks along both sides"),
+    ("--grid 2", "--grid 2: expects auto or blocks along both sides"),
+    ("--grid 1x1x1", "--grid 1x1x1: expects auto or blocks along both sides"),
+    ("--grid -1x-1", "--grid -1x-1: expects auto or blocks along both sides"),
+    ("--grid 1e3x1", "--grid 1e3x1: expects auto or blocks along both sides"),
     ("--grid 100000x100000", "makes 10,000,000,000 blocks, more than 10,000"),
     ("--grid 50x50", "makes 2,500 blocks, but the scene will have about 4,400 gaussians, enough"),
     ("--workers 0", "--workers 0: expects 1 to 1024"),
@@ -44,29 +44,29 @@ CITY_FLAGS = [
     ("--against /dev/zero", "--against /dev/zero: no such file"),
     ("--against .", "--against .: has no point_cloud.ply"),
     (f"--against {__file__}", "not a PLY"),
-    ("--margin nan", "--margin nan: wants a number from 0 to 10"),
-    ("--margin -5", "--margin -5: wants a number from 0 to 10"),
-    ("--margin inf", "--margin inf: wants a number from 0 to 10"),
-    ("--threshold nan", "--threshold nan: wants a number from 0 to 2"),
-    ("--threshold -1", "--threshold -1: wants a number from 0 to 2"),
-    ("--least-views -1", "--least-views -1: wants a whole number of at least 0"),
-    ("--block-gaussians 1", "--block-gaussians 1: wants auto or a whole number of at least 100"),
-    ("--block-gaussians -7", "--block-gaussians -7: wants auto or a whole number of at least 100"),
-    ("--up 0 0 0", "--up 0 0 0: wants three numbers"),
-    ("--up nan 0 1", "--up nan 0 1: wants three numbers"),
-    ("--up 1e300 1e300 0", "--up 1e+300 1e+300 0: wants at most 1e+15"),
-    ("--bounds 0 0 0 0", "--bounds 0 0 0 0: wants X0 Y0"),
-    ("--bounds 0 0 1e300 1e300", "--bounds 0 0 1e+300 1e+300: wants at most 1e+15"),
-    ("--bounds nan 0 1 1", "--bounds nan 0 1 1: wants X0 Y0"),
+    ("--margin nan", "--margin nan: expects a number from 0 to 10"),
+    ("--margin -5", "--margin -5: expects a number from 0 to 10"),
+    ("--margin inf", "--margin inf: expects a number from 0 to 10"),
+    ("--threshold nan", "--threshold nan: expects a number from 0 to 2"),
+    ("--threshold -1", "--threshold -1: expects a number from 0 to 2"),
+    ("--least-views -1", "--least-views -1: expects a whole number of at least 0"),
+    ("--block-gaussians 1", "--block-gaussians 1: expects auto or a whole number of at least 100"),
+    ("--block-gaussians -7", "--block-gaussians -7: expects auto or a whole number of at least"),
+    ("--up 0 0 0", "--up 0 0 0: expects three numbers"),
+    ("--up nan 0 1", "--up nan 0 1: expects three numbers"),
+    ("--up 1e300 1e300 0", "--up 1e+300 1e+300 0: expects at most 1e+15"),
+    ("--bounds 0 0 0 0", "--bounds 0 0 0 0: expects X0 Y0"),
+    ("--bounds 0 0 1e300 1e300", "--bounds 0 0 1e+300 1e+300: expects at most 1e+15"),
+    ("--bounds nan 0 1 1", "--bounds nan 0 1 1: expects X0 Y0"),
     ("--method quadtree", "--method"),
-    ("--device 0,", "--device 0,: wants names"),
+    ("--device 0,", "--device 0,: expects names"),
     ("--device 0,1", "names 2 devices for --workers 1"),
-    ("--device 0,1 --workers 2 --scheduler x:1", "each worker has its own"),
+    ("--device 0,1 --workers 2 --scheduler x:1", "on each worker names its device"),
     ("--device 99", "no device matches '99'"),
     ("--scheduler nonsense", "--scheduler nonsense: no Dask scheduler answers"),
     ("--init random", "--init, --coarse"),
-    ("--near 1e300", "--near 1e+300: wants at most"),
-    ("--levels 1,2", "--levels 1,2: wants auto or factors that fall"),
+    ("--near 1e300", "--near 1e+300: expects at most"),
+    ("--levels 1,2", "--levels 1,2: expects auto or factors that fall"),
 ]
 
 
@@ -91,11 +91,11 @@ def test_a_city_option_is_refused_before_anything_is_made(tmp_path, capsys, monk
 
 
 @pytest.mark.parametrize("flags, said", [
-    ("--photos 0", "--photos 0: wants whole numbers from 1"),
-    ("--photos 10,-1", "--photos 10,-1: wants"), ("--photos x", "--photos x: wants"),
-    ("--photos 1,,2", "wants"), ("--photos " + "9" * 400, "wants whole numbers from 1"),
-    ("--margin nan", "--margin nan: wants a number from 0 to 10"),
-    ("--margin -1", "--margin -1: wants")])
+    ("--photos 0", "--photos 0: expects whole numbers from 1"),
+    ("--photos 10,-1", "--photos 10,-1: expects"), ("--photos x", "--photos x: expects"),
+    ("--photos 1,,2", "expects"), ("--photos " + "9" * 400, "expects whole numbers from 1"),
+    ("--margin nan", "--margin nan: expects a number from 0 to 10"),
+    ("--margin -1", "--margin -1: expects")])
 def test_plan_refuses_before_it_takes_steps(capsys, monkeypatch, flags, said):
     monkeypatch.setattr("clsplat.estimate.forecast.Planned", None)
     assert said in refused(capsys, "plan", CITY, *flags.split(" "))
@@ -120,7 +120,7 @@ def test_where_a_city_goes_that_is_not_told(monkeypatch, given, made):
 
 
 def test_a_city_of_the_root_must_be_told_where_to_go():
-    with pytest.raises(InputError, match="has no name; say with --output where the city goes"):
+    with pytest.raises(InputError, match="has no name; name the folder of the city with --output"):
         _beside(Path("/"))
 
 
@@ -167,7 +167,7 @@ def test_a_block_in_training_is_never_filled(city, scene, fill):  # noqa: F811
     (city.block(2).run / "point_cloud.ply").unlink()
     with held_elsewhere(city.block(2).run) as other:
         merged = merge(city, scene, fill)
-        assert states(merged) == ["merged", "merged", TRAINS, "merged"] and TRAINS in KEPT
+        assert states(merged) == ["merged", "merged", TRAINS, "merged"] and TRAINS in NEVER_FILLED
         with pytest.raises(InputError, match=f"002 in training; .*process {other} on .* trains it"):
             merged.check()
     assert states(merge(city, scene, fill))[2] == ("coarse" if fill else "unfinished")
@@ -245,7 +245,7 @@ def test_which_block_is_trained_is_told(city, monkeypatch, workers):  # noqa: F8
     monkeypatch.setattr(stages, "block_options", lambda block: None)
     monkeypatch.setattr(stages, "train_block", lambda *_: None)
     stages.train_blocks(city, workers, progress=shown,
-                        told=lambda outcome, place: said.append(("ended", place)),
+                        ended=lambda outcome, place: said.append(("ended", place)),
                         began=lambda name, place: said.append((name, place)))
     shows = ["block 2 of 4"] if workers == 1 else []
     assert said[2 + len(shows):][:2 + len(shows)] == [

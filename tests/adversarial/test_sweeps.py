@@ -35,6 +35,6 @@ def test_interrupted(name):
 def test_the_line_that_goes_on_is_found():
     said = "stopped after step 8; go on with: clsplat train --resume -o 'a b/run'\n"
     assert interrupts.goes_on(said, "x") == "clsplat train --resume -o 'a b/run'"
-    assert interrupts.goes_on("out: stopped; the same command goes on\n", "clsplat city") == (
+    assert interrupts.goes_on("out: stopped; the same command continues\n", "clsplat city") == (
         "clsplat city")
     assert interrupts.goes_on("interrupted\n", "x") is None

@@ -288,5 +288,5 @@ def test_a_damaged_checkpoint_is_one_line(scene, item_device, tmp_path):
     folder.save_checkpoint(arrays, state)
     record = folder.read_options()
     folder.write_options({**record, "extent": "wide"})
-    with pytest.raises(clsplat.ClsplatError, match="options.json lacks"):
+    with pytest.raises(clsplat.ClsplatError, match="options.json is damaged"):
         stopped.model  # noqa: B018

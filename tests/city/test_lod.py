@@ -67,7 +67,7 @@ def test_each_level_has_each_of_its_gaussians_in_one_cell(models, levels):
     assert 1000 / 64 <= cells <= 4 * 1000 / 64
     assert (np.diff(levels.firsts, axis=1)[:, -1] <= 64).all()
     for number, model in enumerate(models):
-        whole = levels.take(np.full(cells, number))
+        whole = levels.select(np.full(cells, number))
         assert whole.sh_degree == 1 and np.array_equal(table(whole), table(model))
 
 
@@ -105,13 +105,13 @@ def test_blocks_do_not_share_cells_and_one_may_lack_a_level(models):
     far = levels.choose(at(-1e5), pixels=1.0)
     there = np.diff(levels.firsts, axis=1)[:, 0] > 0
     assert np.array_equal(far, np.where(there, 0, 1)) and 0 < there.sum() < len(there)
-    assert len(levels.take(far).positions) == coarse.sum() + sum(
+    assert len(levels.select(far).positions) == coarse.sum() + sum(
         np.diff(levels.firsts, axis=1)[~there, 1])
 
 
 def test_levels_of_different_degrees_get_the_highest(models):
     levels = Levels.of([strip(40, 0.4, degree=0), models[-1]], limit=64)
-    coarse = levels.take(np.zeros(len(levels.firsts), int))
+    coarse = levels.select(np.zeros(len(levels.firsts), int))
     assert coarse.sh_degree == 1 and coarse.sh_rest.shape == (40, 3, 3)
     assert not coarse.sh_rest.any()
 
@@ -139,7 +139,7 @@ def test_a_level_is_enough_up_to_its_pixels(levels, level):
 def test_near_cells_are_fine_and_far_ones_coarse(levels):
     choice = levels.choose(at(-1.0), pixels=1.7)[np.argsort(levels.low[:, 0])]
     assert set(choice) == {0, 1, 2} and (np.diff(choice) <= 0).all()
-    drawn = levels.take(levels.choose(at(-1.0), pixels=1.7))
+    drawn = levels.select(levels.choose(at(-1.0), pixels=1.7))
     # sigma tells the level of what is drawn: none coarser than its place asks for
     distance = drawn.positions[:, 0] + 1.0
     sigma = np.exp(drawn.log_scales[:, 0])
@@ -182,4 +182,4 @@ def test_a_bias_of_levels_wants_levels(tmp_path):
     result = CliRunner().invoke(main, ["render", str(tmp_path), "-o", str(tmp_path / "out"),
                                        "--lod-bias", "2"])
     assert result.exit_code == 2 and result.output.count("\n") == 1, result.output
-    assert "--lod-bias: means nothing without --lod" in result.output
+    assert "--lod-bias: has no effect without --lod" in result.output

@@ -331,7 +331,7 @@ def test_the_command_says_it_all(monkeypatch, item_device):
 
 @pytest.mark.parametrize("words, complaint", [
     ((CITY / "nothing",), "no such scene"), ((CITY, "--test-every", 1), "holds out every view"),
-    ((CITY, "--sh-degree", "x"), "--sh-degree x: wants auto or a whole number"),
+    ((CITY, "--sh-degree", "x"), "--sh-degree x: expects auto or a whole number"),
     ((CITY, "--levels", "90,1"), "less than a tile")])
 def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
     monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: None)

@@ -50,7 +50,7 @@ def test_it_is_the_least_squares_fit(image):
 def test_chunks_do_not_show(image, monkeypatch):
     photo = quadratic(image)
     whole = fit_colour(image, photo)
-    monkeypatch.setattr(colour, "CHUNK", 7)
+    monkeypatch.setattr(colour, "CHUNK_PIXELS", 7)
     assert np.abs(fit_colour(image, photo) - whole).max() < 1e-9
 
 

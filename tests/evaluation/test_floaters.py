@@ -109,7 +109,7 @@ def test_leaving_out_solids_and_cameras_changes_nothing(monkeypatch):
     footprint = np.where(np.isinf(footprint), reach / cameras[0].focal[0], footprint)
     opacity = 1 / (1 + np.exp(-model.opacity_logits.astype(float)))
     away = distance(city, positions)
-    expected = [opacity @ (away > k * footprint) / opacity.sum() for k in floaters.PIXELS]
+    expected = [opacity @ (away > k * footprint) / opacity.sum() for k in floaters.TOLERANCES]
     assert 0.05 < expected[2] < expected[0] < 0.95
     for chunk in (50, 100_000):
         monkeypatch.setattr(floaters, "CHUNK", chunk)

@@ -10,7 +10,7 @@ import pytest
 
 from clsplat.evaluation import views
 from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR, error_map
-from clsplat.evaluation.pictures import LONGEST, Pictures, chosen_views, shown_view
+from clsplat.evaluation.pictures import MOST_PIXELS, Pictures, chosen_views, shown_view
 from clsplat.io.images import read_image
 from clsplat.io.run import RunFolder
 from clsplat.report.page import Table
@@ -72,7 +72,7 @@ def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
         ("worst", "18.jpg"), ("median", "25.jpg"), ("best", "30.jpg")]
     asked.clear()
     found = views.pictures_of(None, None, 0, [], named(*range(100)))
-    assert not found.held_out and found.count == len(asked[0]) <= views.SAMPLED
+    assert not found.held_out and found.count == len(asked[0]) <= views.MOST_SAMPLED
     assert [view.scores["name"] for view in found.shown][0] == "0.jpg"  # spread over all of them
     assert int(asked[0][-1].removesuffix(".jpg")) > 90
 
@@ -95,7 +95,8 @@ def test_the_error_map_has_a_scale_that_is_even():
 
 def test_a_shown_view_is_small_and_whole():
     view = shown_view("best", *scored("a", 20.0, (1400, 700)))
-    assert {view.photo.shape, view.render.shape, view.error.shape} == {(LONGEST // 2, LONGEST, 3)}
+    shapes = {view.photo.shape, view.render.shape, view.error.shape}
+    assert shapes == {(MOST_PIXELS // 2, MOST_PIXELS, 3)}
     assert view.photo.dtype == np.uint8 and abs(view.photo.mean() - 127.5) < 1
     small = shown_view("best", *scored("a", 20.0))
     assert small.photo.shape == (6, 8, 3)  # never enlarged: the page does that
@@ -118,7 +119,7 @@ def test_a_report_begins_with_pictures(run):
 def test_pictures_of_training_views_are_called_so(run):
     html = write_report(run, pictures=pictures(held_out=False)).read_text()
     assert headings(html)[0] == "Training views" and "No view is held out" in html
-    assert "Chosen from 7" in html
+    assert "chosen from 7" in html
     surrogate = pictures(names=("b\udcfe.jpg", "b", "c"))  # the name of a photo that is no text
     assert "b\\udcfe.jpg" in write_report(run, pictures=surrogate).read_text()
     assert "Training views" not in write_report(run, pictures=Pictures([], False, 0)).read_text()

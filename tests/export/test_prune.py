@@ -76,7 +76,7 @@ def test_export_leaves_out_what_carries_nothing(tmp_path, city):
     run, output = run_with(tmp_path / "run", gaussians), tmp_path / "model.ply"
     result = clsplat_("export", run.path, "-o", output, "--sh-degree", 2)
     assert result.exit_code == 0, result.output
-    assert "298 gaussians, harmonics to degree 2; 2 that no view can show" in result.output
+    assert "298 gaussians, spherical harmonics to degree 2; 2 invisible ones" in result.output
     whole, part = read_ply(run.path / "point_cloud.ply"), read_ply(output)
     keep = thin.alive(gaussians)
     assert part.sh_degree == 2 and b"SplatRenderMode: default" in output.read_bytes()[:400]

@@ -22,7 +22,7 @@ from clsplat.report.curves import (
     spread,
     value_at,
 )
-from clsplat.report.drawing import clean_look, drawn
+from clsplat.report.drawing import drawn, own_settings
 from clsplat.report.figures import score_figure, step_figure
 from clsplat.report.page import Table, page
 from clsplat.report.run import lead, level_table, score_table, write_report
@@ -177,7 +177,7 @@ def test_the_lead_says_what_was_trained():
         "held-out view: 24.50 dB after the colour fit, 23.25 dB plain. Schedule dash, seed 3.")
     assert "1 h 40 min" in lead(options, [{"train_seconds": 6012}])
     assert "PSNR" not in lead(options, [{"train_seconds": 1}])
-    assert "Nothing is recorded" in lead({}, [])
+    assert "has no records" in lead({}, [])
 
 
 # --- what surrounds the figures
@@ -211,7 +211,7 @@ def test_text_of_figures_is_no_mathematics():
         return figure
 
     assert "data:image" in drawn("a name", draw)
-    with clean_look():
+    with own_settings():
         assert not matplotlib.rcParams["text.usetex"]
 
 

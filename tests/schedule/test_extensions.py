@@ -47,7 +47,7 @@ def test_a_schedule_in_one_file(clsplat, tmp_path):
     assert clsplat("eval", "run", "--no-images").returncode == 0
     assert options["half_share"] == 0.5
     whole = " ".join(clsplat("train", "--help-all").stdout.split())
-    assert "--half-share FLOAT share of the run at half size" in whole
+    assert "--half-share FLOAT Share of the run at half size" in whole
     done = clsplat("train", CITY, "--schedule", "halves", "-n", "8", "-r", "8", "--half-share",
                    "0.25", "-o", "other", "--snapshots")
     assert done.returncode == 0, done.stderr
@@ -64,7 +64,7 @@ def test_a_schedule_in_one_file(clsplat, tmp_path):
 
 @pytest.mark.parametrize("name, words", [
     ("wrong", "not a subclass of clsplat.Schedule"), ("broken", "RuntimeError: no such thing"),
-    ("nothing", "wants one of sig, constant, dash, taming, broken, halves, wrong")])
+    ("nothing", "expects one of sig, constant, dash, taming, broken, halves, wrong")])
 def test_what_is_no_schedule_is_one_line(clsplat, name, words):
     done = clsplat("train", CITY, "--schedule", name, "-n", "4", "-r", "8", "-o", "run")
     assert done.returncode == 2 and words in done.stderr, done.stderr

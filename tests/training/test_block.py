@@ -331,7 +331,7 @@ def test_a_stopped_block_ends_in_the_same_bytes(folder, city, tmp_path):
     block = folder.block(0)
     code, output = called(block, "--stop-at", "25")
     assert code == 130 and output.splitlines()[-1] == \
-        f"{block.path}: stopped, its state is saved; the same command goes on"
+        f"{block.path}: stopped, its state is saved; the same command continues"
     assert not RunFolder(block.run).has_model
     code, output = called(block)
     assert (code, output.splitlines()[-1]) == (0, f"{block.run}: finished")
@@ -381,7 +381,7 @@ def test_a_block_of_another_city(folder, what):
 
 
 @pytest.mark.parametrize("options, complaint", [
-    ({"iterations": "many"}, "option 'iterations' wants a whole number"),
+    ({"iterations": "many"}, "option 'iterations' expects a whole number"),
     ({"no_such": 1}, "unknown option"),
     ({"schedule": "constant", "rounds": 3}, "--rounds: means nothing to --schedule constant")])
 def test_bad_options_of_a_block(folder, options, complaint):

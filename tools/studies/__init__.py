@@ -1,1 +1,1 @@
-"""The experiments behind the defaults; not shipped. Each writes a page of docs/notebook."""
+"""The experiments behind the defaults, which are not shipped; results are in docs/notebook."""

@@ -1,10 +1,11 @@
-"""Trains scenes with the SIG schedule and with each part left out; writes OUT/ablation.md.
+"""Train scenes with the SIG schedule and without each of its parts; write OUT/ablation.md.
 
     python -m tools.studies.ablate OUT SCENE[:DOWNSCALE] ... [-- FLAGS]
 
-Parts, after Xue et al. (2026): FARS, levels that follow the frequency; DS, rounds of growth a
-level; SCG, spheres; DR, reprojection, which is off by default and therefore added. Ours are
-exposure, the ceiling of gaussians a level, and that opacities are lowered where a level begins.
+The parts of Xue et al. (2026) are FARS, levels that follow the scene frequency; DS, rounds of
+growth at each level; SCG, spheres; and DR, reprojection, which is off by default and therefore
+added. Ours are exposure, the limit of gaussians at each level, and opacity resets at the start of a
+level.
 """
 
 import math
@@ -14,7 +15,7 @@ import numpy as np
 from clsplat.report.curves import spread
 from clsplat.report.page import Table
 from tools.studies import evidence
-from tools.studies.runs import trained, wanted
+from tools.studies.runs import planned, trained
 
 FULL = "full"
 GROWS_AS_CONSTANT = ["--rounds", "0", "--densify-every", "200"]
@@ -32,37 +33,39 @@ HEAD = ("", "runs", evidence.TITLES[0], "to full, dB", *evidence.TITLES[1:])
 
 
 def main(argv):
-    made = evidence.parser(__doc__, 7000)
-    made.add_argument("--seeds", type=int, default=3, help="default 3")
-    given = evidence.parsed(made, argv)
+    """Train what is missing and write the tables."""
+    parser = evidence.parser(__doc__, 7000)
+    parser.add_argument("--seeds", type=int, default=3, help="default 3")
+    arguments = evidence.parsed(parser, argv)
     groups, failed = trained(
-        [wanted(given, scene, name, seed, flags) for seed in range(given.seeds)
-         for scene in given.scenes for name, flags in ROWS.items()], given.jobs, given.gpus)
-    evidence.write(given.out / "ablation.md", "Ablation", given, groups,
-          [mean_table(groups), *(scene_table(*found) for found in groups.items())])
+        [planned(arguments, scene, name, seed, flags) for seed in range(arguments.seeds)
+         for scene in arguments.scenes for name, flags in ROWS.items()],
+        arguments.jobs, arguments.gpus)
+    evidence.write(arguments.out / "ablation.md", "Ablation", arguments, groups,
+                   [mean_table(groups), *(scene_table(*item) for item in groups.items())])
     evidence.refuse(failed)
 
 
 def difference(runs, full):
-    """(mean PSNR cc of `runs` minus that of `full`, dB, standard error from their seeds); nan for
-    what too few runs say nothing of.
+    """The mean PSNR cc of `runs` minus that of `full`, dB, and its standard error from the seeds.
 
-    The seeds are taken as independent: runs of one seed part at the first growth.
+    Each is nan if there are too few runs. The seeds are taken as independent, since runs of one
+    seed diverge at the first growth.
     """
     ends = [evidence.measured(group, "psnr_cc") for group in (runs, full)]
     errors = [(spread(values)[1] or np.nan) / math.sqrt(len(values) or 1) for values in ends]
     return evidence.mean(runs, "psnr_cc") - evidence.mean(full, "psnr_cc"), math.hypot(*errors)
 
 
-def scene_table(scene, found):
-    """One scene: a row a variant."""
+def scene_table(scene, variants):
+    """One scene, with a row for each variant."""
     rows = []
-    for name, runs in found.items():
+    for name, runs in variants.items():
         first, *rest = evidence.score_cells(runs)
-        to_full = "" if name == FULL else evidence.cell(*difference(runs, found[FULL]), 2, "+")
+        to_full = "" if name == FULL else evidence.cell(*difference(runs, variants[FULL]), 2, "+")
         rows.append((name, str(len(runs)), first, to_full, *rest))
     return Table(scene, HEAD, rows, range(1, 9),
-                 (f"{evidence.NOTE} That of the difference to full is its standard error.",))
+                 (f"{evidence.NOTE} For the difference to full it is the standard error.",))
 
 
 def mean_table(groups):
@@ -71,20 +74,21 @@ def mean_table(groups):
     for name in ROWS:
         if not scenes:
             break
-        runs = sum(len(found[name]) for found in scenes)
+        runs = sum(len(variants[name]) for variants in scenes)
         first, *rest = (
-            evidence.cell(np.mean([evidence.mean(found[name], key) for found in scenes]), None,
-                          digits) for _, key, digits in evidence.SCORES)
-        values, errors = np.transpose([difference(found[name], found[FULL]) for found in scenes])
+            evidence.cell(np.mean([evidence.mean(variants[name], key) for variants in scenes]),
+                          None, digits) for _, key, digits in evidence.SCORES)
+        values, errors = np.transpose([difference(variants[name], variants[FULL])
+                                       for variants in scenes])
         to_full = "" if name == FULL else evidence.cell(
             values.mean(), math.hypot(*errors) / len(scenes), 2, "+")
         rows.append((name, str(runs), first, to_full, *rest))
     left_out = len(groups) - len(scenes)
     return Table(f"Means over {len(scenes)} scene{'s' if len(scenes) != 1 else ''}", HEAD, rows,
                  range(1, 9), (
-        "± is the standard error from the seeds: what to expect of other seeds on these scenes, "
-        "not of other scenes.",
-        *([f"{left_out} left out: a variant has no run there."] if left_out else [])))
+        "± is the standard error from the seeds: for other seeds on these scenes, not for other "
+        "scenes.",
+        *([f"{left_out} left out: a variant does not have a run there."] if left_out else [])))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""Which scene frequency tells when to go on: trains scenes at five fixed resolutions.
+"""Which scene frequency shows when to change the level: train scenes at five fixed resolutions.
 
     python -m tools.studies.effectiveness OUT SCENE[:DOWNSCALE] ...
 
-DOWNSCALE is of what counts as full resolution. Each scene's OUT/SCENE/effectiveness.png has the
-nine frequencies over iterations, a line a resolution, as Xue et al. (2026) draw theirs;
-OUT/effectiveness.md says of each whether it orders the resolutions and whether it saturates.
+Factors are relative to SCENE at DOWNSCALE. OUT/SCENE/effectiveness.png has the nine frequencies
+over iterations, with a line for each resolution, like the figure of Xue et al. (2026);
+OUT/effectiveness.md says for each frequency whether it orders the resolutions and whether it
+saturates.
 """
 
 import matplotlib
@@ -13,29 +14,31 @@ from matplotlib.figure import Figure
 
 from clsplat.io.atomic import replacing
 from clsplat.report.curves import frequency_curves, value_at
-from clsplat.report.drawing import clean_look
+from clsplat.report.drawing import own_settings
 from clsplat.report.page import Table
 from clsplat.training.frequency import AXES, VARIANTS
 from tools.studies.evidence import outermost, parsed, parser, refuse, write
-from tools.studies.runs import trained, wanted
+from tools.studies.runs import planned, trained
 
 FACTORS = (5, 4, 3, 2, 1)
 FLAGS = ("--schedule", "constant", "--reset-every", "0")
-SATURATED = 0.1  # share of the growth while densifying that the last quarter may still add
+SATURATED = 0.1  # the last quarter may still add this share of the growth while densifying
 
 
 def main(argv):
-    given = parsed(parser(__doc__, 4000), argv)
+    """Train what is missing, and write the figures and the table."""
+    arguments = parsed(parser(__doc__, 4000), argv)
     groups, failed = trained(
-        [wanted(given, scene, f"fixed{factor}", 0,
-                [*FLAGS, "-r", f"{factor * scene.downscale:g}"])
-         for scene in given.scenes for factor in FACTORS], given.jobs, given.gpus)
+        [planned(arguments, scene, f"fixed{factor}", 0,
+                 [*FLAGS, "-r", f"{factor * scene.downscale:g}"])
+         for scene in arguments.scenes for factor in FACTORS], arguments.jobs, arguments.gpus)
     rows = []
-    for scene, found in groups.items():
-        runs = {factor: found[f"fixed{factor}"][0] for factor in FACTORS if found[f"fixed{factor}"]}
+    for scene, by_name in groups.items():
+        runs = {factor: by_name[f"fixed{factor}"][0] for factor in FACTORS
+                if by_name[f"fixed{factor}"]}
         lines = {factor: frequency_curves(run.records) for factor, run in runs.items()}
         grows = next(iter(growing(run.options) for run in runs.values()), None)
-        with replacing(given.out / scene / "effectiveness.png") as file:
+        with replacing(arguments.out / scene / "effectiveness.png") as file:
             drawn(scene, lines, grows).savefig(file, format="png", dpi=150)
         for variant in VARIANTS:
             for axis in AXES:
@@ -46,25 +49,30 @@ def main(argv):
         "Scene frequencies", ("scene", "frequency", "ordered at the end", "at half", "saturates",
                               "last quarter / growing", "at the end, coarse to fine"), rows, (), (
             "Ordered: each resolution has a higher frequency than the coarser one before it. "
-            f"Saturates: what the last quarter adds is less than {SATURATED:g} of what was added "
-            "while densifying; beside it that share, the median of the resolutions and its range.",
+            f"Saturates: the last quarter adds less than {SATURATED:g} of what was added while "
+            "densifying; beside it is that share, the median of the resolutions and its range.",
             f"Fixed factors {', '.join(map(str, FACTORS))}; one seed."))
-    # each run by itself: the runs of a scene are meant to differ in what `write` warns of
-    alone = {f"{scene} {name}": {name: runs} for scene, found in groups.items()
-             for name, runs in found.items()}
-    write(given.out / "effectiveness.md", "Effectiveness of the scene frequency", given, alone,
-          [table])
+    # each run is a group, since the runs of a scene differ on purpose where `write` would warn
+    alone = {f"{scene} {name}": {name: runs} for scene, by_name in groups.items()
+             for name, runs in by_name.items()}
+    write(arguments.out / "effectiveness.md", "Effectiveness of the scene frequency", arguments,
+          alone, [table])
     refuse(failed)
 
 
 def growing(options):
-    """(first, last) step that may grow, of a run's options."""
+    """The first and the last step after which a run with these options may grow."""
     return options["densify_from"], options["densify_until"] or options["iterations"] // 2
 
 
 def verdicts(lines, grows):
-    """Cells of one frequency: lines, curves over iterations from the coarsest resolution to the
-    finest; grows: (first, last) step that may grow."""
+    """The cells of one frequency.
+
+    Parameters
+    ----------
+    lines : curves over iterations, from the coarsest resolution to the finest.
+    grows : the result of `growing`.
+    """
     if len(lines) < 2:
         return ("-",) * 5
     end = min(x[-1] for x, _ in lines)
@@ -78,8 +86,7 @@ def verdicts(lines, grows):
 
 
 def late_share(line, end, grows):
-    """What the last quarter until `end` adds, over what densifying added; None where that is
-    unknown or nothing."""
+    """What the last quarter before `end` adds, over what densifying added; None if unknown or 0."""
     first, until = max(grows[0], line[0][0]), grows[1]
     points = [value_at(line, x) for x in (first, until, 0.75 * end, end)]
     if None in points or first >= until or points[1] == points[0]:
@@ -88,7 +95,7 @@ def late_share(line, end, grows):
 
 
 def ordered(values):
-    """How many neighbours of a list rise: "yes" for all of them."""
+    """How many neighbours in a list rise; "yes" if all do."""
     if None in values:
         return "-"
     return _of(sum(a < b for a, b in zip(values, values[1:])), len(values) - 1)
@@ -99,9 +106,15 @@ def _of(count, total):
 
 
 def drawn(scene, lines, grows):
-    """The figure of a scene; lines: {factor: {variant: {axis: curve}}}."""
+    """The figure of a scene.
+
+    Parameters
+    ----------
+    lines : factor -> variant -> axis -> curve.
+    grows : the result of `growing`, or None.
+    """
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(FACTORS)))
-    with clean_look():
+    with own_settings():
         figure = Figure(figsize=(11, 9), layout="constrained")
         panels = figure.subplots(len(VARIANTS), len(AXES), sharex=True)
         for row, variant in zip(panels, VARIANTS):

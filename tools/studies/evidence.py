@@ -1,4 +1,4 @@
-"""What the tools that make evidence share at both ends: their arguments, and their tables."""
+"""The arguments and the tables of the studies."""
 
 import argparse
 import sys
@@ -22,45 +22,48 @@ NOTE = ("Held-out views; cc: after a quadratic fit of each render's colours to i
 
 
 def parser(doc, steps):
-    """An ArgumentParser of what all tools take."""
-    made = argparse.ArgumentParser(description=doc, epilog="Flags of `clsplat train` for all runs "
-                                   "may follow after --.",
-                                   formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("out", type=Path, help="folder of the runs and of what is made of them")
-    made.add_argument("scenes", nargs="+", type=Scene, metavar="SCENE[:DOWNSCALE]")
-    made.add_argument("-n", dest="steps", type=int, default=steps, help=f"default {steps}")
-    made.add_argument("--jobs", type=int, help="runs at a time (default: 1, or one a GPU)")
-    made.add_argument("--gpus", type=int, default=0, help="NVIDIA GPUs to spread the runs over; 0 "
-                      "leaves CUDA_VISIBLE_DEVICES alone")
-    return made
+    """An ArgumentParser with the arguments of all studies that train."""
+    result = argparse.ArgumentParser(description=doc, epilog="Flags of `clsplat train` for all "
+                                     "runs may follow after --.",
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    result.add_argument("out", type=Path, help="folder of the runs and the results")
+    result.add_argument("scenes", nargs="+", type=Scene, metavar="SCENE[:DOWNSCALE]")
+    result.add_argument("-n", dest="steps", type=int, default=steps, help=f"default {steps}")
+    result.add_argument("--jobs", type=int,
+                        help="number of runs at a time (default: 1, or one for each GPU)")
+    result.add_argument("--gpus", type=int, default=0, help="number of NVIDIA GPUs for the runs; "
+                        "0 leaves CUDA_VISIBLE_DEVICES as it is")
+    return result
 
 
-def parsed(made, argv):
-    """The parser's namespace; what follows -- is its `flags`."""
+def parsed(parser, argv):
+    """The arguments; those that follow -- are `flags`."""
     cut = argv.index("--") if "--" in argv else len(argv)
-    found = made.parse_args(argv[:cut], argparse.Namespace(flags=argv[cut + 1:]))
-    found.jobs = found.jobs or max(1, found.gpus)
-    return found
+    arguments = parser.parse_args(argv[:cut], argparse.Namespace(flags=argv[cut + 1:]))
+    arguments.jobs = arguments.jobs or max(1, arguments.gpus)
+    return arguments
 
 
 def measured(runs, key, iteration=None):
-    """What each Trained had of `key` at its last evaluation, or the one after a given step; runs
-    without are left out."""
-    found = []
+    """The values of `key` at the last evaluation of each run, or at the one after a given step.
+
+    Runs without such a value are left out.
+    """
+    last = []
     for run in runs:
         values = [record[key] for record in run.records if record.get("event") == "eval"
                   and iteration in (None, record["iteration"]) and record.get(key) is not None]
-        found += values[-1:]
-    return found
+        last += values[-1:]
+    return last
 
 
 def mean(runs, key):
-    """Over seeds; nan where nothing was measured."""
+    """The mean over seeds; nan where nothing was measured."""
     return float(np.mean(measured(runs, key) or [np.nan]))
 
 
 def cell(value, deviation, digits, sign=""):
-    """A number as text, with what it may vary by; None and nan are -."""
+    """A number with its deviation as text; None and nan are -."""
     if value is None or np.isnan(value):
         return "-"
     more = "" if deviation is None or np.isnan(deviation) else f" ± {deviation:,.{digits}f}"
@@ -73,13 +76,12 @@ def score_cells(runs, iteration=None):
 
 
 def complete(groups):
-    """The scenes, {group: list of Trained} each, in which every group has a run; what means over
-    scenes may be taken of."""
-    return [found for found in groups.values() if all(found.values())]
+    """The scenes in which every group has a run, over which means can be taken."""
+    return [scene for scene in groups.values() if all(scene.values())]
 
 
 def markdown(table):
-    """A report.page.Table as Markdown."""
+    """A `report.page.Table` as Markdown."""
     def row(cells):
         return f"| {' | '.join(text.replace('|', '/') for text in cells)} |"
     rule = [("---:" if column in table.numbers else "---") for column in range(len(table.head))]
@@ -87,42 +89,46 @@ def markdown(table):
     return "\n\n".join([f"### {table.title}", "\n".join(lines), *table.notes])
 
 
-def write(path, title, given, groups, tables):
-    """Print tables, the most important one last, and write them to a Markdown file, that one first.
+def write(path, title, arguments, groups, tables):
+    """Write tables to a Markdown file, and print them in reverse order.
 
-    given: namespace of `parsed`; groups: {scene: {group: list of Trained}}, all that was read.
+    Parameters
+    ----------
+    arguments : the result of `parsed`.
+    groups : scene -> group -> all runs that were read.
+    tables : the most important one first.
     """
-    runs = [run for found in groups.values() for group in found.values() for run in group]
-    facts = [f"{given.steps:,} steps, {len(runs)} runs, at most {given.jobs} at a time on "
-             f"{given.gpus or 1} device{'s' if given.gpus > 1 else ''}"]
-    for key, of in (("opencl_device", ""), ("kernel_form", "form "), ("commit", "commit ")):
+    runs = [run for scene in groups.values() for group in scene.values() for run in group]
+    facts = [f"{arguments.steps:,} steps, {len(runs)} runs, at most {arguments.jobs} at a time on "
+             f"{arguments.gpus or 1} device{'s' if arguments.gpus > 1 else ''}"]
+    for key, label in (("opencl_device", ""), ("kernel_form", "form "), ("commit", "commit ")):
         values = sorted({str(run.options.get(key)) for run in runs})
-        facts.append(of + " / ".join(values))
-    if given.flags:
-        facts.append(f"flags {' '.join(given.flags)}")
-    where = {}
+        facts.append(label + " / ".join(values))
+    if arguments.flags:
+        facts.append(f"flags {' '.join(arguments.flags)}")
+    scenes_of = {}
     for name, scene in groups.items():
-        for text in warnings({group: of_group for group, of_group in scene.items() if of_group}):
-            where.setdefault(text, []).append(name)
-    found = [f"warning: {'' if len(names) == len(groups) else ', '.join(names) + ': '}{text}"
-             for text, names in where.items()]
-    if given.jobs > max(1, given.gpus):
-        found.append("warning: Runs shared a device: their times mean little.")
-    parts = [f"# {title}", f"{'; '.join(facts)}.", *found]
+        for text in warnings({group: runs for group, runs in scene.items() if runs}):
+            scenes_of.setdefault(text, []).append(name)
+    lines = [f"warning: {'' if len(names) == len(groups) else ', '.join(names) + ': '}{text}"
+             for text, names in scenes_of.items()]
+    if arguments.jobs > max(1, arguments.gpus):
+        lines.append("warning: Runs shared a device, so their times are not reliable.")
+    parts = [f"# {title}", f"{'; '.join(facts)}.", *lines]
     with replacing(path) as file:
         file.write(("\n\n".join([*parts, *map(markdown, tables)]) + "\n").encode())
-    print("\n\n".join(["", *(table.text() for table in reversed(tables)), *found, f"{path}"]))
+    print("\n\n".join(["", *(table.text() for table in reversed(tables)), *lines, f"{path}"]))
 
 
 def refuse(failed):
-    """InputError if runs failed, at the end, when what there is has been written."""
+    """Raise InputError if runs failed; called after everything else is written."""
     if failed:
-        raise InputError(f"{', '.join(map(str, failed))}: failed, for the reasons above; the same "
-                         "command tries again")
+        raise InputError(f"{', '.join(map(str, failed))}: failed for the reasons above; the same "
+                         "command tries them again")
 
 
 def outermost(main):
-    """Run main(arguments); an error that the user can cure is one line."""
+    """Run `main` with the arguments of the command; an error that the user can cure is one line."""
     try:
         main(sys.argv[1:])
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the outermost place)

@@ -1,12 +1,12 @@
-"""What parts of a training step cost, on and off: writes OUT/leave_out.md and OUT/leave_out.jsonl.
+"""The cost of each part of a training step; writes OUT/leave_out.md and OUT/leave_out.jsonl.
 
     python -m tools.studies.leave_out OUT SCENE[:DOWNSCALE][@VIEWS] ...
 
-Times steps of the real training at full size on --gaussians gaussians sampled about the sparse
-points: with everything on, without one part each, with everything off, and then with what a scene
-may need besides. A scene's first VIEWS photos stand for all where so many are asked for. Each row
-has a device of its own, so that memory is that of the row, and rows step in turn. Take it on a
-machine that does nothing else:
+Times steps of the real training at full size on --gaussians gaussians around the sparse points:
+with everything on, without each one of the parts, with everything off, and then with what some
+scenes need in addition. @VIEWS uses only the first VIEWS photos of a scene. Each row has a device
+of its own, so that its memory is that of the row, and the rows take steps in turn. The machine
+should do nothing else:
 
     python -m tools.studies.leave_out out/leave ../shared/data/caliterra data_samples/city \\
         ../shared/data/caliterra@10
@@ -45,50 +45,53 @@ PARTS = {
     "spheres": ({"sphere": True}, {"sphere": False}),
     "growth statistics": ({}, {}),
 }
-BESIDES = {"moments on the host": {"engine": "numpy"}, "sparse Adam": {"optimizer": "sparse"},
-           "photos streamed": {}}
-VIEWS = 10  # stepped with
+ADDITIONS = {"moments on the host": {"engine": "numpy"}, "sparse Adam": {"optimizer": "sparse"},
+             "photos streamed": {}}
+VIEWS = 10  # for the steps
 
 
 def main(argv):
-    given = _parser().parse_args(argv)
-    if given.gaussians < 2 or given.repeats < 1:
-        raise InputError("--gaussians and --repeats: want at least 2 and 1")
-    scenes = [_scene(text) for text in given.scenes]
-    given.out.mkdir(parents=True, exist_ok=True)
+    """Time the steps and write the tables."""
+    arguments = _parser().parse_args(argv)
+    if arguments.gaussians < 2 or arguments.repeats < 1:
+        raise InputError("--gaussians and --repeats: expect at least 2 and 1")
+    scenes = [_scene(text) for text in arguments.scenes]
+    arguments.out.mkdir(parents=True, exist_ok=True)
     records = []
     for name, scene in scenes:
-        rows = [(row, *prepared(given, scene, options, parts))
+        rows = [(row, *prepared(arguments, scene, options, parts))
                 for row, options, parts in variants()]
-        times = in_turn([(device, step) for _, device, step in rows], given.repeats, warm_up=VIEWS)
+        times = in_turn([(device, step) for _, device, step in rows], arguments.repeats,
+                        warm_up=VIEWS)
         for (row, device, _), measured in zip(rows, times):
             records.append({"scene": name, "variant": row,
-                            **record(given, scene, device, measured)})
+                            **record(arguments, scene, device, measured)})
             print(json.dumps(records[-1]), flush=True)
-        with replacing(given.out / "leave_out.jsonl") as file:
+        with replacing(arguments.out / "leave_out.jsonl") as file:
             file.writelines((json.dumps(record) + "\n").encode() for record in records)
     tables = [table(name, [r for r in records if r["scene"] == name]) for name, _ in scenes]
-    with replacing(given.out / "leave_out.md") as file:
-        said = f"Made by `python -m tools.studies.leave_out {shlex.join(argv)}`; do not edit."
-        file.write("\n\n".join(["# What parts of a step cost", said, *map(markdown, tables), ""]
+    with replacing(arguments.out / "leave_out.md") as file:
+        note = f"Made by `python -m tools.studies.leave_out {shlex.join(argv)}`; do not edit."
+        file.write("\n\n".join(["# The cost of parts of a step", note, *map(markdown, tables), ""]
                               ).encode())
-    print(f"{given.out / 'leave_out.md'}")
+    print(f"{arguments.out / 'leave_out.md'}")
 
 
 def _parser():
     made = argparse.ArgumentParser(description=__doc__,
                                    formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("out", type=Path, help="folder of what is written")
+    made.add_argument("out", type=Path, help="folder of the results")
     made.add_argument("scenes", nargs="+", metavar="SCENE[:DOWNSCALE][@VIEWS]")
     made.add_argument("--gaussians", type=int, default=100_000, help="default 100000")
-    made.add_argument("--repeats", type=int, default=40, help="steps timed a row; default 40")
+    made.add_argument("--repeats", type=int, default=40,
+                      help="number of timed steps for each row; default 40")
     made.add_argument("--device", default="auto")
     made.add_argument("--form", default="auto", choices=("auto", "item", "group"))
     return made
 
 
 def variants():
-    """(name, options, names of the parts that are on) of each row."""
+    """The name, the options, and the names of the parts that are on, for each row."""
     def options(on):
         return {key: value for part, sides in PARTS.items()
                 for key, value in sides[part not in on].items()}
@@ -99,31 +102,31 @@ def variants():
         rest = tuple(other for other in PARTS if other != part)
         yield f"without {part}", options(rest), rest
     yield OFF, options(()), ()
-    for name, more in BESIDES.items():
+    for name, more in ADDITIONS.items():
         yield f"off, {name}", {**options(()), **more}, (name,)
 
 
 def _scene(text):
-    """(name, Scene) of SCENE[:DOWNSCALE][@VIEWS]."""
+    """The name and the scene of SCENE[:DOWNSCALE][@VIEWS]."""
     path, at, views = text.partition("@")
     if at and not (views.isdigit() and int(views) >= 2):
-        raise InputError(f"{text}: wants a whole number of views, at least 2, after @")
-    found = Scene(path)
-    scene = read_scene(found.path).reduced(found.downscale)
+        raise InputError(f"{text}: expects a whole number of views, at least 2, after @")
+    source = Scene(path)
+    scene = read_scene(source.path).reduced(source.downscale)
     if not at:
-        return found.name, scene
+        return source.name, scene
     kept = int(views)
     seen = scene.observations
     seen = None if seen is None else seen[seen[:, 1] < kept]
-    return f"{found.name}@{views}", dataclasses.replace(scene, views=scene.views[:kept],
-                                                        observations=seen)
+    return f"{source.name}@{views}", dataclasses.replace(scene, views=scene.views[:kept],
+                                                         observations=seen)
 
 
-def prepared(given, scene, options, parts):
-    """(device, a function that takes the next step on it) of one row."""
-    device = choose_device(given.device, form=given.form)
+def prepared(arguments, scene, options, parts):
+    """The device of a row, and a function that takes the next step on it."""
+    device = choose_device(arguments.device, form=arguments.form)
     ready = prepare(scene, resolve({}, {"test_every": 0, "max_resolution": 0, **options}), device)
-    gaussians = sampled(ready.scene, given.gaussians, ready.options.sh_degree)
+    gaussians = sampled(ready.scene, arguments.gaussians, ready.options.sh_degree)
     if ready.options.sphere:
         gaussians = with_spheres(gaussians, ready.options.sphere_neighbours)
     streamed = "photos streamed" in parts
@@ -141,11 +144,11 @@ def prepared(given, scene, options, parts):
     return device, lambda: steps(next(turns))
 
 
-def record(given, scene, device, times):
-    """A row's record: median and quartiles of a step's milliseconds, and the device's MiB."""
+def record(arguments, scene, device, times):
+    """The record of a row: median and quartiles of a step's milliseconds, and the device's MiB."""
     low, median, high = np.percentile(times, (25, 50, 75))
     camera = scene.views[0].camera
-    return {"gaussians": given.gaussians, "views": len(scene.views), "width": camera.width,
+    return {"gaussians": arguments.gaussians, "views": len(scene.views), "width": camera.width,
             "height": camera.height, "device": device.name, "form": device.form,
             "driver": device.handle.driver_version, "median_ms": round(float(median), 3),
             "quartiles_ms": [round(float(low), 3), round(float(high), 3)], "repeats": len(times),
@@ -153,7 +156,7 @@ def record(given, scene, device, times):
 
 
 def table(name, records):
-    """A report.page.Table: a row a variant, what it saves of everything on."""
+    """A row for each variant, with the difference to everything on."""
     full = next(record for record in records if record["variant"] == ON)
     rows = [(r["variant"], f"{r['median_ms']:.2f}",
              f"{r['quartiles_ms'][0]:.2f} to {r['quartiles_ms'][1]:.2f}",
@@ -163,7 +166,7 @@ def table(name, records):
         f"{name}, {full['width']}x{full['height']}, {full['gaussians']:,} gaussians",
         ("", "ms a step", "quartiles", "times faster", "MiB", "to everything on"), rows,
         range(1, 6), (f"{full['device']}, form {full['form']}, driver {full['driver']}; "
-                      f"{full['repeats']} steps a row on at most {VIEWS} photos.",))
+                      f"{full['repeats']} steps for each row on at most {VIEWS} photos.",))
 
 
 if __name__ == "__main__":

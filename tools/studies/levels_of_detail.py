@@ -1,10 +1,10 @@
-"""What levels of detail cost and save in pictures of far places: prints a line a view and the mean.
+"""The quality and speed of levels of detail for distant cameras: prints a line for each view.
 
     python -m tools.studies.levels_of_detail RUN [--scene SCENE] [-r R] [--away A] [--bias B]
 
-Held-out views are drawn at levels of detail and in full. -r makes pictures and photos R times
-smaller, which then have as few pixels a world unit as from R times as far away; both are compared
-with the photos. --away moves each camera back by A times its distance to the scene; both are then
+Held-out views are drawn at levels of detail and with the full model. -r makes pictures and photos R
+times smaller, with as few pixels a world unit as from R times the distance; both are compared with
+the photos. --away moves each camera back by A times its distance to the scene; both are then
 compared with the full model at SUPERSAMPLING^2 samples a pixel.
 """
 
@@ -29,6 +29,7 @@ COLUMNS = {"gaussians": "11,.0f", "share": "8.1%", "psnr_full": "10.2f", "psnr":
 
 
 def main(argv):
+    """Print the table."""
     made = argparse.ArgumentParser(description=__doc__,
                                    formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("run", type=Path)
@@ -49,14 +50,18 @@ def main(argv):
 
 
 def line(record):
+    """A line of the table."""
     return f"{record['name']:<20}" + "".join(
         f"{record[key]:>{how}}" for key, how in COLUMNS.items())
 
 
 def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0):
-    """Yields a dict for each held-out view of a run: name; gaussians and share: drawn, and of the
-    full model; psnr_full: dB, against the full model's render; psnr, full_psnr: of both against the
-    reference; seconds, full_seconds: of both, without compiling."""
+    """Yield a dict for each held-out view of a run.
+
+    Its keys are name; gaussians, the number that is drawn, and share, the same as a share of the
+    full model; psnr_full, dB, against the full model's render; psnr and full_psnr, of both against
+    the reference; seconds and full_seconds, of both, without compilation.
+    """
     run = Run.open(path)
     gaussians, scene, options = to_render(path, scene_path)
     scene = scene.reduced(downscale)
@@ -83,19 +88,25 @@ def supersampled(model, camera, samples=SUPERSAMPLING):
 
 
 def moved_away(camera, points, factor):
-    """(camera, part): the Camera moved back along its axis by `factor` times the distance of what
-    it sees, and the part of its image, two slices, that shows what it saw: the rest was perhaps
-    never photographed.
+    """The camera moved back along its axis, and the part of its image, two slices, that it saw.
 
-    points: float64[N, 3]; the median depth of those in the image is the distance. InputError where
-    there are none.
+    The rest of the image was perhaps never photographed.
+
+    Parameters
+    ----------
+    points : float64[N, 3]; the median depth of those in the image is the camera's distance.
+    factor : how far to move, as a multiple of this distance.
+
+    Raises
+    ------
+    InputError : the camera sees none of the points.
     """
     pixel, depth = camera.project(points)
     size, centre = np.array([camera.width, camera.height]), np.array(camera.centre)
     seen = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < size).all(axis=1)
     if not seen.any():
-        raise InputError("--away: a view sees none of the sparse points, so nothing says how far "
-                         "away it is; take another scene")
+        raise InputError("--away: a view sees none of the sparse points, so its distance is not "
+                         "known; use another scene")
     back = np.array([0, 0, factor * np.median(depth[seen])])
     ends = np.clip(centre + np.array([-centre, size - centre]) / (1 + factor), 0, size)
     left, top, right, bottom = (*np.floor(ends[0]).astype(int), *np.ceil(ends[1]).astype(int))
@@ -104,7 +115,7 @@ def moved_away(camera, points, factor):
 
 
 def _timed(device, draw, camera):
-    """(the image that `draw` makes, the seconds that it took without compiling)."""
+    """The image of a camera, and the seconds that it took without compilation."""
     begin = time.perf_counter() - device.build_seconds
     return draw(camera), time.perf_counter() - device.build_seconds - begin
 

@@ -1,11 +1,11 @@
-"""Simulates large scenes on a cluster: the engine and Dask are real, the blocks are not.
+"""Simulate large scenes on a cluster: `clsplat.distribute` and Dask are real, the blocks are not.
 
     python -m tools.studies.simulate OUT [--photos 1000 10000 100000 1000000] [--workers 40] ...
 
-Every worker is one of Dask's own, all in this process and joined by TCP; in place of a training in
-a child it sleeps, --scale times shorter than a block takes. Tries fail and workers die at random.
-As there is --scale times less time for the same messages, what the engine costs is no less here
-than on a real cluster. Writes OUT/simulation.jsonl and OUT/simulation.md.
+All Dask workers are in this process and connected by TCP. Instead of training a block in a child
+process, a worker sleeps for a time that is --scale times shorter. Tries fail and workers die at
+random. As there is --scale times less time for the same messages, the engine's share of the time is
+no smaller than on a real cluster. Writes OUT/simulation.jsonl and OUT/simulation.md.
 """
 
 import argparse
@@ -30,11 +30,11 @@ from tools.studies.evidence import markdown, outermost
 
 # of 30 000 steps, from the 7000 of docs/notebook/results.md: 9.4 s on an H200, 211 s on two cores
 SECONDS = (40.0, 900.0)
-ROUNDS = 10  # of the same command, as one would give it again
+MOST_ROUNDS = 10  # of the same command, as a user would repeat it
 
 
 class Workers:
-    """Context manager of a scheduler and its workers in a thread; who dies has a successor."""
+    """A context manager of a scheduler and its workers in a thread; dead workers are replaced."""
 
     def __init__(self, count):
         self._count, self._ready = count, threading.Event()
@@ -71,8 +71,14 @@ class Workers:
 
 
 class Stub:
-    """In place of `in_child`. Keeps what its tries took, {worker's address: [(begin, end)]}, and
-    counts; durations and misfortunes follow from the task's name, the try and the seed."""
+    """A replacement of `in_child` that sleeps and records its tries.
+
+    Durations and failures depend on the task's name, the number of the try and the seed.
+
+    Attributes
+    ----------
+    spans : address of a worker -> (begin, end) of each try, seconds.
+    """
 
     def __init__(self, given):
         self.given, self.tries = given, defaultdict(int)
@@ -109,7 +115,7 @@ class Stub:
 
 
 def simulated(given, photos):
-    """The record (dict) of a scene of so many photos."""
+    """The record of a scene with this number of photos."""
     blocks = max(1, round(photos / given.block))
     folder = given.out / f"blocks-{blocks}"
     shutil.rmtree(folder, ignore_errors=True)
@@ -127,7 +133,7 @@ def simulated(given, photos):
         with Workers(given.workers) as workers:
             begin, cpu, sent[:] = time.monotonic(), time.process_time(), []
             rounds, unfinished = 0, True
-            while unfinished and rounds < ROUNDS:
+            while unfinished and rounds < MOST_ROUNDS:
                 rounds += 1
                 unfinished = not all(outcome.ok for outcome in run(
                     tasks, scheduler=workers.address))
@@ -155,7 +161,7 @@ COLUMNS = (("photos", "photos", ",d"), ("blocks", "blocks", ",d"), ("lost", "los
 
 
 def table(records):
-    """A report.page.Table, a row a size of scene."""
+    """A row for each size of scene."""
     first = records[0]
     return Table(
         f"{first['workers']} workers, time {first['scale']:g} times faster",
@@ -163,11 +169,12 @@ def table(records):
         [tuple(format(record[key], digits).rstrip("%") for _, key, digits in COLUMNS)
          for record in records], range(len(COLUMNS)),
         ("gap: of a worker between a try and its next one, in real seconds; overhead: all gaps "
-         "against all true work. Engine CPU and bytes are of client, scheduler and workers "
-         "together.",))
+         "against all true work. Engine CPU and bytes are totals of client, scheduler and "
+         "workers.",))
 
 
 def main(argv):
+    """Simulate and write the table."""
     parser = argparse.ArgumentParser(description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
@@ -175,16 +182,16 @@ def main(argv):
     parser.add_argument("--block", type=int, default=100, help="photos a block; default 100")
     parser.add_argument("--workers", type=int, default=40)
     parser.add_argument("--seconds", type=float, nargs="+", default=SECONDS,
-                        help="true seconds of a block, one drawn for each; default "
+                        help="true seconds of a block, drawn from these; default "
                         f"{' '.join(map(str, SECONDS))}")
     parser.add_argument("--scale", type=float, default=200.0, help="default 200")
     parser.add_argument("--failures", type=float, default=0.02, help="share of tries; default 0.02")
     parser.add_argument("--deaths", type=float, default=0.005,
-                        help="share of tries under which the worker dies; default 0.005")
+                        help="share of tries during which the worker dies; default 0.005")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(argv)
     given.out.mkdir(parents=True, exist_ok=True)
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it tells of every death
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it reports every death
     records = []
     with open(given.out / "simulation.jsonl", "w") as file:
         for photos in given.photos:

@@ -24,7 +24,7 @@ CLSPLAT_DEVICE=auto dask worker tcp://127.0.0.1:18786 --nthreads 1 --memory-limi
 trap 'kill -9 $S $W 2> /dev/null' EXIT; sleep 5
 """
 ON_DASK = ("clsplat city sy -n 8 --grid 2x1 -q -o out --scheduler tcp://127.0.0.1:18786")
-SAYS = r"clsplat \w+ .*|the same command (goes on|again)"
+SAYS = r"clsplat \w+ .*|the same command (continues|again)"
 
 CASES = [
     *(interrupted(f"int-{name}", during(LISTENS + LONG, "kill -INT $P", sign), says=SAYS)
