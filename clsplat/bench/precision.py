@@ -110,7 +110,7 @@ class Frame:
 
     def run(self):
         self.device.variant = self.variant
-        frame = self.renderer.render(self.rows, self.camera, *self.size, degree=3)
+        frame = self.renderer.render(self.rows, self.camera, *self.size, sh_degree=3)
         return frame, self.renderer.adjoint(self.rows, frame, self.grad)
 
     def result(self):

@@ -40,7 +40,7 @@ class Ours:
     def forward(self):
         camera, width, height = self.cameras[self.turn % len(self.cameras)]
         self.turn += 1
-        self.frame = self.renderer.render(self.rows, camera, width, height, degree=3)
+        self.frame = self.renderer.render(self.rows, camera, width, height, sh_degree=3)
 
     def both(self):
         self.forward()

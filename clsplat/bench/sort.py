@@ -40,7 +40,8 @@ def pair_tiles(pairs):
     """uint32[P]: the tiles of the pairs as they were emitted, from the sorted ones."""
     begin, end = pairs.ranges.download().T
     tiles = np.empty(pairs.count, np.uint32)
-    tiles[pairs.slots.download()] = np.repeat(np.arange(len(begin), dtype=np.uint32), end - begin)
+    tiles[pairs.emission_indices.download()] = np.repeat(
+        np.arange(len(begin), dtype=np.uint32), end - begin)
     return tiles
 
 

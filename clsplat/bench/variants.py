@@ -101,7 +101,7 @@ class VariantDevice(Device):
     def launch(self, kernel, defines=(), /, **values):
         half = self.variant.half
         if half == "sums" and kernel.function == "sum_pairs":
-            _round_to_half(values["sums"], slice(None), self.variant.half_scale)
+            _round_to_half(values["pair_grads"], slice(None), self.variant.half_scale)
         if kernel.file in RENDERING:
             defines += self.variant.defines
         super().launch(kernel, defines, **values)

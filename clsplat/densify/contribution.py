@@ -7,10 +7,10 @@ COLUMNS = 4  # pixels, weight, weighted image, distance
 
 CONTRIBUTION = Kernel(
     "contribution.cl", "contribution", Forms(item=items("T"), group=groups("T", "TILE TILE")),
-    width="int", height="int", tiles_x="int",
-    first_tile="int", ranges=("uint", "T", 2), sorted_splats=("uint", "P"), slots=("uint", "P"),
-    splats=("real", "V", SPLAT_REALS), last=("int", "H", "W"), weights=("real", "H", "W"),
-    sums=("real", "P", COLUMNS))
+    width="int", height="int", tiles_x="int", first_tile="int", ranges=("uint", "T", 2),
+    sorted_splats=("uint", "P"), emission_indices=("uint", "P"),
+    splats=("real", "V", SPLAT_REALS), last_contributor=("int", "H", "W"),
+    weights=("real", "H", "W"), sums=("real", "P", COLUMNS))
 SUM = Kernel(
     "contribution.cl", "sum_contributions", each("count"), count="uint", carried="uint",
     order=("uint", "V"), counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
@@ -35,8 +35,9 @@ def _add_band(device, frame, pairs, weights, totals):
     sums = device.empty((pairs.count, COLUMNS))
     device.launch(CONTRIBUTION, width=width, height=height, tiles_x=pairs.tiles_x,
                   first_tile=pairs.tiles.start, ranges=pairs.ranges,
-                  sorted_splats=pairs.sorted_splats, slots=pairs.slots, splats=splats,
-                  last=frame.blended.last, weights=weights, sums=sums)
+                  sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
+                  splats=splats, last_contributor=frame.blended.last_contributor, weights=weights,
+                  sums=sums)
     carried = totals is not None
     if not carried:
         totals = device.empty((len(splats), COLUMNS))
