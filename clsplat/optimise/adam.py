@@ -182,7 +182,8 @@ class NumpyAdam:
         self.device, self.dense = device, dense
         self.m: HostArrays = {
             name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
-        self.v: HostArrays = {name: np.zeros_like(values) for name, values in self.m.items()}
+        self.v: HostArrays = {
+            name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
 
     def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
              rates: Mapping[str, float], used: Mapping[str, int],

@@ -20,8 +20,7 @@ ADD = Kernel("batch.cl", "batch_add", Forms(item=each("count"), group=each("coun
 
 
 def frame_arrays(count: int, seen: int, sh_degree: int) -> list[FrameArray]:
-    """The arrays that are alive because of `batch_mean`, besides those of one view: the gradients of
-    the view before, and the sums.
+    """The arrays of `batch_mean` besides those of one view: sums, and gradients of the view before.
 
     Parameters
     ----------

@@ -2,11 +2,11 @@
 
 from clsplat.gaussians import LEARNED
 
-POSITION_DECAY = 0.01  # share of the position rate that is left at the last step (Kerbl et al. 2023)
+POSITION_DECAY = 0.01  # the share of it left at the last step (Kerbl et al. 2023)
 
 
 def learning_rates(decay: float, extent: float, opacity_rate: float) -> dict[str, float]:
-    """The learning rate of each field; that of the positions decays exponentially (Kerbl et al. 2023).
+    """The learning rate of each field; that of the positions decays exponentially.
 
     Parameters
     ----------
