@@ -1,4 +1,4 @@
-"""Decisions of densification on hand-made rows: who is cloned, split and pruned, and into what."""
+"""Decisions of densification on hand-made rows: clones, splits, prunes and the new rows."""
 
 import numpy as np
 import pytest
@@ -161,7 +161,7 @@ def test_all_may_be_pruned():
 
 
 def with_spheres(rows, distances, max_offset=1.0, axis=0):
-    """The rows with anchors so far from them along an axis, and distinct max_offsets."""
+    """The rows with anchors at these distances along an axis, and distinct max_offsets."""
     anchors = rows["positions"].copy()
     anchors[:, axis] -= np.float32(distances)
     count = len(anchors)

@@ -1,4 +1,4 @@
-"""Masks of growth and pruning: who is chosen, how many, and how often by chance."""
+"""Masks of growth and pruning: which are chosen, how many, and with what probability."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def chosen(mask):
     (None, [0, 2, 3, 6]), (9, [0, 2, 3, 6]), (4, [0, 2, 3, 6]), (3, [0, 2, 3]), (1, [0]), (0, []),
     (-2, [])])
 def test_above_the_threshold(room, expected):
-    """At the threshold counts; the highest have the room, among equals the first."""
+    """The threshold itself counts; the highest are chosen, among equals the first."""
     assert chosen(above_threshold(GRADIENT, 2.0, room)) == expected
 
 

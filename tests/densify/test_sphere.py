@@ -1,4 +1,4 @@
-"""The sphere around each anchor: its size at the start, what is outside, what children get."""
+"""The sphere around each anchor: its initial size, what is outside, and the spheres of children."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_what_is_no_number_is_outside(name, value):
     rows = {"positions": np.zeros((3, 3), np.float32), "anchors": np.zeros((3, 3), np.float32),
             "max_offsets": np.ones(3, np.float32)}
     rows[name][1] = value
-    # a sphere without end holds everything
+    # nothing is outside an infinite sphere
     expected = [False, not (name == "max_offsets" and value == np.inf), False]
     assert outside(*rows.values(), 15.0).tolist() == expected
 
