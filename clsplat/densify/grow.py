@@ -126,7 +126,7 @@ def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArra
         "positions": positions[keeps],
         "log_scales": np.log(scales[children][keeps] / SPLIT_SHRINK).astype(np.float32), **spheres}
     changes = {name: (first, values) for name, values in of_children.items()}
-    if spheres:  # a clone is anchored where it stands
+    if spheres:  # a clone is anchored at its own position
         anchors = np.concatenate([rows["positions"][clones], spheres["anchors"]])
         changes["anchors"] = len(stays), anchors.astype(np.float32)
     source = np.concatenate([stays, clones, children[keeps]]).astype(np.uint32)

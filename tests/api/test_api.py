@@ -274,7 +274,7 @@ def test_example_of_a_callback(tmp_path):
 
 @pytest.mark.slow
 def test_example_of_torch(tmp_path):
-    pytest.importorskip("torch", reason="torch is not installed; it is no dependency")
+    pytest.importorskip("torch", reason="torch is not installed; it is not a dependency")
     assert float(ran("torch_autograd.py").split()[1]) < 0.02
 
 

@@ -51,8 +51,8 @@ def faint(name, **changes):
 
 
 def same_to_rounding(actual, expected):
-    for got, wanted in zip(actual, expected):
-        assert abs(got - wanted).max() <= 2e-6 * (1 + abs(wanted).max())
+    for got, target in zip(actual, expected):
+        assert abs(got - target).max() <= 2e-6 * (1 + abs(target).max())
 
 
 @pytest.mark.parametrize("name", ["ragged", "giants", "near_plane"])
