@@ -1,14 +1,14 @@
 // Pairs of tile and splat. Splats stay in the order of the gaussians' rows, where reading and writing
 // them is cheap; `order`, uint[V], lists them front to back, and pairs are emitted in that order. So a
 // stable sort of the pairs by tile leaves every tile's pairs in depth order, and a splat's pairs are
-// contiguous (its slots).
+// contiguous in the order of emission.
 //
-// Only tiles [first_tile, end_tile), numbered row by row, are looked at: all of a frame, or a band of
+// Only tiles [first_tile, end_tile), numbered row by row, are inspected: all of a frame, or a band of
 // it (clsplat/rendering/bands.py). Within a band tiles are numbered from its first.
 //
 // counts: uint[V], tiles the v-th splat from the front touches; offsets: their exclusive scan;
-// pair_tiles, pair_splats: uint[P] in emission order (a pair's index there is its slot). One writer a
-// slot: deterministic.
+// pair_tiles, pair_splats: uint[P] in the order of emission; a pair's place there is its emission
+// index. One writer each: deterministic.
 #include "real.h"
 #include "each.h"
 #include "splat.h"
@@ -74,23 +74,23 @@ __kernel void emit_pairs(uint count, int tiles_x, int first_tile, int end_tile,
 {
     FOR_EACH(v, count) {
         const Ellipse e = ellipse_of(splats + (ulong)order[v] * SPLAT_REALS);
-        uint slot = offsets[v];
-        const uint end = slot + counts[v];
+        uint index = offsets[v];
+        const uint end = index + counts[v];
         int row, row_end, tile, tile_end;
         band_rows(e, tiles_x, first_tile, end_tile, &row, &row_end);
         for (; row < row_end; row++) {
             band_tiles(e, row, tiles_x, first_tile, end_tile, &tile, &tile_end);
-            for (; tile < tile_end && slot < end; tile++, slot++) {
-                pair_tiles[slot] = tile - first_tile;
-                pair_splats[slot] = order[v];
+            for (; tile < tile_end && index < end; tile++, index++) {
+                pair_tiles[index] = tile - first_tile;
+                pair_splats[index] = order[v];
             }
         }
-        // should a compiler ever round the two walks differently: no slot stays unwritten, and
+        // should a compiler ever round the two walks differently: no index stays unwritten, and
         // only those emitted are summed
-        counts[v] = slot - offsets[v];
-        for (; slot < end; slot++) {
-            pair_tiles[slot] = end_tile - first_tile;
-            pair_splats[slot] = order[v];
+        counts[v] = index - offsets[v];
+        for (; index < end; index++) {
+            pair_tiles[index] = end_tile - first_tile;
+            pair_splats[index] = order[v];
         }
     }
 }
@@ -98,13 +98,13 @@ __kernel void emit_pairs(uint count, int tiles_x, int first_tile, int end_tile,
 // After the sort: where each tile's pairs begin and end (ranges: uint[tiles, 2], zero before), and
 // the splat of each sorted pair.
 __kernel void find_ranges(uint count, uint tiles, __global const uint *restrict sorted_tiles,
-                          __global const uint *restrict slots,
+                          __global const uint *restrict emission_indices,
                           __global const uint *restrict pair_splats, __global uint *restrict ranges,
                           __global uint *restrict sorted_splats)
 {
     FOR_EACH(i, count) {
         const uint tile = sorted_tiles[i];
-        sorted_splats[i] = pair_splats[slots[i]];
+        sorted_splats[i] = pair_splats[emission_indices[i]];
         if (tile >= tiles)
             continue;
         if (i == 0 || sorted_tiles[i - 1] != tile)

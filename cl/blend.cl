@@ -3,16 +3,18 @@
 //   alpha = min(0.99, opacity exp(power)),  power = -1/2 d^T K d,  skipped below 1/255
 //   C = sum_i alpha_i T_i c_i + T background,  T_i = prod_{j<i} (1 - alpha_j),  ends before T < 1e-4
 //
-// splats: real[V, SPLAT_REALS]; ranges: uint[tiles, 2] into sorted_splats and slots: uint[P];
-// image: real[3, H, W]; transmittance, depth: real[H, W]; last: int[H, W]: no later pair was blended.
-// The adjoint writes every pair's sums (splat.h) at the pair's slot, one writer each: no atomics.
+// splats: real[V, SPLAT_REALS]; ranges: uint[tiles, 2] into sorted_splats and emission_indices:
+// uint[P]; image: real[3, H, W]; transmittance, depth: real[H, W]; last_contributor: int[H, W]: no
+// later pair was blended. The adjoint writes the gradients of every pair (splat.h) to the row of its
+// emission index, one writer each: no atomics.
 // The tiles are those from first_tile on: a frame whose pairs are too many comes in bands of tiles.
 // WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by the
 // final transmittance, so that a loss may read their ratio; otherwise these arrays are not touched.
 //
-// sum_pairs adds up each splat's sums over its pairs, in slot order: totals[order[v], :] from the rows
-// of `sums` that begin at offsets[v]. carried: go on from what earlier bands left in `totals`; slots
-// are in the order of tiles, and so are bands: the additions are those of a frame in one piece.
+// sum_pairs adds up each splat's gradients over its pairs, in the order of emission: totals[order[v],
+// :] from the rows of `pair_grads` that begin at offsets[v]. carried: continue from what earlier bands
+// left in `totals`; a splat's pairs are emitted in the order of tiles, which is that of bands too: the
+// additions are those of a frame in one piece.
 #include "real.h"
 #include "each.h"
 #include "splat.h"

@@ -17,7 +17,7 @@ from clsplat.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera with a pose, world to camera.
+    """A pinhole camera with a pose from world to camera.
 
     Attributes
     ----------
@@ -26,9 +26,9 @@ class Camera:
     centre : the principal point (cx, cy), pixels.
     rotation : float64[3, 3], from the world to the camera.
     translation : float64[3], in the camera's frame.
-    whole : (left, top, right, bottom), pixels of this image: the borders of the photo that it is a
-        part of, such as (-100, 0, 540, 480); None: the image is all of the photo.
-    offset : float64[3]: where the origin of its world lies in original coordinates.
+    whole : (left, top, right, bottom), the borders of the whole photo in pixels of this image, if
+        this is a part of it, such as (-100, 0, 540, 480); None: the image is the whole photo.
+    offset : float64[3], the origin of its world in original coordinates.
     """
 
     width: int
@@ -47,18 +47,18 @@ class Camera:
 
         Parameters
         ----------
-        target : float[3], world: what is in the middle of the image.
+        target : float[3], world: the point in the middle of the image.
         position : float[3], world: the optical centre.
-        up : float[3], world: what is upwards in the image.
+        up : float[3], world: the direction that is upwards in the image.
         width, height : size of the image, pixels.
-        degrees : the angle from the image's left to its right.
+        degrees : horizontal field of view.
 
         Raises
         ------
-        clsplat.ClsplatError : where these three do not say how it is turned.
+        clsplat.ClsplatError : if target, position and up do not define a rotation.
         """
-        there = np.asarray(position, np.float64)
-        forward = np.asarray(target, np.float64) - there
+        centre = np.asarray(position, np.float64)
+        forward = np.asarray(target, np.float64) - centre
         right = np.cross(forward, np.asarray(up, np.float64))
         lengths = np.linalg.norm(forward), np.linalg.norm(right)
         if not (min(lengths) > 1e-12 * max(1.0, float(np.linalg.norm(up))) * lengths[0]):
@@ -68,11 +68,11 @@ class Camera:
         rotation = np.stack([right, np.cross(forward, right), forward])
         focal = width / (2 * np.tan(np.radians(degrees) / 2))
         return cls(width, height, (float(focal), float(focal)), (width / 2, height / 2), rotation,
-                   -rotation @ there)
+                   -rotation @ centre)
 
     @property
     def borders(self) -> tuple[float, float, float, float]:
-        """(left, top, right, bottom), pixels of this image: where the whole photo ends."""
+        """(left, top, right, bottom), the borders of the whole photo in pixels of this image."""
         return self.whole or (0.0, 0.0, float(self.width), float(self.height))
 
     @property
@@ -81,7 +81,7 @@ class Camera:
         return -self.rotation.T @ self.translation
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for an image of another size; each axis is scaled by itself.
+        """The same camera for an image of another size; each axis has its own scale.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class Camera:
 
         Parameters
         ----------
-        left, top, right, bottom : borders of the part, pixels; right and bottom are outside it.
+        left, top, right, bottom : borders of the part, pixels; right and bottom are exclusive.
         """
         return replace(
             self, width=right - left, height=bottom - top,
@@ -112,14 +112,14 @@ class Camera:
         Parameters
         ----------
         downscale : width and height are divided by this.
-        max_resolution : pixels, the longest side that the whole photo may then have; 0: any.
+        max_resolution : pixels, the longest side of the whole photo after this; 0: any.
         """
         left, top, right, bottom = self.borders
         factor = max(downscale, max(right - left, bottom - top) / (max_resolution or np.inf))
         return self.resized(max(1, int(self.width / factor)), max(1, int(self.height / factor)))
 
     def shifted(self, offset: ArrayLike) -> Camera:
-        """The same camera in a world whose origin was moved.
+        """The same camera in a world with another origin.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class Camera:
                        offset=self.offset + away)
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where points appear in the image, and how far away they are.
+        """Project points into the image.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Camera:
 def scene_extent(cameras: Sequence[Camera]) -> float:
     """1.1 x the largest distance of a camera from the mean camera position (Kerbl et al. 2023).
 
-    World units. It scales position learning rates and the size thresholds of densification.
+    In world units; learning rates of positions and size thresholds of densification scale with it.
     """
     positions = np.array([camera.position for camera in cameras])
     return 1.1 * float(np.linalg.norm(positions - positions.mean(0), axis=1).max())

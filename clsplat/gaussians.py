@@ -1,4 +1,4 @@
-"""The gaussians: one table of fields drives rows, Adam moments, PLY columns and checkpoints."""
+"""The gaussians: one table of fields defines rows, Adam moments, PLY columns and checkpoints."""
 
 from __future__ import annotations
 
@@ -14,28 +14,33 @@ from clsplat.constants import SH_C0
 from clsplat.errors import InputError
 
 INITIAL_OPACITY = 0.1
-MINIMUM_DISTANCE = 1e-7  # of the cloud's extent; coincident points get this scale, not zero
+MINIMUM_DISTANCE = 1e-7  # share of the cloud's size; coincident points get this scale, not zero
 
 
 @dataclass(frozen=True)
 class Field:
     """One stored parameter of every gaussian.
 
-    shape: the shape of a row for a given SH degree; ply: the names of its PLY columns, in row
-    order; rate: its initial learning rate (Kerbl et al. 2023; positions: times scene extent), 0
-    for what is not learned but only carried along.
+    Attributes
+    ----------
+    name : key of its rows.
+    rate : initial learning rate (Kerbl et al. 2023; positions: times the scene's extent); 0 for a
+        parameter that is not learned.
+    ply : names of its PLY columns, in the order of a row.
+    shape : of a row; None: the bands of the spherical harmonics above the constant, by 3.
     """
 
     name: str
     rate: float
     ply: tuple[str, ...]
-    shape: tuple[int, ...] | None = None  # None: the SH bands above the constant
+    shape: tuple[int, ...] | None = None
 
     def row_shape(self, sh_degree: int) -> tuple[int, ...]:
+        """Shape of a row."""
         return self.shape if self.shape is not None else ((sh_degree + 1) ** 2 - 1, 3)
 
     def width(self, sh_degree: int) -> int:
-        """Floats a row."""
+        """Number of floats of a row."""
         return int(np.prod(self.row_shape(sh_degree)))
 
 
@@ -52,7 +57,7 @@ LEARNED = (
     Field("log_scales", 5e-3, _numbered("scale", 3), (3,)),
     Field("quaternions", 1e-3, _numbered("rot", 4), (4,)),
 )
-# the sphere that a gaussian must not leave (constrain/sphere.py); models without one lack these
+# the sphere that a gaussian must not leave (densify/sphere.py); only models with spheres have it
 SPHERE = (
     Field("anchors", 0.0, ("anchor_x", "anchor_y", "anchor_z"), (3,)),
     Field("max_offsets", 0.0, ("max_offset",), ()),
@@ -70,10 +75,10 @@ class Gaussians:
     Attributes
     ----------
     rows : field name -> float32[N, *row shape]: positions [N, 3], sh_constant [N, 3], sh_rest
-        [N, bands, 3], opacity_logits [N], log_scales [N, 3], quaternions [N, 4], and perhaps those
-        of SPHERE; local coordinates.
-    sh_degree : of the spherical harmonics, 0 to 3.
-    offset : float64[3]: where the origin of the local coordinates lies in the original ones.
+        [N, bands, 3], opacity_logits [N], log_scales [N, 3], quaternions [N, 4], and those of
+        SPHERE if the model has spheres; local coordinates.
+    sh_degree : degree of the spherical harmonics (SH), 0 to 3.
+    offset : float64[3], the origin of the local coordinates in the original ones.
     """
 
     rows: dict[str, NDArray[np.float32]]
@@ -90,7 +95,7 @@ class Gaussians:
 
         Raises
         ------
-        clsplat.ClsplatError : where it is no such file, or damaged.
+        clsplat.ClsplatError : if it is not such a file, or is damaged.
         """
         from clsplat.io.ply import read_ply
 
@@ -105,7 +110,7 @@ class Gaussians:
 
         Raises
         ------
-        clsplat.ClsplatError : where it cannot be written, or has another suffix than .ply.
+        clsplat.ClsplatError : if it cannot be written, or its suffix is not .ply.
         """
         from clsplat.io.ply import write_ply
 
@@ -128,20 +133,20 @@ class Gaussians:
     @classmethod
     def from_points(cls, points: NDArray[np.floating], colours: NDArray[np.uint8],
                     sh_degree: int = 3) -> Gaussians:
-        """Initial gaussians on a sparse cloud (Kerbl et al. 2023, section 5.1).
+        """Initial gaussians on a sparse point cloud (Kerbl et al. 2023, section 5.1).
 
-        Isotropic, sized by the root mean square distance to the three nearest neighbours, opacity
-        0.1.
+        They are isotropic, with the root mean square distance to the three nearest neighbours as
+        their standard deviation, and an opacity of 0.1.
 
         Parameters
         ----------
-        points : float64[N, 3], local.
+        points : float64[N, 3], local coordinates.
         colours : uint8[N, 3].
-        sh_degree : of the spherical harmonics, 0 to 3.
+        sh_degree : degree of the spherical harmonics, 0 to 3.
 
         Raises
         ------
-        clsplat.ClsplatError : where all points lie at one place.
+        clsplat.ClsplatError : if all points have the same position.
         """
         count = len(points)
         rows = {
@@ -161,7 +166,7 @@ class Gaussians:
 
         Parameters
         ----------
-        factor : how many times as large the coordinates are.
+        factor : new coordinates are the old ones times this.
         """
         rows = dict(self.rows)
         for name in ("positions", "anchors", "max_offsets"):
@@ -170,35 +175,35 @@ class Gaussians:
         rows["log_scales"] = (rows["log_scales"] + np.log(factor)).astype(np.float32)
         return Gaussians(rows, self.sh_degree, self.offset)
 
-    def with_sh_degree(self, degree: int) -> Gaussians:
-        """The same gaussians with spherical harmonics (SH) up to another degree.
+    def with_sh_degree(self, sh_degree: int) -> Gaussians:
+        """The same gaussians with spherical harmonics (SH) of another degree.
 
         Parameters
         ----------
-        degree : 0 to 3; bands above it are cut off, bands that are missing become zero.
+        sh_degree : 0 to 3; bands above it are removed, bands that are missing become zero.
         """
-        if degree == self.sh_degree:
+        if sh_degree == self.sh_degree:
             return self
-        rest = np.zeros((self.count, (degree + 1) ** 2 - 1, 3), np.float32)
+        rest = np.zeros((self.count, (sh_degree + 1) ** 2 - 1, 3), np.float32)
         shared = min(rest.shape[1], self.sh_rest.shape[1])
         rest[:, :shared] = self.sh_rest[:, :shared]
-        return Gaussians({**self.rows, "sh_rest": rest}, degree, self.offset)
+        return Gaussians({**self.rows, "sh_rest": rest}, sh_degree, self.offset)
 
     def located(self, offset: ArrayLike) -> Gaussians:
-        """The same local coordinates, with another origin: the gaussians move.
+        """The same local coordinates with another origin, so that the gaussians move.
 
         Parameters
         ----------
-        offset : float64[3], original coordinates of the origin.
+        offset : float64[3], original coordinates of the new origin.
         """
         return Gaussians(self.rows, self.sh_degree, np.asarray(offset, np.float64))
 
     def moved(self, offset: ArrayLike) -> Gaussians:
-        """The same gaussians in local coordinates with another origin: they stay where they are.
+        """Local coordinates with another origin, so that the gaussians stay where they are.
 
         Parameters
         ----------
-        offset : float64[3], original coordinates of the origin.
+        offset : float64[3], original coordinates of the new origin.
         """
         away = self.offset - np.asarray(offset, np.float64)
         rows = {name: (values + away).astype(np.float32) if name in ("positions", "anchors")
@@ -213,8 +218,7 @@ def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3
                        ) -> NDArray[np.float64]:
     """Root mean square distance float64[N] of each point to its nearest neighbours, world units.
 
-    Coincident points are counted once, so that duplicates neither shrink each other to nothing nor
-    hide the distance to the rest.
+    Coincident points count as one point; otherwise the distance between duplicates would be zero.
     """
     distance, inverse, least = _distances(points, neighbours)
     size: NDArray[np.float64] = np.maximum(np.sqrt((distance**2).mean(axis=1)), least)
@@ -223,9 +227,18 @@ def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3
 
 def mean_neighbour_distance(points: NDArray[np.floating], neighbours: int
                             ) -> NDArray[np.float64]:
-    """Mean distance float64[N] of each point to its `neighbours` nearest others, world units.
+    """Mean distance float64[N] of each point to its nearest neighbours, world units.
 
-    As `neighbour_distance` otherwise. Raises InputError for fewer distinct points than that and 1.
+    Coincident points count as one point.
+
+    Parameters
+    ----------
+    points : float[N, 3].
+    neighbours : how many neighbours.
+
+    Raises
+    ------
+    InputError : if there are not more distinct points than neighbours.
     """
     distance, inverse, least = _distances(points, neighbours)
     if distance.shape[1] < neighbours:
@@ -237,9 +250,12 @@ def mean_neighbour_distance(points: NDArray[np.floating], neighbours: int
 
 
 def mean_inverse_distance(points: NDArray[np.floating]) -> float:
-    """Mean over points of 1 / distance to the nearest other, 1 / world unit (Xue et al. 2026,
-    eq. 8). Duplicates are left out; two that differ by rounding only are no others, and 0 counts
-    for a point whose three nearest are none."""
+    """Mean over points of 1 / distance to the nearest neighbour, 1 / world unit (Xue et al. 2026,
+    eq. 8).
+
+    Points that differ only by rounding are not neighbours; a point whose three nearest points are
+    such duplicates counts as 0.
+    """
     distance, _, least = _distances(points, 3)
     nearest = np.where(distance > least, distance, np.inf).min(axis=1)
     return float((1 / nearest).mean())
@@ -247,14 +263,14 @@ def mean_inverse_distance(points: NDArray[np.floating]) -> float:
 
 def _distances(points: NDArray[np.floating], neighbours: int
                ) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
-    """(float64[M, k] distances of the M distinct points to their nearest others, nearest first;
-    int[N], which of them each point is; the distance below which two are coincident)."""
+    """(float64[M, k] distances of the M distinct points to their nearest neighbours, ascending;
+    int[N], which of them each point is; the distance below which two points are coincident)."""
     distinct, inverse = np.unique(points, axis=0, return_inverse=True)
     if len(distinct) < 2:
         raise InputError(
             f"the sparse model's {len(points)} points all lie at one place; "
             "reconstruct the scene again, or check the units of its points")
-    # a bad match far away must not make the others coincide
+    # an outlier far away must not make the other points coincident
     typical = np.median(np.linalg.norm(distinct - np.median(distinct, axis=0), axis=1))
     size = min(np.linalg.norm(np.ptp(distinct, axis=0)), 10 * typical)
     k = min(neighbours, len(distinct) - 1)

@@ -1,4 +1,4 @@
-"""A scene: posed photos and a sparse point cloud, in a frame near the origin."""
+"""A scene: posed photos and a sparse point cloud, in coordinates near the origin."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from clsplat.camera import Camera, scene_extent
 if TYPE_CHECKING:
     from clsplat.partition.region import Region
 
-NEAR_SHARE = 1 / 500  # of the extent: holds for scenes in any unit
-# cameras this much closer together than the points are away (or agreeing but for rounding) say
-# nothing about the scene's size: half a pixel then is half the depth at a focal length of 1000
+NEAR_SHARE = 1 / 500  # of the extent, so that it suits scenes in any unit
+# below this share of the distance of the points (or with positions that differ only by rounding),
+# the distance between cameras does not tell the scene's size: half a pixel then is half the depth
+# at a focal length of 1000
 LEAST_PARALLAX = 1e-3
 
 
@@ -29,8 +30,8 @@ class View:
     Attributes
     ----------
     name : of the photo within the scene.
-    camera : where it was taken; its size may be smaller than the photo's.
-    source : a file path, or the encoded bytes of the image (packed scenes).
+    camera : of the photo; its size may be smaller than the photo's.
+    source : a file path, or the encoded image of a packed scene.
     """
 
     name: str
@@ -38,7 +39,7 @@ class View:
     source: Path | bytes
 
     def sees(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Which points lie in front of the camera and within the image, hidden or not.
+        """Which points lie in front of the camera and within the image, occluded or not.
 
         Parameters
         ----------
@@ -63,7 +64,7 @@ class View:
 
         Raises
         ------
-        clsplat.ClsplatError : where it is not there, or is no image that can be read.
+        clsplat.ClsplatError : if it does not exist, or is not an image that can be read.
         """
         from clsplat.io.images import read_photo
 
@@ -73,22 +74,24 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Views sorted by name, and sparse points, near the origin: `original = offset + unit * local`.
+    """Photos with their cameras and a sparse point cloud, in local coordinates near the origin.
+
+    Original coordinates are `offset + unit * local`.
 
     Attributes
     ----------
     name : of its folder or file.
-    views : the photos with their cameras.
+    views : the photos with their cameras, sorted by name.
     points : float64[N, 3], local.
     colours : uint8[N, 3], of the points.
-    offset, unit : float64[3] and a number, by which exports restore the original coordinates.
-    path : where it was read from.
-    observations : int32[M, 2], rows (point, view) that say which view the sparse model saw a point
-        in, each once, sorted; None where the file does not tell.
-    held_out : names of the views that are for testing where the data set says so itself, or None.
-    region : of a block of a larger scene, the partition.region.Region it owns; else None.
-    exposures : of a block, name -> float64[3, 4], the colour transforms its views start from.
-    notes : lines that a user should see: what of the files is not used, or is read in another way.
+    offset, unit : float64[3] and a number, from local to original coordinates.
+    path : the folder or file from which it was read.
+    observations : int32[M, 2], the points that the sparse model saw in each view: distinct rows
+        (point, view), sorted; None if the file does not tell.
+    held_out : names of the test views, if the data set defines them; otherwise None.
+    region : the region that a block of a larger scene owns; otherwise None.
+    exposures : view name -> float64[3, 4], the initial colour transforms of a block's views.
+    notes : messages for the user about parts of the files that are not used or were interpreted.
     """
 
     name: str
@@ -112,11 +115,11 @@ class Scene:
         ----------
         path : a folder with a COLMAP model, transforms.json or the layout of CityGaussian, or a
             file of `clsplat pack`.
-        images : the folder of its photos, from the scene's own folder; "": images.
+        images : the folder of its photos, relative to the scene's folder; "": images.
 
         Raises
         ------
-        clsplat.ClsplatError : where it is not a scene, or is damaged; one line with the cure.
+        clsplat.ClsplatError : if it is not a scene, or is damaged; one line with the cure.
         """
         from clsplat.io.scenes import read_scene
 
@@ -125,43 +128,43 @@ class Scene:
     @property
     def extent(self) -> float:
         """The scene's size, world units: 1.1 times the largest distance of a camera from the mean
-        camera position; the distance of the points where all cameras stand at one place."""
+        camera position; the distance of the points if all cameras have the same position."""
         extent = scene_extent([view.camera for view in self.views])
         return extent if self.parallax >= LEAST_PARALLAX else self._distance
 
     @property
     def parallax(self) -> float:
-        """How far apart the cameras are, in distances of the points from them."""
+        """How far apart the cameras are, as a multiple of the distance of the points from them."""
         return scene_extent([view.camera for view in self.views]) / max(
             self._distance, np.finfo(float).tiny)
 
     @property
     def _distance(self) -> float:
-        """Median distance of a point from the middle of the cameras, world units."""
+        """Median distance of a point from the mean camera position, world units."""
         middle = np.mean([view.camera.position for view in self.views], axis=0)
         return float(np.median(np.linalg.norm(self.points - middle, axis=1)))
 
     @property
     def near_plane(self) -> float:
-        """The depth, world units, before which nothing is drawn: 1/500 of the extent."""
+        """The default depth of the near plane, world units: 1/500 of the extent."""
         return self.extent * NEAR_SHARE
 
-    def near(self, asked: float) -> float:
-        """The near plane in the units of this scene.
+    def near(self, requested: float) -> float:
+        """The depth of the near plane in the units of this scene.
 
         Parameters
         ----------
-        asked : original world units, the option `near`; 0: `near_plane`.
+        requested : original world units, the option `near`; 0: `near_plane`.
         """
-        return asked / self.unit or self.near_plane
+        return requested / self.unit or self.near_plane
 
     def split(self, test_every: int) -> tuple[tuple[View, ...], tuple[View, ...]]:
         """The training views and the held-out views.
 
         Parameters
         ----------
-        test_every : every so-many-th view by name, from the first, is held out, unless the data set
-            says itself which ones are (`held_out`); 0: none.
+        test_every : every test_every-th view by name, from the first, is held out, unless the data
+            set defines the test views (`held_out`); 0: none.
 
         Returns
         -------
@@ -181,25 +184,25 @@ class Scene:
         Parameters
         ----------
         positions : float[N, 3], local.
-        spread : float[N] or one number, local units: how far things extend around the positions.
+        spread : float[N] or one number, local units: the radius around the positions that counts.
 
         Returns
         -------
         bool[N].
         """
         if self.region is None:
-            raise ValueError("a scene that is no block has no region")
+            raise ValueError("a scene that is not a block has no region")
         inside: NDArray[np.bool_] = self.region.reaches(
             self.offset + self.unit * np.asarray(positions, np.float64),
             self.unit * np.asarray(spread))
         return inside
 
     def part(self, indices: Iterable[int]) -> Scene:
-        """The scene of some views alone, with the points that they see.
+        """The scene with some of its views, and the points that these see.
 
         Parameters
         ----------
-        indices : int[V], of the views.
+        indices : of the views.
         """
         views = tuple(self.views[i] for i in sorted(indices))
         if self.observations is None:
@@ -217,12 +220,11 @@ class Scene:
                        observations=known)
 
     def cropped(self, windows: dict[str, tuple[int, int, int, int]]) -> Scene:
-        """The scene with views that show a part of their photos only, and with the observations in
-        these parts.
+        """The scene with views cropped to parts of their photos, and observations only in these.
 
         Parameters
         ----------
-        windows : name of a view -> (left, top, right, bottom), pixels; other views stay whole.
+        windows : name of a view -> (left, top, right, bottom), pixels; other views are not cropped.
         """
         views = tuple(replace(v, camera=v.camera.cropped(*windows[v.name]))
                       if v.name in windows else v for v in self.views)
@@ -244,21 +246,21 @@ class Scene:
         Parameters
         ----------
         downscale : width and height are divided by this.
-        max_resolution : pixels, the longest side that a photo may then have; 0: any.
+        max_resolution : pixels, the longest side that a photo may have after this; 0: any.
         """
         return replace(self, views=tuple(
             replace(v, camera=v.camera.reduced(downscale, max_resolution)) for v in self.views))
 
     def recentred(self) -> Scene:
-        """The scene with its origin at the median point, so that float32 keeps its digits."""
+        """The scene with its origin at the median point, for the precision of float32."""
         offset = np.median(self.points, axis=0)
         return replace(
             self, points=self.points - offset, offset=self.offset + offset,
             views=tuple(replace(v, camera=v.camera.shifted(offset)) for v in self.views))
 
     def normalised(self) -> Scene:
-        """The scene in units of its extent: what is then computed in float32 is the same whatever
-        unit the original coordinates have."""
+        """The scene in units of its extent, so that computations in float32 do not depend on the
+        unit of the original coordinates."""
         extent = self.extent
         return replace(
             self, points=self.points / extent, unit=self.unit * extent, views=tuple(

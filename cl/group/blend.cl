@@ -10,7 +10,7 @@ void blend(int width, int height, int tiles_x, int first_tile,
            __global const real *restrict background, __global const uint *restrict ranges,
            __global const uint *restrict sorted_splats, __global const real *restrict splats,
            __global real *restrict image, __global real *restrict transmittance,
-           __global int *restrict last, __global real *restrict depth,
+           __global int *restrict last_contributor, __global real *restrict depth,
            __global const uint *restrict bucket_offsets, __global real *restrict checkpoints,
            __global real *restrict depth_checkpoints)
 {
@@ -73,7 +73,7 @@ void blend(int width, int height, int tiles_x, int first_tile,
         image[plane + pixel] = c.y + t * background[1];
         image[2 * plane + pixel] = c.z + t * background[2];
         transmittance[pixel] = t;
-        last[pixel] = latest;
+        last_contributor[pixel] = latest;
 #if WITH_DEPTH
         depth[pixel] = z;
 #endif
@@ -106,10 +106,13 @@ inline real from_previous_lane(real value)
 __kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
 void blend_adjoint(int width, int height, int tiles_x, int first_tile,
                    __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-                   __global const uint *restrict slots, __global const real *restrict splats,
-                   __global const real *restrict transmittance, __global const int *restrict last,
+                   __global const uint *restrict emission_indices,
+                   __global const real *restrict splats,
+                   __global const real *restrict transmittance,
+                   __global const int *restrict last_contributor,
                    __global const real *restrict grad_image, __global const real *restrict grad_depth,
-                   __global const real *restrict grad_transmittance, __global real *restrict sums,
+                   __global const real *restrict grad_transmittance,
+                   __global real *restrict pair_grads,
                    uint tiles, __global const uint *restrict bucket_offsets,
                    __global const uint *restrict bucket_tiles, __global const real *restrict image,
                    __global const real *restrict depth, __global const real *restrict checkpoints,
@@ -148,7 +151,7 @@ void blend_adjoint(int width, int height, int tiles_x, int first_tile,
             gz = grad_depth[pixel];
             g.w += gz * depth[pixel] + grad_transmittance[pixel] * transmittance[pixel];
 #endif
-            latest = last[pixel];
+            latest = last_contributor[pixel];
         }
         grads[p] = g;
         grads_z[p] = gz;
@@ -209,7 +212,7 @@ void blend_adjoint(int width, int height, int tiles_x, int first_tile,
         }
     }
     if (valid) {
-        __global real *sum = sums + (ulong)slots[own] * SUMS;
+        __global real *sum = pair_grads + (ulong)emission_indices[own] * SUMS;
         vstore3(s_colour, 0, sum);
         sum[SUM_OPACITY] = s_opacity;
         sum[SUM_X] = s_x;
@@ -226,15 +229,16 @@ void blend_adjoint(int width, int height, int tiles_x, int first_tile,
 // An element is a splat's column.
 __kernel void sum_pairs(uint count, uint carried, __global const uint *restrict order,
                         __global const uint *restrict counts,
-                        __global const uint *restrict offsets, __global const real *restrict sums,
+                        __global const uint *restrict offsets,
+                        __global const real *restrict pair_grads,
                         __global real *restrict totals)
 {
     FOR_EACH(i, (ulong)count * SUMS) {
         const ulong v = i / SUMS, begin = offsets[v], end = begin + counts[v];
         __global real *own = totals + (ulong)order[v] * SUMS + i % SUMS;
         real total = carried ? *own : 0;
-        for (ulong slot = begin; slot < end; slot++)
-            total += sums[slot * SUMS + i % SUMS];
+        for (ulong index = begin; index < end; index++)
+            total += pair_grads[index * SUMS + i % SUMS];
         *own = total;
     }
 }

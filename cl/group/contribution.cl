@@ -7,9 +7,9 @@ DEFINE_GROUP_SUM(group_sum4, real4)
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void contribution(int width, int height, int tiles_x, int first_tile,
                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-                  __global const uint *restrict slots, __global const real *restrict splats,
-                  __global const int *restrict last, __global const real *restrict weights,
-                  __global real *restrict sums)
+                  __global const uint *restrict emission_indices,
+                  __global const real *restrict splats, __global const int *restrict last_contributor,
+                  __global const real *restrict weights, __global real *restrict sums)
 {
     __local real4 scratch[GROUP];
     const int tile = get_group_id(0), lane = get_local_id(0), place = first_tile + tile;
@@ -18,7 +18,7 @@ void contribution(int width, int height, int tiles_x, int first_tile,
     const bool inside = column < width && row < height;
     const long pixel = (long)row * width + column;
     const int begin = ranges[2 * tile], end = ranges[2 * tile + 1];
-    const int latest = inside ? last[pixel] : -1;
+    const int latest = inside ? last_contributor[pixel] : -1;
     const real weight = inside ? weights[pixel] : 0;
     const real x = column + 0.5, y = row + 0.5;
     real t = 1;
@@ -35,6 +35,6 @@ void contribution(int width, int height, int tiles_x, int first_tile,
         }
         const real4 total = group_sum4(own, scratch);
         if (lane == 0)
-            vstore4(total, slots[i], sums);
+            vstore4(total, emission_indices[i], sums);
     }
 }

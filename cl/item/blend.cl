@@ -38,7 +38,7 @@ void blend(int width, int height, int tiles_x, int first_tile,
            __global const real *restrict background, __global const uint *restrict ranges,
            __global const uint *restrict sorted_splats, __global const real *restrict splats,
            __global real *restrict image, __global real *restrict transmittance,
-           __global int *restrict last, __global real *restrict depth)
+           __global int *restrict last_contributor, __global real *restrict depth)
 {
     const int tile = get_global_id(0), place = first_tile + tile;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
@@ -110,17 +110,20 @@ void blend(int width, int height, int tiles_x, int first_tile,
         int indices[16];
         vstore16(convert_int16(latest[r]), 0, indices);
         for (int i = 0; i < columns; i++)
-            last[pixel + i] = indices[i];
+            last_contributor[pixel + i] = indices[i];
     }
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void blend_adjoint(int width, int height, int tiles_x, int first_tile,
                    __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-                   __global const uint *restrict slots, __global const real *restrict splats,
-                   __global const real *restrict transmittance, __global const int *restrict last,
+                   __global const uint *restrict emission_indices,
+                   __global const real *restrict splats,
+                   __global const real *restrict transmittance,
+                   __global const int *restrict last_contributor,
                    __global const real *restrict grad_image, __global const real *restrict grad_depth,
-                   __global const real *restrict grad_transmittance, __global real *restrict sums,
+                   __global const real *restrict grad_transmittance,
+                   __global real *restrict pair_grads,
                    __global const real *restrict background)
 {
     const int tile = get_global_id(0), place = first_tile + tile;
@@ -151,13 +154,13 @@ void blend_adjoint(int width, int height, int tiles_x, int first_tile,
 #endif
         int indices[16];
         for (int i = 0; i < 16; i++) {
-            indices[i] = i < columns ? last[pixel + i] : -1;
+            indices[i] = i < columns ? last_contributor[pixel + i] : -1;
             newest = max(newest, indices[i]);
         }
         latest[r] = convert_mask16(vload16(0, indices));
     }
     for (int i = end - 1; i >= begin; i--) {
-        __global real *sum = sums + (ulong)slots[i] * SUMS;
+        __global real *sum = pair_grads + (ulong)emission_indices[i] * SUMS;
         if (i > newest) {
             for (int j = 0; j < SUMS; j++)
                 sum[j] = 0;
@@ -215,10 +218,11 @@ void blend_adjoint(int width, int height, int tiles_x, int first_tile,
 }
 
 // An element is a splat; eight columns are one vector, or Intel's compiler would sum every column over
-// several slots at a time, in another order.
+// several pairs at a time, in another order.
 __kernel void sum_pairs(uint count, uint carried, __global const uint *restrict order,
                         __global const uint *restrict counts,
-                        __global const uint *restrict offsets, __global const real *restrict sums,
+                        __global const uint *restrict offsets,
+                        __global const real *restrict pair_grads,
                         __global real *restrict totals)
 {
     FOR_EACH(v, count) {
@@ -229,9 +233,9 @@ __kernel void sum_pairs(uint count, uint carried, __global const uint *restrict 
             rest[j] = carried ? own[8 + j] : 0;
         const ulong begin = (ulong)offsets[v] * SUMS, end = begin + (ulong)counts[v] * SUMS;
         for (ulong i = begin; i < end; i += SUMS) {
-            total += vload8(0, sums + i);
+            total += vload8(0, pair_grads + i);
             for (int j = 0; j < SUMS - 8; j++)
-                rest[j] += sums[i + 8 + j];
+                rest[j] += pair_grads[i + 8 + j];
         }
         vstore8(total, 0, own);
         for (int j = 0; j < SUMS - 8; j++)

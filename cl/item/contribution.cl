@@ -3,9 +3,9 @@
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void contribution(int width, int height, int tiles_x, int first_tile,
                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-                  __global const uint *restrict slots, __global const real *restrict splats,
-                  __global const int *restrict last, __global const real *restrict weights,
-                  __global real *restrict sums)
+                  __global const uint *restrict emission_indices,
+                  __global const real *restrict splats, __global const int *restrict last_contributor,
+                  __global const real *restrict weights, __global real *restrict sums)
 {
     const int tile = get_global_id(0), place = first_tile + tile;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
@@ -21,7 +21,7 @@ void contribution(int width, int height, int tiles_x, int first_tile,
         for (int i = 0; i < 16; i++) {
             const long pixel = (long)(y0 + r) * width + x0 + i;
             values[i] = i < columns ? weights[pixel] : 0;
-            indices[i] = i < columns ? last[pixel] : -1;
+            indices[i] = i < columns ? last_contributor[pixel] : -1;
         }
         t[r] = 1;
         weight[r] = vload16(0, values);
@@ -49,6 +49,6 @@ void contribution(int width, int height, int tiles_x, int first_tile,
             s_distance += select(zero, sqrt(dx * dx + dy * dy), live);
         }
         vstore4((real4)(sum16(s_pixels), sum16(s_weight), sum16(s_weighted), sum16(s_distance)),
-                slots[i], sums);
+                emission_indices[i], sums);
     }
 }

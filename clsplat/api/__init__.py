@@ -1,4 +1,4 @@
-"""The public Python API: what `import clsplat` offers beside the nouns (Scene, Camera, Gaussians).
+"""The public Python API: what `import clsplat` offers besides Scene, Camera and Gaussians.
 
-The command line and this package stand on the same modules; nothing here knows of click.
+The command line uses the same modules as this package; nothing here imports click.
 """

@@ -1,4 +1,4 @@
-"""`clsplat.Device`: an OpenCL device, opened by what a user calls it."""
+"""`clsplat.Device`: an OpenCL device, chosen by its name, kind or number."""
 
 import functools
 
@@ -13,21 +13,21 @@ class Device(OpenedDevice):
 
     Parameters
     ----------
-    name : which device: "auto" (a GPU if there is one, else the fastest CPU runtime), "cpu", "gpu",
-        its number in `clsplat devices`, or a part of its name.
-    form : of the kernels, "item" (made for CPUs), "group" (for GPUs) or "auto" (by the device).
-    precision : of all numbers on the device, "float" or "double".
+    name : "auto" (a GPU if there is one, otherwise the fastest CPU runtime), "cpu", "gpu", the
+        device's number in `clsplat devices`, or a part of its name.
+    form : of the kernels: "item" (for CPUs), "group" (for GPUs) or "auto" (by the device).
+    precision : of real numbers on the device, "float" or "double".
 
     Raises
     ------
-    clsplat.ClsplatError : where no such device works; the message says why and names the cure.
+    clsplat.ClsplatError : if no such device works; the message says why, and the cure.
     """
 
     def __init__(self, name: str | int = "auto", *, form: str = "auto",
                  precision: str = "float") -> None:
-        for word, known in ((form, ("auto", "item", "group")), (precision, ("float", "double"))):
-            if word not in known:
-                raise InputError(f"{word!r}: not one of {', '.join(known)}")
+        for value, choices in ((form, ("auto", "item", "group")), (precision, ("float", "double"))):
+            if value not in choices:
+                raise InputError(f"{value!r}: not one of {', '.join(choices)}")
         super().__init__(choose_handle(str(name)), precision=precision, form=form)
 
     def __repr__(self) -> str:
@@ -42,5 +42,5 @@ class Device(OpenedDevice):
 
 @functools.cache
 def best_device() -> Device:
-    """The device that is taken where none is given, opened once."""
+    """The default device, opened once."""
     return Device()

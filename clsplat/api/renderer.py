@@ -28,43 +28,45 @@ def render(model: Gaussians, camera: Camera, *, device: OpenedDevice | None = No
     Parameters
     ----------
     model : the gaussians.
-    camera : where they are seen from; its frame may have another offset than the model's.
-    device : an open device; None: the best that works.
+    camera : the view; the offset of its world may differ from the model's.
+    device : an open device; None: the best one that works.
     depth : whether to return depths as well.
-    background : red, green and blue of 0 to 1 where nothing is.
-    near : world units: what is closer to the camera is not drawn; None: 1/500 of the model's size.
-    antialiased : whether opacity is scaled by the area that the low-pass adds (Yu et al. 2024).
+    background : red, green and blue, 0 to 1.
+    near : depth of the near plane, world units; None: 1/500 of the model's size.
+    antialiased : whether opacities are scaled by the area that the low-pass filter adds to a splat
+        (Yu et al. 2024).
 
     Returns
     -------
     float32[H, W, 3], linear in the gaussians' colours, mostly 0 to 1; with `depth` a pair of it and
-    float32[H, W], the mean depth along the camera's axis in world units, 0 where nothing is.
+    float32[H, W], the mean depth along the camera's axis in world units, 0 where there is no
+    gaussian.
 
     Raises
     ------
-    clsplat.ClsplatError : where no device works, or the frame does not fit its memory.
+    clsplat.ClsplatError : if no device works, or the frame does not fit its memory.
     """
     chosen = device or best_device()
     opened, rows = open_model(chosen, model, _near(model, near), antialiased, background)
     moved = _in_frame_of(model, camera)
-    blended = opened.render(rows, opened.pack(moved), camera.width, camera.height,
-                            model.sh_degree, with_depth=depth)
-    image = _image(blended.image)
+    frame = opened.render(rows, opened.pack(moved), camera.width, camera.height,
+                          model.sh_degree, with_depth=depth)
+    image = _image(frame.image)
     if not depth:
         return image
-    left = blended.blended.transmittance.download()
-    return image, _mean_depth(blended.blended.depth.download(), left)
+    transmittance = frame.blended.transmittance.download()
+    return image, _mean_depth(frame.blended.depth.download(), transmittance)
 
 
 @dataclass(eq=False)
 class Frame:
-    """What `Renderer.forward` gives.
+    """The result of `Renderer.forward`.
 
     Attributes
     ----------
     image : float32[H, W, 3].
-    depth : float32[H, W], sums of weight times depth, world units; None where it was not asked for.
-    transmittance : float32[H, W], 0 to 1: how much of the background is seen.
+    depth : float32[H, W], sums of weight times depth, world units; None if it was not requested.
+    transmittance : float32[H, W], 0 to 1, the share of the background that is visible.
     """
 
     image: NDArray[np.float32]
@@ -78,17 +80,17 @@ class Frame:
 
 
 class Renderer:
-    """Renders gaussians that stay on the device, and takes gradients back to them.
+    """Renders gaussians that stay on the device, and computes gradients by their parameters.
 
     Parameters
     ----------
     device : an open device.
-    model : the gaussians to begin with; they must fit the device's memory.
+    model : the initial gaussians; they must fit the device's memory.
     background, near, antialiased : as for `clsplat.render`.
 
     Raises
     ------
-    clsplat.ClsplatError : where the model does not fit the device.
+    clsplat.ClsplatError : if the model does not fit the device.
     """
 
     def __init__(self, device: OpenedDevice, model: Gaussians, *,
@@ -97,7 +99,7 @@ class Renderer:
         limit = gaussian_limit(device, model.sh_degree)
         if model.count > limit:
             raise InputError(f"{model.count:,} gaussians: the device has memory for {limit:,}; "
-                             "use clsplat.render, which draws larger models in slabs")
+                             "use clsplat.render, which renders larger models in slabs")
         self.device, self.model = device, model
         self._pipeline = pipeline.Renderer(device, model.sh_degree, _near(model, near), antialiased,
                                            background)
@@ -110,24 +112,24 @@ class Renderer:
         ----------
         fields : positions float[N, 3] (world), log_scales float[N, 3], quaternions float[N, 4]
             (wxyz), opacity_logits float[N], sh_constant float[N, 3], sh_rest float[N, bands, 3];
-            numpy arrays, or what has `__array__` or `__dlpack__`.
+            numpy arrays, or objects with `__array__` or `__dlpack__`.
 
         Raises
         ------
-        clsplat.ClsplatError : for a field that there is not, or one of another shape.
+        clsplat.ClsplatError : for an unknown field, or one of another shape.
         """
         for name, values in fields.items():
             if name not in self._rows:
-                raise InputError(f"{name}: no field of gaussians; there are "
+                raise InputError(f"{name}: not a field of gaussians; these are "
                                  f"{', '.join(self._rows)}")
             array = _as_numpy(values)
-            wanted = self._rows[name].shape
-            if array.shape != tuple(wanted):
-                raise InputError(f"{name}: has shape {array.shape}, not {tuple(wanted)}")
+            shape = self._rows[name].shape
+            if array.shape != shape:
+                raise InputError(f"{name}: has shape {array.shape}, not {shape}")
             self._rows[name].write(array)
 
     def download(self) -> Gaussians:
-        """The gaussians as they now are, in host memory."""
+        """The current gaussians, in host memory."""
         rows = {name: array.download().astype(np.float32) for name, array in self._rows.items()}
         return Gaussians(rows, self.model.sh_degree, self.model.offset)
 
@@ -136,12 +138,12 @@ class Renderer:
 
         Parameters
         ----------
-        camera : where the gaussians are seen from.
-        depth : whether the frame gets depths.
+        camera : the view.
+        depth : whether the frame has depths.
 
         Returns
         -------
-        The Frame, which `backward` takes.
+        A Frame, for `backward`.
         """
         packed = self._pipeline.pack(_in_frame_of(self.model, camera))
         frame = self._pipeline.render(self._rows, packed, camera.width, camera.height,
@@ -157,35 +159,35 @@ class Renderer:
         Parameters
         ----------
         frame : of the last `forward`; parameters must not have changed since.
-        grad_image : float[H, W, 3], the loss by the image.
-        grad_depth : float[H, W], the loss by `frame.depth`, for a frame with depth.
-        grad_transmittance : float[H, W], the loss by `frame.transmittance`, for one with depth.
+        grad_image : float[H, W, 3], gradient of the loss by the image.
+        grad_depth : float[H, W], by `frame.depth`, for a frame with depth.
+        grad_transmittance : float[H, W], by `frame.transmittance`, for a frame with depth.
 
         Returns
         -------
-        Field name -> float32 of the field's shape, a row a gaussian: 0 where the camera does not
-        see it, and where its gradient is not finite.
+        Field name -> float32 of the field's shape; 0 for gaussians that the camera does not see, or
+        whose gradient is not finite.
 
         Raises
         ------
-        clsplat.ClsplatError : for gradients of another shape, or of depths that are not there.
+        clsplat.ClsplatError : for gradients of another shape, or by depths that the frame lacks.
         """
         height, width, _ = frame.image.shape
         if frame.depth is None and not (grad_depth is None and grad_transmittance is None):
-            raise InputError("gradients of depth or transmittance want a frame with depth: "
+            raise InputError("gradients of depth or transmittance need a frame with depth: "
                              "forward(camera, depth=True)")
         grads = [self._gradient(grad_image, "grad_image", (height, width, 3))]
         for name, values in (("grad_depth", grad_depth), ("grad_transmittance",
                                                           grad_transmittance)):
             grads.append(None if values is None else
                          self._gradient(values, name, (height, width)))
-        found = self._pipeline.adjoint(self._rows, frame._frame, *grads)
-        places = found.rows.download()
-        there = places != NO_ROW
+        gradients = self._pipeline.adjoint(self._rows, frame._frame, *grads)
+        rows = gradients.rows.download()
+        finite = rows != NO_ROW
         dense = {}
-        for name, values in found.fields.items():
+        for name, values in gradients.fields.items():
             dense[name] = np.zeros(self._rows[name].shape, np.float32)
-            dense[name][places[there]] = values.download()[there]
+            dense[name][rows[finite]] = values.download()[finite]
         return dense
 
     def _gradient(self, values: Any, name: str, shape: tuple[int, ...]) -> Any:
@@ -198,7 +200,8 @@ class Renderer:
 
 
 def _near(model: Gaussians, near: float | None) -> float:
-    """World units; a share of the median distance of a gaussian from the middle of them."""
+    """Depth of the near plane, world units, from the gaussians' median distance from their median
+    position."""
     if near is not None:
         return near
     if not model.count:
@@ -218,13 +221,13 @@ def _image(array: Any) -> NDArray[np.float32]:
     return np.ascontiguousarray(array.download().transpose(1, 2, 0), np.float32)
 
 
-def _mean_depth(depth: NDArray[Any], left: NDArray[Any]) -> NDArray[np.float32]:
-    opaque = 1 - left
+def _mean_depth(depth: NDArray[Any], transmittance: NDArray[Any]) -> NDArray[np.float32]:
+    opaque = 1 - transmittance
     return np.where(opaque > 1e-6, depth / np.maximum(opaque, 1e-6), 0).astype(np.float32)
 
 
 def _as_numpy(values: Any) -> NDArray[np.float32]:
-    """A numpy array of what has `__dlpack__` or `__array__`, or of nested numbers."""
+    """A numpy array of an object with `__dlpack__` or `__array__`, or of nested numbers."""
     if not hasattr(values, "__array__") and hasattr(values, "__dlpack__"):
         values = np.from_dlpack(values)
     return np.asarray(values, np.float32)

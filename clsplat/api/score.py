@@ -18,9 +18,9 @@ def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = No
     Parameters
     ----------
     model : the gaussians, with the scene's offset.
-    scene : its views are rendered at the size that their cameras have; see `Scene.reduced`.
-    device : an open device; None: the best that works.
-    test_every : every so-many-th view by name is held out; 0: all views are compared.
+    scene : the views, rendered at the size of their cameras; see `Scene.reduced`.
+    device : an open device; None: the best one that works.
+    test_every : every test_every-th view by name is held out; 0: all views are compared.
     near, antialiased, background : as for `clsplat.render`.
 
     Returns
@@ -29,7 +29,7 @@ def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = No
 
     Raises
     ------
-    clsplat.ClsplatError : where no view is held out, or a photo cannot be read.
+    clsplat.ClsplatError : if no view is held out, or a photo cannot be read.
     """
     views = scene.split(test_every)[1] if test_every else scene.views
     if not views:

@@ -1,4 +1,4 @@
-"""`clsplat.train`: a scene in, a run out."""
+"""`clsplat.train`: train a model of a scene."""
 
 import tempfile
 from collections.abc import Callable, Iterable
@@ -25,14 +25,14 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
     ----------
     scene : a Scene as it was read (the option `downscale` makes its photos smaller), or its path.
     output : the folder of the run; None: a new one in the folder for temporary files.
-    device : an open device; None: what the option `device` says, by default the best that works.
+    device : an open device; None: that of the option `device`, by default the best one that works.
     overwrite : whether a run in the folder is replaced.
     callbacks : functions that are called with each record, a dict with `event`, `iteration`,
-        `train_seconds`, `level` and `gaussians`. Every step has one of event "step" with its
-        `loss`, `l1` and `ssim`; the host waits for the device to have them. Others are as in
-        metrics.jsonl: "plan", "level", "grow", "eval". One that raises `clsplat.StopTraining` ends
-        the training after its step; `Run.resume` goes on.
-    options : as of `clsplat train --help-all`, with underscores: iterations=7000, sh_degree=2.
+        `train_seconds`, `level` and `gaussians`. Every step has a record of event "step" with its
+        `loss`, `l1` and `ssim`, for which the host waits for the device. Other events are those of
+        metrics.jsonl: "plan", "level", "grow", "eval". A function that raises
+        `clsplat.StopTraining` ends the training after the step; `Run.resume` continues it.
+    options : those of `clsplat train --help-all`, with underscores: iterations=7000, sh_degree=2.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
 
     Raises
     ------
-    clsplat.ClsplatError : for a scene, an option or a folder that cannot be used.
+    clsplat.ClsplatError : if the scene, an option or the folder cannot be used.
     """
     chosen = resolve({}, options)
     data = scene if isinstance(scene, Scene) else Scene.read(scene, chosen.images)

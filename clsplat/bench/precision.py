@@ -119,7 +119,7 @@ class Frame:
     def run(self) -> tuple[pipeline.Frame, Gradients]:
         """Render the view and take the gradients."""
         self.device.variant = self.variant
-        frame = self.renderer.render(self.rows, self.camera, *self.size, degree=3)
+        frame = self.renderer.render(self.rows, self.camera, *self.size, sh_degree=3)
         return frame, self.renderer.adjoint(self.rows, frame, self.grad)
 
     def result(self) -> dict[str, Any]:

@@ -51,7 +51,7 @@ class Clsplat:
         """Render."""
         camera, width, height = self.cameras[self.turn % len(self.cameras)]
         self.turn += 1
-        self.frame = self.renderer.render(self.rows, camera, width, height, degree=3)
+        self.frame = self.renderer.render(self.rows, camera, width, height, sh_degree=3)
 
     def both(self) -> None:
         """Render, and take the gradients."""

@@ -44,7 +44,8 @@ def pair_tiles(pairs: Pairs) -> NDArray[np.uint32]:
     """The tiles uint32[P] of the pairs, in the order before they were sorted."""
     begin, end = pairs.ranges.download().T
     tiles = np.empty(pairs.count, np.uint32)
-    tiles[pairs.slots.download()] = np.repeat(np.arange(len(begin), dtype=np.uint32), end - begin)
+    tiles[pairs.emission_indices.download()] = np.repeat(
+        np.arange(len(begin), dtype=np.uint32), end - begin)
     return tiles
 
 

@@ -120,7 +120,7 @@ class VariantDevice(Device):
         """The same as `Device.launch`, with the approximation of the variant."""
         half = self.variant.half
         if half == "sums" and kernel.function == "sum_pairs":
-            _round_to_half(values["sums"], slice(None), self.variant.half_scale)
+            _round_to_half(values["pair_grads"], slice(None), self.variant.half_scale)
         if kernel.file in RENDERING:
             defines += self.variant.defines
         super().launch(kernel, defines, **values)

@@ -73,7 +73,7 @@ class CityFrame:
         self.camera = self.renderer.pack(camera)
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
         self.frame = self.renderer.render(self.rows, self.camera, camera.width, camera.height,
-                                          degree=3)
+                                          sh_degree=3)
         self.size = {"gaussians": count, "width": camera.width, "height": camera.height,
                      "visible": len(self.frame.visible), "pairs": self.frame.pairs.count}
 

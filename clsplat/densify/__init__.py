@@ -1,1 +1,1 @@
-"""Growing and pruning: what views say of each gaussian, and what becomes of it."""
+"""Growing and pruning: statistics of the gaussians over views, and decisions made from them."""

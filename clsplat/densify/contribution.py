@@ -1,44 +1,57 @@
 """What each splat contributed to a rendered frame (cl/contribution.cl)."""
 
 from clsplat.constants import SPLAT_REALS
-from clsplat.device import Forms, Kernel, each, groups, items
+from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
+from clsplat.rendering.bin import Pairs
+from clsplat.rendering.pipeline import Frame
 
 COLUMNS = 4  # pixels, weight, weighted image, distance
 
 CONTRIBUTION = Kernel(
     "contribution.cl", "contribution", Forms(item=items("T"), group=groups("T", "TILE TILE")),
-    width="int", height="int", tiles_x="int",
-    first_tile="int", ranges=("uint", "T", 2), sorted_splats=("uint", "P"), slots=("uint", "P"),
-    splats=("real", "V", SPLAT_REALS), last=("int", "H", "W"), weights=("real", "H", "W"),
-    sums=("real", "P", COLUMNS))
+    width="int", height="int", tiles_x="int", first_tile="int", ranges=("uint", "T", 2),
+    sorted_splats=("uint", "P"), emission_indices=("uint", "P"),
+    splats=("real", "V", SPLAT_REALS), last_contributor=("int", "H", "W"),
+    weights=("real", "H", "W"), sums=("real", "P", COLUMNS))
 SUM = Kernel(
     "contribution.cl", "sum_contributions", each("count"), count="uint", carried="uint",
     order=("uint", "V"), counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
     totals=("real", "V", COLUMNS))
 
 
-def contribution(device, frame, weights):
-    """real[V, 4] in the order of `frame.visible`, summed over the pixels where a splat was blended:
-    their number, alpha T, alpha T times the weight, and the distance from the splat's mean, pixels.
+def contribution(device: Device, frame: Frame, weights: Array) -> Array:
+    """What each splat contributed to a frame, summed over the pixels where it was blended.
 
-    frame: `render.pipeline.Frame`; weights: real[H, W], an image of its size.
+    Parameters
+    ----------
+    device : the device of the frame.
+    frame : a rendered view.
+    weights : real[H, W], the weights of its pixels.
+
+    Returns
+    -------
+    real[V, 4], in the order of `frame.visible`: the number of pixels, alpha T, alpha T times the
+    weight, and the distance from the splat's mean in pixels.
     """
     totals = None
     for band in frame.bands:
         totals = _add_band(device, frame, frame.pairs_of(band), weights, totals)
+    assert totals is not None  # an image has at least one band
     return totals
 
 
-def _add_band(device, frame, pairs, weights, totals):
+def _add_band(device: Device, frame: Frame, pairs: Pairs, weights: Array, totals: Array | None
+              ) -> Array:
     width, height = frame.size
     splats = frame.splats
     sums = device.empty((pairs.count, COLUMNS))
     device.launch(CONTRIBUTION, width=width, height=height, tiles_x=pairs.tiles_x,
                   first_tile=pairs.tiles.start, ranges=pairs.ranges,
-                  sorted_splats=pairs.sorted_splats, slots=pairs.slots, splats=splats,
-                  last=frame.blended.last, weights=weights, sums=sums)
+                  sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
+                  splats=splats, last_contributor=frame.blended.last_contributor, weights=weights,
+                  sums=sums)
     carried = totals is not None
-    if not carried:
+    if totals is None:
         totals = device.empty((len(splats), COLUMNS))
     device.launch(SUM, count=len(splats), carried=carried, order=pairs.order, counts=pairs.counts,
                   offsets=pairs.offsets, sums=sums, totals=totals)

@@ -1,16 +1,23 @@
 """Adaptive density control of 3DGS (Kerbl et al. 2023, section 5.2), decided on the host.
 
-Of the gaussians chosen to grow, small ones are cloned and large ones split in two; faint, oversized
-and strayed ones are pruned. Decisions are numpy on a few numbers a gaussian; the rows themselves
-move on the device.
+Of the gaussians chosen to grow, small ones are cloned and large ones split in two. Those that are
+transparent, too large or outside their sphere are pruned. Decisions are made with numpy from a few
+numbers of each gaussian; the rows themselves are moved on the device.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.densify.sphere import children as sphere_children
 from clsplat.densify.sphere import outside
+
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
 
 SPLIT_SHRINK = 1.6
 CHILDREN = 2
@@ -18,27 +25,48 @@ CHILDREN = 2
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """What becomes of N rows. source: uint32[M], the old row of each new row; the first `kept` are
-    old rows that stay, then `cloned` clones, then the children of `split` parents; `pruned` rows
-    leave nothing. changes: field -> (first row, float32 values), where new rows differ from their
-    source."""
+    """How a round of growth makes M new rows from N old ones.
 
-    source: np.ndarray
+    Attributes
+    ----------
+    source : uint32[M], the old row of each new row: first the rows that stay, then clones, then the
+        children of splits.
+    kept : how many rows stay.
+    cloned : how many rows are cloned.
+    split : how many rows are replaced by their children.
+    pruned : how many rows are removed without children.
+    changes : field name -> (first new row, values), where new rows differ from their source.
+    """
+
+    source: NDArray[np.uint32]
     kept: int
     cloned: int
     split: int
     pruned: int
-    changes: dict
+    changes: dict[str, tuple[int, NDArray[np.float32]]]
 
 
 class Candidates:
-    """The rows of N gaussians as growth sees them, and which of them must go.
+    """What growth knows of N gaussians.
 
-    rows: host rows of every field but the harmonics; extent: of the scene, world units; options:
-    TrainOptions; prunes_large: also remove gaussians above options.prune_size.
+    Parameters
+    ----------
+    rows : field name -> float32[N, *row shape], every field but the spherical harmonics (SH).
+    extent : of the scene, world units.
+    options : of the training.
+    prunes_large : whether gaussians larger than the option `prune_size` are removed.
+
+    Attributes
+    ----------
+    scales : float64[N, 3], standard deviations, world units.
+    largest : float64[N], the largest of the three.
+    limit : the largest standard deviation that is not pruned, world units.
+    is_small : bool[N], those that are cloned rather than split.
+    visible : bool[N], those neither transparent nor outside their sphere.
     """
 
-    def __init__(self, rows, extent, options, prunes_large):
+    def __init__(self, rows: dict[str, NDArray[np.float32]], extent: float, options: TrainOptions,
+                 prunes_large: bool) -> None:
         self.rows, self.options = rows, options
         self.scales = np.exp(rows["log_scales"].astype(np.float64))
         self.largest = self.scales.max(axis=1)
@@ -47,51 +75,58 @@ class Candidates:
         self.is_small = self.largest <= options.split_size * extent
         with np.errstate(over="ignore"):  # an infinity makes an opacity of 0, which is right
             opacity = 1 / (1 + np.exp(-rows["opacity_logits"].astype(np.float64)))
-        # written to drop what is not a number, too
-        self.visible = opacity >= options.prune_opacity
+        # false for NaN too
+        self.visible: NDArray[np.bool_] = opacity >= options.prune_opacity
         if "anchors" in rows:
             self.visible &= ~outside(rows["positions"], rows["anchors"], rows["max_offsets"],
                                      options.sphere_reach)
 
     @property
-    def prunes(self):
-        """bool[N]: faint, strayed or too large."""
-        return ~(self.visible & (self.largest <= self.limit))
+    def prunes(self) -> NDArray[np.bool_]:
+        """bool[N]: transparent, outside its sphere or too large."""
+        stays: NDArray[np.bool_] = self.visible & (self.largest <= self.limit)
+        return ~stays
 
 
-def plan_growth(candidates, grows, prunes, rng):
-    """The Growth that clones or splits the rows of `grows` bool[N] and removes those of `prunes`.
+def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArray[np.bool_],
+                rng: np.random.Generator) -> Growth:
+    """Decide what becomes of each gaussian.
 
-    What is split may be in `prunes` for its size, if its children are small enough. rng: numpy
-    Generator, for the places of the children.
+    Parameters
+    ----------
+    candidates : the gaussians.
+    grows : bool[N], those to be cloned or split.
+    prunes : bool[N], those to be removed; one that is too large may still be split, if its children
+        are small enough.
+    rng : draws the positions of children.
     """
     rows, options, scales = candidates.rows, candidates.options, candidates.scales
     splits = np.flatnonzero(grows & ~candidates.is_small)
     clones = np.flatnonzero(grows & candidates.is_small & ~prunes)
     children = np.repeat(splits, CHILDREN)
-    # drawn for every child, so that pruning one does not move another
+    # drawn for every child, so that pruning one does not change the position of another
     offsets = _rotated(rows["quaternions"][children],
                        rng.standard_normal((len(children), 3)) * scales[children])
     positions = (rows["positions"][children] + offsets).astype(np.float32)
-    # a parent that goes only for its size may leave children
+    # a parent that is pruned only for its size may have children
     lives = (candidates.visible | ~prunes) & (candidates.largest / SPLIT_SHRINK <= candidates.limit)
     keeps = lives[children]
-    spheres = {}
+    spheres: dict[str, NDArray[np.float32]] = {}
     if "anchors" in rows:
         parents = {name: rows[name][children] for name in ("anchors", "max_offsets")}
         anchors, max_offsets = sphere_children(parents, positions, options)
         keeps &= ~outside(positions, anchors, max_offsets, options.sphere_reach)
         spheres = {"anchors": anchors[keeps], "max_offsets": max_offsets[keeps]}
 
-    stays = ~prunes
-    stays[splits] = False
-    stays = np.flatnonzero(stays)
+    stays_mask = ~prunes
+    stays_mask[splits] = False
+    stays = np.flatnonzero(stays_mask)
     first = len(stays) + len(clones)
-    changes = {"positions": positions[keeps],
-               "log_scales": np.log(scales[children][keeps] / SPLIT_SHRINK).astype(np.float32),
-               **spheres}
-    changes = {name: (first, values) for name, values in changes.items()}
-    if spheres:  # a clone is anchored where it stands
+    of_children = {
+        "positions": positions[keeps],
+        "log_scales": np.log(scales[children][keeps] / SPLIT_SHRINK).astype(np.float32), **spheres}
+    changes = {name: (first, values) for name, values in of_children.items()}
+    if spheres:  # a clone is anchored at its own position
         anchors = np.concatenate([rows["positions"][clones], spheres["anchors"]])
         changes["anchors"] = len(stays), anchors.astype(np.float32)
     source = np.concatenate([stays, clones, children[keeps]]).astype(np.uint32)
@@ -100,8 +135,9 @@ def plan_growth(candidates, grows, prunes, rng):
                   len(rows["positions"]) - len(stays) - split, changes)
 
 
-def _rotated(quaternions, vectors):
-    """Vectors float64[N, 3] turned by quaternions[N, 4] wxyz of any length."""
+def _rotated(quaternions: NDArray[np.float32], vectors: NDArray[np.float64]
+             ) -> NDArray[np.float64]:
+    """Vectors [N, 3] rotated by quaternions [N, 4], wxyz, of any length."""
     q = quaternions.astype(np.float64)
     q /= np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-30)
     axis = q[:, 1:]

@@ -7,7 +7,7 @@ from clsplat.config.option import AUTO, option
 
 @dataclass(frozen=True)
 class GrowthOptions:
-    """When the model grows, what it grows from, and what is pruned."""
+    """When the model grows, which gaussians grow, and which are pruned."""
 
     size: str = option("S", "Growth", "growth threshold of the paper's small (S) or large (L) "
                        "model", choices=("S", "L"), sets={"L": {"grow_threshold": 1.25e-4}})

@@ -1,62 +1,104 @@
-"""Which gaussians grow, and which candidates of pruning go: masks from a few numbers a gaussian.
+"""Choice of the gaussians that grow, and of the candidates for pruning that are removed.
 
 Sampling without replacement with probability in proportion to a weight is the choice of the highest
-log weight + Gumbel noise (Efraimidis and Spirakis 2006), one draw a gaussian: what becomes of one
-does not move the draws of the others.
+log weight + Gumbel noise (Efraimidis and Spirakis 2006). Every gaussian has its own draw, so that
+excluding one does not change the draws of the others.
 """
 
 import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.floating]
+Mask = NDArray[np.bool_]
 
 
-def above_threshold(gradient, threshold, room=None):
-    """bool[N]: where the mean screen gradient float[N] is at least `threshold` (3DGS).
+def above_threshold(gradient: Floats, threshold: float, room: int | None = None) -> Mask:
+    """The gaussians whose gradient reaches a threshold (3DGS).
 
-    room: how many at most (None: any number), the highest first, among equals the first.
+    Parameters
+    ----------
+    gradient : float[N], mean screen gradients.
+    threshold : the smallest gradient that is chosen.
+    room : the largest number to choose, by highest gradient, then by row; None: any number.
+
+    Returns
+    -------
+    bool[N].
     """
     mask = gradient >= threshold
     return mask if room is None else mask & _first(-gradient, room)
 
 
-def highest(gradient, wanted):
-    """bool[N]: the `wanted` highest of gradient float[N] (DashGaussian), among equals the first.
+def highest(gradient: Floats, count: int) -> Mask:
+    """The gaussians of the highest gradients (DashGaussian), among equals the first.
 
-    Those with no gradient are left out, even if fewer than wanted have one.
+    Parameters
+    ----------
+    gradient : float[N], mean screen gradients; those of 0 are not chosen.
+    count : how many to choose.
+
+    Returns
+    -------
+    bool[N].
     """
-    return (gradient > 0) & _first(-gradient, wanted)
+    return (gradient > 0) & _first(-gradient, count)
 
 
-def by_score(scores, gradient, threshold, small, wanted, rng):
-    """bool[N]: some `wanted` of those at or above the threshold, drawn by score (Taming 3DGS).
+def by_score(scores: Floats, gradient: Floats, threshold: float, small: Mask, count: int,
+             rng: np.random.Generator) -> Mask:
+    """Gaussians above a threshold, drawn with probability in proportion to a score (Taming 3DGS).
 
-    scores: float[N], at least 0; small: bool[N], those that would be cloned, not split. Both kinds
-    share `wanted` in proportion to how many of them are eligible; within a kind, members are drawn
-    with probability in proportion to their score. A score of 0 is never drawn.
+    Clones and splits share the count in proportion to how many of them are eligible.
+
+    Parameters
+    ----------
+    scores : float[N], at least 0; those of 0 are not chosen.
+    gradient : float[N], mean screen gradients.
+    threshold : the smallest gradient that is eligible.
+    small : bool[N], those that would be cloned, not split.
+    count : how many to choose.
+    rng : draws.
+
+    Returns
+    -------
+    bool[N].
     """
     eligible = gradient >= threshold
     keys = _drawn_keys(scores, rng)
     chosen = np.zeros(len(gradient), bool)
     total, clones = eligible.sum(), (eligible & small).sum()
-    wanted = max(0, min(wanted, total))
-    shared = round(wanted * clones / total) if total else 0
-    for kind, share in ((small, shared), (~small, wanted - shared)):
+    count = max(0, min(count, total))
+    cloned = round(count * clones / total) if total else 0
+    for kind, share in ((small, cloned), (~small, count - cloned)):
         chosen |= _first(np.where(eligible & kind, -keys, np.inf), share)
     return chosen & eligible & (scores > 0)
 
 
-def half_of(candidates, scores, rng):
-    """bool[N]: half of candidates bool[N], rounded down, drawn with probability in proportion to
-    1 / score (Taming 3DGS); those with a score of 0 come first."""
+def half_of(candidates: Mask, scores: Floats, rng: np.random.Generator) -> Mask:
+    """Half of the candidates, drawn with probability in proportion to 1 / score (Taming 3DGS).
+
+    Parameters
+    ----------
+    candidates : bool[N]; their half is rounded down.
+    scores : float[N]; those of 0 are drawn first.
+    rng : draws.
+
+    Returns
+    -------
+    bool[N].
+    """
     weights = 1 / np.maximum(scores, np.finfo(float).tiny)
     keys = np.where(candidates, -_drawn_keys(weights, rng), np.inf)
     return _first(keys, candidates.sum() // 2)
 
 
-def _drawn_keys(weights, rng):
+def _drawn_keys(weights: Floats, rng: np.random.Generator) -> NDArray[np.float64]:
     with np.errstate(divide="ignore"):
-        return np.log(weights) + rng.gumbel(size=len(weights))
+        keys: NDArray[np.float64] = np.log(weights) + rng.gumbel(size=len(weights))
+    return keys
 
 
-def _first(keys, count):
+def _first(keys: Floats, count: int) -> Mask:
     """bool[N]: the `count` lowest keys, among equals the first."""
     mask = np.zeros(len(keys), bool)
     mask[np.argsort(keys, kind="stable")[:max(0, count)]] = True

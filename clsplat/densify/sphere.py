@@ -1,35 +1,57 @@
-"""Sphere-Constrained Gaussians (Xue et al. 2026, section 4): no gaussian strays from the cloud.
+"""Sphere-Constrained Gaussians (Xue et al. 2026, section 4): gaussians stay near the sparse points.
 
-Each has an anchor and a max_offset. One whose distance from its anchor passes `reach` x max_offset
-is removed: a prune, not a clamp. A clone is anchored where it stands and inherits max_offset. A
-child of a split inherits the anchor and a share of max_offset; the released code anchors it at its
-own place instead.
+Each has an anchor and a max_offset. One that is further from its anchor than `reach` x max_offset
+is pruned, not clamped. The anchor of a clone is its own position, and it inherits max_offset. A
+child of a split inherits the anchor and a share of max_offset; in the released code its anchor is
+its own position.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.gaussians import Gaussians, mean_neighbour_distance
 
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
 
-def with_spheres(gaussians, neighbours):
-    """Initial `gaussians` with anchors where they stand and max_offsets, world units: the mean
-    distance to so many nearest others."""
+
+def with_spheres(gaussians: Gaussians, neighbours: int) -> Gaussians:
+    """Initial gaussians with spheres around their positions.
+
+    Parameters
+    ----------
+    gaussians : on the sparse points.
+    neighbours : max_offset is the mean distance to so many nearest others.
+    """
     offsets = mean_neighbour_distance(gaussians.positions.astype(np.float64), neighbours)
     return Gaussians({**gaussians.rows, "anchors": gaussians.positions.copy(),
                       "max_offsets": offsets.astype(np.float32)}, gaussians.sh_degree)
 
 
-def outside(positions, anchors, max_offsets, reach):
-    """bool[N]: whether positions [N, 3] are beyond reach x max_offsets [N] from anchors [N, 3];
-    what is not a number counts as outside."""
+def outside(positions: NDArray[np.float32], anchors: NDArray[np.float32],
+            max_offsets: NDArray[np.float32], reach: float) -> NDArray[np.bool_]:
+    """Which positions [N, 3] are further than reach x max_offsets [N] from their anchors [N, 3], or
+    not a number."""
     with np.errstate(over="ignore", invalid="ignore"):
         distance = np.linalg.norm(positions.astype(np.float64) - anchors, axis=1)
-        return ~(distance <= reach * max_offsets.astype(np.float64))
+        inside: NDArray[np.bool_] = distance <= reach * max_offsets.astype(np.float64)
+        return ~inside
 
 
-def children(parents, positions, options):
-    """(anchors [S, 3], max_offsets [S]) of split children at `positions`, from their parents' rows
-    (dict of anchors and max_offsets); options: TrainOptions."""
+def children(parents: dict[str, NDArray[np.float32]], positions: NDArray[np.float32],
+             options: TrainOptions) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The anchors [S, 3] and max_offsets [S] of the children of splits.
+
+    Parameters
+    ----------
+    parents : anchors and max_offsets of each child's parent.
+    positions : float32[S, 3], of the children.
+    options : of the training.
+    """
     anchors = positions if options.sphere_rule == "release" else parents["anchors"]
     return (anchors.astype(np.float32),
             (parents["max_offsets"] * options.sphere_shrink).astype(np.float32))

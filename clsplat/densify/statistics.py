@@ -1,8 +1,10 @@
 """Screen gradients and visibility of each gaussian, summed over views (cl/statistics.cl)."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsplat.device import ArraySpec, Kernel, each
+from clsplat.device import Array, ArraySpec, Device, Kernel, each
+from clsplat.rendering.pipeline import Gradients
 
 ACCUMULATE = Kernel("statistics.cl", "accumulate", each("count"), count="uint",
                     half_width="real", half_height="real", rows=("uint", "V"),
@@ -11,15 +13,24 @@ ACCUMULATE = Kernel("statistics.cl", "accumulate", each("count"), count="uint",
 
 
 class Statistics:
-    """grad_norm_sum real[N], NDC units; seen_count uint[N]: since the last `clear`."""
+    """Sums over the views since the last `clear`.
 
-    def __init__(self, device, count):
+    Attributes
+    ----------
+    grad_norm_sum : real[N], lengths of screen gradients, NDC units.
+    seen_count : uint[N], how many views saw a gaussian.
+    """
+
+    grad_norm_sum: Array
+    seen_count: Array
+
+    def __init__(self, device: Device, count: int) -> None:
         self.device = device
         self.clear(count)
 
     @staticmethod
     def arrays(count: int) -> dict[str, ArraySpec]:
-        """The arrays for so many gaussians."""
+        """The arrays for a number of gaussians, by attribute."""
         return {"grad_norm_sum": ArraySpec((count,)), "seen_count": ArraySpec((count,), np.uint32)}
 
     def clear(self, count: int) -> None:
@@ -27,13 +38,13 @@ class Statistics:
         for name, spec in self.arrays(count).items():
             setattr(self, name, self.device.zeros(*spec))
 
-    def accumulate(self, gradients, width, height):
-        """Add one view's `render.pipeline.Gradients`; width, height: of its image, pixels."""
+    def accumulate(self, gradients: Gradients, width: int, height: int) -> None:
+        """Add the gradients of one view, whose image has this size in pixels."""
         self.device.launch(
             ACCUMULATE, count=len(gradients.rows), half_width=width / 2, half_height=height / 2,
             rows=gradients.rows, grad_means=gradients.means, grad_norm_sum=self.grad_norm_sum,
             seen_count=self.seen_count)
 
-    def mean_gradient(self):
-        """float[N] on the host: the mean screen gradient over the views that saw each gaussian."""
+    def mean_gradient(self) -> NDArray[np.floating]:
+        """float[N]: the mean screen gradient over the views that saw each gaussian; waits."""
         return self.grad_norm_sum.download() / np.maximum(self.seen_count.download(), 1)

@@ -120,8 +120,8 @@ class Run:
         try:
             return gaussians.scaled(float(record["extent"])).located(record["offset"])
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{self.path}: options.json is damaged ({reason(error)}); start again with "
-                             "overwrite=True") from None
+            raise InputError(f"{self.path}: options.json is damaged ({reason(error)}); start again "
+                             "with overwrite=True") from None
 
     @property
     def finished_model(self) -> Gaussians:

@@ -1,15 +1,20 @@
-"""A learned colour transform a training view, so that drifting photos agree (cl/exposure.cl)."""
+"""A learned colour transform for each training view, so that photos of drifting exposure agree
+(cl/exposure.cl)."""
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.constants import EXPOSURE_BLOCK, TRANSFORM_REALS
-from clsplat.device import ArraySpec, Forms, Kernel, each, groups, items
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups, items
 from clsplat.primitives.reduce import sum_columns
 from clsplat.rendering.frame_arrays import FrameArray
 
 IDENTITY = np.eye(3, 4)
 LEARNED = ("transforms", "m", "v", "counts")
-WORST_CONDITION = 1e3  # of a transform that can still be undone
+MAX_CONDITION = 1e3  # of a matrix that may be inverted
 
 _VIEW = dict(pixels="uint", view="uint")
 _ROWS, _IMAGE = ("real", "V", TRANSFORM_REALS), ("real", 3, "H", "W")
@@ -26,15 +31,32 @@ STEP = Kernel("exposure.cl", "exposure_step", items("1"), view="uint", rate="rea
 
 
 class Exposures:
-    """Colour transforms c' = M c + t of so many `views`, in display values, and their Adam.
+    """Colour transforms c' = M c + t of V views, in display values, and their Adam.
 
-    transforms, m, v: real[V, 12], rows [M | t] of 3 x 4 in row-major order, which start at
-    `initial` float64[V, 3, 4], by default identities; counts: uint[V], steps taken by each view;
-    skipped: uint[1], steps not taken. rate: learning rate; pull: weight in the loss of
-    mean((E - I)^2) over the 12 entries E of the view's row; learns: whether they change at all.
+    Parameters
+    ----------
+    device : the device of the images.
+    views : how many views.
+    rate : learning rate.
+    pull : weight in the loss of mean((E - I)^2) over the 12 entries E of a view's transform.
+    initial : float64[V, 3, 4], the transforms [M | t] at the start; None: identities.
+    learns : whether the transforms change at all.
+
+    Attributes
+    ----------
+    transforms, m, v : real[V, 12], the transforms in row-major order, and their Adam moments.
+    counts : uint[V], steps of each view.
+    skipped : uint[1], steps that were left out because their gradient was not finite.
     """
 
-    def __init__(self, device, views, rate=1e-3, pull=0.01, initial=None, learns=True):
+    transforms: Array
+    m: Array
+    v: Array
+    counts: Array
+    skipped: Array
+
+    def __init__(self, device: Device, views: int, rate: float = 1e-3, pull: float = 0.01,
+                 initial: NDArray[np.float64] | None = None, learns: bool = True) -> None:
         self.device, self.rate, self.pull, self.learns = device, rate, pull, learns
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
         self._mean = self._recentred.reshape(views, TRANSFORM_REALS).mean(axis=0)
@@ -44,7 +66,7 @@ class Exposures:
 
     @staticmethod
     def arrays(views: int) -> dict[str, ArraySpec]:
-        """The arrays of so many views."""
+        """The arrays of a number of views, by attribute."""
         rows, counts = ArraySpec((views, TRANSFORM_REALS)), ArraySpec((views,), np.uint32)
         return {"transforms": rows, "m": rows, "v": rows, "counts": counts,
                 "skipped": ArraySpec((1,), np.uint32)}
@@ -58,16 +80,20 @@ class Exposures:
                 FrameArray("partials", (blocks, TRANSFORM_REALS), None, "exposure",
                            "project adjoint")]
 
-    def apply(self, view, image):
-        """real[3, H, W]: the image real[3, H, W] as view number `view` would have taken it."""
+    def apply(self, view: int, image: Array) -> Array:
+        """The image real[3, H, W] with the colour transform of a view, real[3, H, W]."""
         pixels, result = _pixels(image), self.device.empty(image.shape)
         self.device.launch(APPLY, pixels=pixels, view=view, transforms=self.transforms, image=image,
                            result=result)
         return result
 
-    def adjoint(self, view, image, grad):
-        """(real[3, H, W], real[P, 12]): the gradient by `image`, and partial sums of that by the
-        view's row, from the gradient by `apply(view, image)`."""
+    def adjoint(self, view: int, image: Array, grad: Array) -> tuple[Array, Array]:
+        """Gradients from `grad` real[3, H, W], the gradient by `apply(view, image)`.
+
+        Returns
+        -------
+        real[3, H, W], by the image; real[P, 12], partial sums of that by the view's transform.
+        """
         device, pixels = self.device, _pixels(image)
         blocks = -(-pixels // EXPOSURE_BLOCK)
         grad_image, partials = device.empty(image.shape), device.empty((blocks, TRANSFORM_REALS))
@@ -75,11 +101,15 @@ class Exposures:
                       image=image, grad=grad, grad_image=grad_image, partials=partials)
         return grad_image, partials
 
-    def step(self, view, partials):
-        """Take one step of Adam on the view's own row, by the partial sums of `adjoint`.
+    def step(self, view: int, partials: Array) -> None:
+        """Take one step of Adam on a view's transform; does not wait for the device.
 
-        A gradient that is not finite leaves the row, its moments and its count as they were, and
-        is counted in `skipped`. Nothing waits for the device.
+        A gradient that is not finite changes nothing, and is counted in `skipped`.
+
+        Parameters
+        ----------
+        view : index of the view.
+        partials : real[P, 12], of `adjoint`.
         """
         if self.learns:
             self.device.launch(
@@ -87,12 +117,12 @@ class Exposures:
                 totals=sum_columns(self.device, partials), transforms=self.transforms, m=self.m,
                 v=self.v, counts=self.counts, skipped=self.skipped)
 
-    def recentre(self):
-        """Move all rows alike, so that their mean is again what it was at the start; waits.
+    def recentre(self) -> None:
+        """Shift all transforms equally, so that their mean is again that at the start; waits.
 
-        The gaussians can make up for a change common to all views, so nothing else holds it; a
-        held-out view, drawn without a transform, would show it, and so would the seam between two
-        blocks of a scene.
+        The gaussians can compensate a change that is common to all views, so nothing else prevents
+        it. But it would show in held-out views, which are rendered without a transform, and at the
+        seam between two blocks of a scene.
         """
         if not self.learns:
             return
@@ -101,31 +131,37 @@ class Exposures:
         self.transforms.write(transforms)
         self._recentred = transforms.reshape(-1, 3, 4)
 
-    def between(self, pairs):
-        """real[P, 12] on the device, of P pairs (i, j): rows of 3 x 4 that take colours of view j's
-        photo to those of view i's, as they were when last recentred.
+    def between(self, pairs: Sequence[tuple[int, int]]) -> Array:
+        """Colour transforms from one view to another, by the last recentred transforms.
 
-        E_i after the inverse of E_j; the identity where E_j cannot be inverted well.
+        Parameters
+        ----------
+        pairs : P pairs (i, j) of views.
+
+        Returns
+        -------
+        real[P, 12], E_i after the inverse of E_j, which takes colours of view j's photo to those of
+        view i's; the identity where E_j is badly conditioned.
         """
         maps = np.tile(IDENTITY, (len(pairs), 1, 1))
         for row, (i, j) in enumerate(pairs):
-            to, back = self._recentred[i], self._recentred[j]
-            if np.linalg.cond(back[:, :3]) < WORST_CONDITION:
-                matrix = to[:, :3] @ np.linalg.inv(back[:, :3])
-                maps[row] = np.column_stack([matrix, to[:, 3] - matrix @ back[:, 3]])
+            to, source = self._recentred[i], self._recentred[j]
+            if np.linalg.cond(source[:, :3]) < MAX_CONDITION:
+                matrix = to[:, :3] @ np.linalg.inv(source[:, :3])
+                maps[row] = np.column_stack([matrix, to[:, 3] - matrix @ source[:, 3]])
         return self.device.upload(maps.reshape(-1, TRANSFORM_REALS))
 
-    def download(self):
-        """Name -> host array of everything learned: what `upload` takes over."""
+    def download(self) -> dict[str, NDArray[Any]]:
+        """All that was learned, host arrays by name, for `upload`."""
         return {"recentred": self._recentred,
                 **{name: getattr(self, name).download() for name in LEARNED}}
 
-    def upload(self, arrays):
-        """Go on from what `download` gave."""
+    def upload(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Continue from what `download` returned."""
         self._recentred = arrays["recentred"]
         for name in LEARNED:
             getattr(self, name).write(arrays[name])
 
 
-def _pixels(image):
+def _pixels(image: Array) -> int:
     return image.shape[1] * image.shape[2]

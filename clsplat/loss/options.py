@@ -1,4 +1,4 @@
-"""Options of the losses, one class a loss; without the kernels, so that --help need not wait."""
+"""Options of the losses, one class for each; kernels are not imported, so that --help is fast."""
 
 from dataclasses import dataclass
 

@@ -1,17 +1,29 @@
 """Densification regularisation: a view's rendered depth against a source view's photo
 (cl/reproject.cl).
 
-A pixel of view i at depth z = depth / (1 - T) is found again in photo j; the squared difference of
+A pixel of view i at depth z = depth / (1 - T) is projected into photo j; the squared difference of
 the two colours pulls depths to where the photos agree (SIG, "Densification Regularization").
 """
 
-import numpy as np
+from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.camera import Camera
 from clsplat.constants import GEOMETRY_REALS, TRANSFORM_REALS
-from clsplat.device import Forms, Kernel, each, groups, items
-from clsplat.loss.term import LossTerm
+from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
+from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.primitives.reduce import sum_columns
 from clsplat.rendering.frame_arrays import FrameArray
+from clsplat.rendering.pipeline import Frame
+from clsplat.schedule import Plan
+
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
 
 _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W"))
 REPROJECT = Kernel(
@@ -24,19 +36,27 @@ SCALE = Kernel("reproject.cl", "scale_gradients", each("count"), count="uint", w
                sums=("real", 2), **_GRADS)
 
 
-def pack_pairs(device, pairs):
-    """real[P, 12] on the device, of P pairs (camera, neighbour): what takes a pixel of the first at
-    a depth to one of the second.
+def pack_pairs(device: Device, pairs: Iterable[tuple[Camera, Camera]]) -> Array:
+    """Transforms that take a pixel of one view, at a depth, to a pixel of another.
 
-    Both are clsplat.camera.Camera at the sizes of the images to be compared. H = K_j R K_i^-1,
-    row-major, and K_j t, with R and t from camera to camera, K about pixel centres at whole
-    numbers; formed in float64, so that far world origins cost nothing.
+    H = K_j R K_i^-1, row-major, and K_j t, where R and t are from camera i to camera j, and K has
+    pixel centres at whole numbers. They are computed in float64, so that a far world origin costs
+    no precision.
+
+    Parameters
+    ----------
+    device : where they are needed.
+    pairs : P pairs (camera, neighbour), at the sizes of the images that are compared.
+
+    Returns
+    -------
+    real[P, 12].
     """
     rows = np.array([_geometry(*pair) for pair in pairs])
     return device.upload(rows.reshape(-1, GEOMETRY_REALS))
 
 
-def _geometry(camera, neighbour):
+def _geometry(camera: Camera, neighbour: Camera) -> NDArray[np.float64]:
     rotation = neighbour.rotation @ camera.rotation.T
     translation = neighbour.translation - rotation @ camera.translation
     to_neighbour = _calibration(neighbour)
@@ -44,21 +64,32 @@ def _geometry(camera, neighbour):
     return np.concatenate([homography.reshape(-1), to_neighbour @ translation])
 
 
-def _calibration(camera):
+def _calibration(camera: Camera) -> NDArray[np.float64]:
     (fx, fy), (cx, cy) = camera.focal, camera.centre
     return np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])
 
 
-def reproject(device, depth, transmittance, photo, neighbour, geometries, colours, pair, weight):
-    """(sums real[2], grad_depth real[H, W], grad_transmittance real[H, W]) of a rendered depth
-    channel and transmittance real[H, W].
+def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, neighbour: Array,
+              geometries: Array, colours: Array, pair: int, weight: float
+              ) -> tuple[Array, Array, Array]:
+    """The reprojection loss of a rendered view, and its gradients.
 
-    photo: uchar[3, H, W] of the rendered view; neighbour: uchar[3, H2, W2] of the adjacent one;
-    geometries: `pack_pairs`; colours: real[P, 12], rows of 3 x 4 that take a neighbour's display
-    values to the photo's exposure (last column added); pair: the row of both. sums: of squared
-    colour differences, and the number of valid pixels. The loss is weight * sums[0] /
-    max(sums[1], 1), and the gradients are of it: zero where a pixel is not valid
-    (cl/reproject.cl), and always finite for a finite weight.
+    Parameters
+    ----------
+    device : the device of the arrays.
+    depth, transmittance : real[H, W], rendered.
+    photo : uchar[3, H, W], of the rendered view.
+    neighbour : uchar[3, H2, W2], the source view's photo.
+    geometries : real[P, 12], of `pack_pairs`.
+    colours : real[P, 12], transforms of 3 x 4 from a source photo's display values to the photo's.
+    pair : the row of this pair of views in both.
+    weight : of the loss.
+
+    Returns
+    -------
+    real[2], the sum of squared colour differences and the number of valid pixels: the loss is
+    weight * sums[0] / max(sums[1], 1). Then its gradients by depth and by transmittance, real[H, W]
+    each: zero where a pixel is not valid (cl/reproject.cl), and finite for a finite weight.
     """
     height, width = depth.shape
     _, neighbour_height, neighbour_width = neighbour.shape
@@ -75,29 +106,32 @@ def reproject(device, depth, transmittance, photo, neighbour, geometries, colour
 
 
 class Reprojection(LossTerm):
-    """A view's depth against a source view, while the schedule gives it a weight."""
+    """The difference between a view and a source view through the rendered depth, while the
+    schedule gives it a weight."""
 
     name = "reprojection"
     needs_depth = needs_source = True
 
     @classmethod
-    def is_used(cls, options):
-        """Whether source views are compared with at all."""
+    def is_used(cls, options: TrainOptions) -> bool:
+        """Whether views are compared with source views at all."""
         return options.reproject == "on"
 
-    def weight(self, plan):
-        """That of the schedule."""
+    def weight(self, plan: Plan) -> float:
+        """The weight that the schedule gives it."""
         return plan.regularises
 
-    def add_to(self, grad, frame, image, sample, weight):
-        """As `LossTerm.add_to`; measures the sums of `reproject`."""
+    def add_to(self, grad: FrameGradient, frame: Frame, image: Array, sample: TrainingSample,
+               weight: float) -> Array:
+        """As `LossTerm.add_to`; returns the sums of `reproject`."""
+        assert sample.source is not None  # `needs_source`
         blended = frame.blended
         sums, grad_depth, grad_transmittance = reproject(
             self.device, blended.depth, blended.transmittance, sample.photo, *sample.source, weight)
         grad.add(depth=grad_depth, transmittance=grad_transmittance)
         return sums
 
-    def arrays(self, width, height, last):
+    def arrays(self, width: int, height: int, last: str) -> list[FrameArray]:
         """As `LossTerm.arrays`."""
         return [FrameArray("partials", (height, 2), None, "reproject", "reproject"),
                 *(FrameArray(name, (height, width), None, "reproject", "project adjoint")

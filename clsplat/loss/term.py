@@ -1,4 +1,4 @@
-"""What a term of the training loss is, and what a step gives it.
+"""A term of the training loss, and what a step passes to it.
 
 A new term is one file with a subclass of `LossTerm`, and one line in `terms.TERMS`.
 """
@@ -25,7 +25,7 @@ class SourceView(NamedTuple):
     ----------
     photo : uchar[3, H, W], the source view's photo.
     geometries : real[P, 12], of all pairs of views (`reproject.pack_pairs`).
-    colours : real[P, 12], that take display values of a source photo to the reference photo's.
+    colours : real[P, 12], transforms of a source photo's display values to the reference photo's.
     pair : the row of this pair in both.
     """
 
@@ -37,14 +37,14 @@ class SourceView(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrainingSample:
-    """What a step learns from one view.
+    """One view of a training step.
 
     Attributes
     ----------
     view : index of the training view.
     camera : real[27], packed.
     photo : uchar[3, H, W].
-    source : a source view, where a term of this step compares with one.
+    source : a source view, if a term of this step compares with one.
     """
 
     view: int
@@ -55,13 +55,12 @@ class TrainingSample:
 
 @dataclass(eq=False)
 class FrameGradient:
-    """Gradient of a loss by what a frame shows; None where it is zero.
+    """Gradients of a loss by the channels of a frame; None is zero.
 
     Attributes
     ----------
     image : real[3, H, W], by the image after the view's colour transform.
-    depth : real[H, W], by the depth channel.
-    transmittance : real[H, W].
+    depth, transmittance : real[H, W].
     """
 
     image: Array | None = None
@@ -69,7 +68,7 @@ class FrameGradient:
     transmittance: Array | None = None
 
     def add(self, **gradients: Array) -> None:
-        """Add gradients, by the names above; they are this object's from now on."""
+        """Add gradients, by the names above; this object may overwrite them from now on."""
         for name, more in gradients.items():
             own = getattr(self, name)
             if own is None:
@@ -83,10 +82,10 @@ class LossTerm:
 
     Attributes
     ----------
-    name : what its measurements are found by.
-    needs_depth : whether its frames are rendered with depth; a gradient by depth or transmittance
-        is possible only then.
-    needs_source : whether it compares with a source view; a view without one leaves it out.
+    name : key of what it measures.
+    needs_depth : whether frames need a depth channel; only then may it have a gradient by depth or
+        transmittance.
+    needs_source : whether it needs a source view; it is left out for views that have none.
     """
 
     name: ClassVar[str]
@@ -98,32 +97,41 @@ class LossTerm:
 
     @classmethod
     def is_used(cls, options: TrainOptions) -> bool:
-        """Whether trainings with these options, in which nothing is left to decide, have it."""
+        """Whether a training with these options has this term; no option is `auto` any more."""
         return True
 
     def weight(self, plan: Plan) -> float:
-        """Its weight in the steps of a Plan; 0 leaves it out."""
+        """Its weight in a step; with 0 it is left out."""
         return 1.0
 
     def add_to(self, grad: FrameGradient, frame: Frame, image: Array, sample: TrainingSample,
                weight: float) -> Any:
-        """Add its gradient to that of the step; returns what it measures, still on the device.
+        """Add its gradient to that of the step.
 
         Parameters
         ----------
-        grad : of the step, to which its own gradient is added.
-        frame : what was rendered.
+        grad : gradient of the step, which is changed in place.
+        frame : the rendered view.
         image : real[3, H, W], the frame's image after the view's colour transform.
-        sample : what it is compared with.
+        sample : the view's photo, and what else it is compared with.
         weight : of this term in this step, not 0.
+
+        Returns
+        -------
+        What `values` needs, of any type, without waiting for the device.
         """
         raise NotImplementedError
 
     def arrays(self, width: int, height: int, last: str) -> list[FrameArray]:
-        """What `add_to` allocates for an image, pixels, for estimates of memory; last: the stage
-        that uses a gradient by the image up. None, where that is little."""
+        """The arrays that `add_to` allocates for an image, except small ones, to estimate memory.
+
+        Parameters
+        ----------
+        width, height : size of the image, pixels.
+        last : the last stage that reads the gradient by the image.
+        """
         return []
 
     def values(self, measured: list[Any]) -> dict[str, float]:
-        """Numbers for the record, from what `add_to` measured in a step's views; waits."""
+        """Numbers for the record, from what `add_to` returned for each view of a step; waits."""
         return {}

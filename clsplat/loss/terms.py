@@ -1,4 +1,4 @@
-"""The terms of the training loss: a new one is its file, and a line here."""
+"""The list of the terms of the training loss."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Adam with moments aligned to the gaussians' fields, and learning-rate curves."""
+"""Adam, with moments for each field of the gaussians, and learning rates."""

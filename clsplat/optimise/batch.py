@@ -1,11 +1,12 @@
-"""One step's gradients from several views (cl/batch.cl), as BlockGaussian's paper trains (Wu et al.
-2025: four views a step)."""
+"""The mean gradient of several views in one step (cl/batch.cl; Wu et al. 2025, BlockGaussian, train
+with four views in each step)."""
 
 import math
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from clsplat.device import Forms, Kernel, each
+from clsplat.device import Array, Device, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import compact, gather
 from clsplat.rendering.frame_arrays import FrameArray
@@ -18,37 +19,50 @@ ADD = Kernel("batch.cl", "batch_add", Forms(item=each("count"), group=each("coun
              gradient=("real", "V", "W"), sums=("real", "N", "W"))
 
 
-def frame_arrays(count, seen, sh_degree):
-    """What `batch_mean` holds for `count` gaussians, `seen` of them in a view, beside the arrays of
-    a view: those of the view before, and sums."""
-    def fields(rows, what, first, last):
+def frame_arrays(count: int, seen: int, sh_degree: int) -> list[FrameArray]:
+    """The arrays of `batch_mean` besides those of one view: sums, and gradients of the view before.
+
+    Parameters
+    ----------
+    count : gaussians.
+    seen : gaussians that a view sees.
+    sh_degree : of the stored spherical harmonics.
+    """
+    def fields(rows: int, what: str, first: str, last: str) -> list[FrameArray]:
         return [FrameArray(f"{what}_{field.name}", (rows, *field.row_shape(sh_degree)), None, first,
                            last) for field in LEARNED]
 
-    def numbers(rows, names, first, last):
+    def indices(rows: int, names: str, first: str, last: str) -> list[FrameArray]:
         return [FrameArray(name, (rows,), np.uint32, first, last) for name in names.split()]
 
-    return [*numbers(count, "flags keys", "cull", "adam"), *fields(count, "sum", "cull", "adam"),
+    return [*indices(count, "flags keys", "cull", "adam"), *fields(count, "sum", "cull", "adam"),
             *fields(seen, "before", "cull", "project adjoint"),
-            *numbers(seen, "before_rows", "cull", "project adjoint"),
-            *numbers(count, "before_visible", "cull", "project adjoint"),
+            *indices(seen, "before_rows", "cull", "project adjoint"),
+            *indices(count, "before_visible", "cull", "project adjoint"),
             FrameArray("before_means", (seen, 2), None, "cull", "project adjoint"),
-            *numbers(count, "offsets kept_keys kept", "adam", "adam"),
+            *indices(count, "offsets kept_keys kept", "adam", "adam"),
             *fields(seen, "mean", "adam", "adam")]
 
 
-def batch_mean(device, count, views, found, used):
-    """The Gradients of the mean of the losses of so many `views`, without screen means.
+def batch_mean(device: Device, count: int, views: int, by_view: Iterable[Gradients],
+               used: Mapping[str, int]) -> Gradients:
+    """The gradients of the mean of the losses of several views, without those by screen means.
 
-    count: rows of gaussians; found: iterable of each view's Gradients; used: field -> floats of a
-    row that will be used: a field of 0 is left out. A view that does not see a row counts as a
-    gradient of zero. A row that one of them marks as not to be followed has no row in the result
-    either.
+    The gradient of a gaussian is zero in a view that does not see it, and is left out if it is not
+    finite in one of the views.
+
+    Parameters
+    ----------
+    device : the device of the gradients.
+    count : gaussians of the model.
+    views : how many views.
+    by_view : the gradients of each view.
+    used : field name -> how many floats of a row change; fields of 0 are left out.
     """
     flags, keys = device.empty(count, np.uint32), device.empty(count, np.uint32)
     flags.fill(0)
-    sums = {}
-    for gradients in found:
+    sums: dict[str, Array] = {}
+    for gradients in by_view:
         seen = len(gradients.rows)
         device.launch(MARK, count=seen, visible=gradients.visible, rows=gradients.rows, flags=flags,
                       keys=keys)

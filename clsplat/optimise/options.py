@@ -9,8 +9,9 @@ from clsplat.config.option import option
 class OptimiseOptions:
     """How gradients move the gaussians."""
 
-    batch: int = option(1, "Optimisation", "photos a step; their mean gradient moves the gaussians "
-                        "once, and a step takes as many times longer", minimum=1, most=1024)
+    batch: int = option(1, "Optimisation", "photos in each step; their mean gradient moves the "
+                        "gaussians once, and a step takes as many times longer", minimum=1,
+                        most=1024)
     optimizer: str = option("dense", "Optimisation", "dense: Adam updates every gaussian at each "
                             "step; sparse: only those that the view sees",
                             choices=("dense", "sparse"))

@@ -2,14 +2,17 @@
 
 from clsplat.gaussians import LEARNED
 
-POSITION_DECAY = 0.01  # of the position rate, reached at the last step (Kerbl et al. 2023)
+POSITION_DECAY = 0.01  # the share of it left at the last step (Kerbl et al. 2023)
 
 
-def learning_rates(decay, extent, opacity_rate):
-    """Field name -> learning rate.
+def learning_rates(decay: float, extent: float, opacity_rate: float) -> dict[str, float]:
+    """The learning rate of each field; that of the positions decays exponentially.
 
-    Positions move in world units, so their rate scales with the scene's extent; it falls
-    exponentially with `decay`, 0 to 1. The others stay.
+    Parameters
+    ----------
+    decay : how far the decay is, 0 to 1.
+    extent : of the scene, world units; positions move in these, so their rate scales with it.
+    opacity_rate : learning rate of the opacity logits.
     """
     rates = {field.name: field.rate for field in LEARNED}
     rates["positions"] *= extent * POSITION_DECAY**decay

@@ -1,4 +1,4 @@
-"""From gaussians to an image and back: project, bin, blend, one wrapper a kernel family.
+"""From gaussians to an image and back: project, bin and blend, one module for each kernel family.
 
-`pipeline.Renderer` strings them together. Planar images real[3, H, W]; splats in depth order.
+`pipeline.Renderer` joins them. Images are planar, real[3, H, W].
 """

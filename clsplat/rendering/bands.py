@@ -1,26 +1,40 @@
-"""Frames whose pairs of tile and splat do not fit: bands of tiles, one after the other.
+"""Frames whose pairs of tile and splat do not fit into memory: bands of tiles, one after the other.
 
-A band is a run of tiles, numbered row by row. Tiles are blended by themselves, so the image has the
-bytes of a frame in one piece. A splat's slots are in the order of its tiles, and bands go on with
-its sums where the one before ended: the gradients have the same bytes too. A frame in bands is
-binned, and in the group form blended, once more for its adjoint, since nothing of a band is kept.
+A band is a range of consecutive tiles, numbered row by row. Tiles are blended independently, so the
+image has the bytes of a frame in one piece. A splat's pairs are emitted in the order of its tiles,
+and each band continues the gradient sums where the band before it ended, so the gradients have the
+same bytes too. A frame in bands is binned, and in the group form blended, a second time for its
+adjoint, since nothing of a band is kept.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.constants import BUCKET, PAIR_SUMS
+from clsplat.device import Device
 from clsplat.errors import DeviceError
 from clsplat.rendering.bin import HAS_BUCKETS, PAIR_LIMIT, tile_grid
 
-FRAME_SHARE = 0.25  # of the device's memory; parameters, moments and photos may have the rest
-LARGEST_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up by half at most
+FRAME_SHARE = 0.25  # of the device's memory; the rest is for parameters, moments and photos
+BUFFER_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up by half at most
 INDEX_BYTES = 4
 
 
-def choose_bands(counts, limit):
-    """Ranges of tiles, in order and as few as possible, with at most `limit` pairs each.
+def choose_bands(counts: NDArray[np.int64], limit: int) -> tuple[range, ...]:
+    """Divide the tiles of a frame into as few bands as possible.
 
-    counts: int64[T], pairs of each tile. Raises DeviceError where one tile alone has more.
+    Parameters
+    ----------
+    counts : int64[T], the pairs of each tile.
+    limit : the largest number of pairs of a band.
+
+    Returns
+    -------
+    The range of tiles of each band, in order.
+
+    Raises
+    ------
+    DeviceError : if a single tile has more pairs than the limit.
     """
     if counts.max(initial=0) > limit:
         raise DeviceError(f"{counts.max()} pairs of tile and splat in a single tile, more than "
@@ -35,18 +49,19 @@ def choose_bands(counts, limit):
     return tuple(bands)
 
 
-def pair_limit(device, width, height, with_depth):
-    """Pairs that a band may have: those for which a device has room, and kernels have numbers."""
-    sums, checkpoints = pair_reals(device, with_depth)
+def pair_limit(device: Device, width: int, height: int, with_depth: bool) -> int:
+    """The largest number of pairs of a band for which the device has memory and kernels have
+    indices."""
+    grads, checkpoints = pair_reals(device, with_depth)
     real, (tiles_x, tiles_y) = device.real.itemsize, tile_grid(device, width, height)
-    spare = BUCKET * tiles_x * tiles_y if checkpoints else 0  # a bucket that is not full, a tile
+    spare = BUCKET * tiles_x * tiles_y if checkpoints else 0  # each tile may have a partial one
     at_once = FRAME_SHARE * device.handle.global_mem_size / (
-        2 * INDEX_BYTES + (sums + checkpoints) * real)
-    in_a_buffer = LARGEST_SHARE * device.largest_buffer / (max(sums, checkpoints) * real)
+        2 * INDEX_BYTES + (grads + checkpoints) * real)
+    in_a_buffer = BUFFER_SHARE * device.largest_buffer / (max(grads, checkpoints) * real)
     return min(PAIR_LIMIT, int(min(at_once, in_a_buffer)) - spare)
 
 
-def pair_reals(device, with_depth):
-    """Reals a pair: of the adjoint's sums, and of the checkpoints of its bucket."""
+def pair_reals(device: Device, with_depth: bool) -> tuple[int, int]:
+    """Reals for each pair: those of its gradients, and its share of a bucket's checkpoints."""
     states = (4 + with_depth) * device.tile**2 // BUCKET
     return PAIR_SUMS + with_depth, HAS_BUCKETS.of(device) * states

@@ -1,8 +1,8 @@
 """The arrays that a frame and its adjoint allocate, with the stages in which they live.
 
-They are listed in the order of `pipeline.Renderer.render` and `adjoint`, which free them where
-Python drops the last reference to them. tests/rendering/test_frame_arrays.py compares the list with
-what a device allocates, in both forms.
+They are in the order of `pipeline.Renderer.render` and `adjoint`, which free them when Python drops
+the last reference. tests/rendering/test_frame_arrays.py compares the list with what a device
+allocates, in both forms.
 """
 
 from collections.abc import Iterable
@@ -18,14 +18,20 @@ from clsplat.primitives.scan import chunk_size
 from clsplat.primitives.sort import digits
 from clsplat.rendering.bin import HAS_BUCKETS, tile_grid
 
-# of a training step, in order; a frame that is not trained on ends with "blend"
+# of a training step, in order; a frame without an adjoint ends with "blend"
 STAGES = ("cull", "compact", "depth sort", "project", "count", "emit", "tile sort", "buckets",
           "blend", "loss", "reproject", "exposure", "blend adjoint", "project adjoint", "adam")
 
 
 class FrameArray(NamedTuple):
-    """An array of a step's work: what `Device.empty` takes, and the first and the last of STAGES in
-    which it lives."""
+    """A short-lived array of a step.
+
+    Attributes
+    ----------
+    name : of the array in the function that allocates it.
+    shape, dtype : as for `Device.empty`.
+    first, last : the first and the last of STAGES in which it is alive.
+    """
 
     name: str
     shape: tuple[int, ...]
@@ -33,14 +39,21 @@ class FrameArray(NamedTuple):
     first: str
     last: str
 
-    def nbytes(self, real: np.dtype) -> int:
+    def nbytes(self, real: np.dtype[Any]) -> int:
         """Bytes that `Device.empty` allocates where the device's real is `real`."""
         return max(ArraySpec(self.shape, self.dtype).nbytes(real), SMALLEST_BYTES)
 
 
 class FrameSize(NamedTuple):
-    """How much there is of what a frame's arrays have a row or a pixel for; pairs: of the largest
-    band (bands.py)."""
+    """The numbers that decide the sizes of a frame's arrays.
+
+    Attributes
+    ----------
+    gaussians : of the model.
+    splats : gaussians that the view sees.
+    pairs : of tile and splat, in the largest band (bands.py).
+    width, height : size of the image, pixels.
+    """
 
     gaussians: int
     splats: int
@@ -69,15 +82,15 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
         *_uints("pair_tiles pair_splats", pairs, "emit", "buckets"),
         *_sort(device, pairs, tiles.bit_length(), "tile sort"),
         *_uints("sorted_tiles", pairs, "tile sort", "buckets"),
-        *_uints("slots", pairs, "tile sort", "project adjoint"),
+        *_uints("emission_indices", pairs, "tile sort", "project adjoint"),
         *_uints("sorted_splats", pairs, "buckets", "project adjoint"),
         *_uints("ranges", 2 * tiles, "buckets", "project adjoint"),
         FrameArray("image", (3, *pixels), None, "blend", "project adjoint"),
         *(FrameArray(name, pixels, None, "blend", "project adjoint")
-          for name in ("transmittance", "last")),
+          for name in ("transmittance", "last_contributor")),
         FrameArray("depth", pixels if with_depth else token, None, "blend", "project adjoint"),
-        FrameArray("pair_sums", (pairs, columns), None, "blend adjoint", "blend adjoint"),
-        FrameArray("sums", (splats, columns), None, "blend adjoint", "project adjoint"),
+        FrameArray("pair_grads", (pairs, columns), None, "blend adjoint", "blend adjoint"),
+        FrameArray("splat_grads", (splats, columns), None, "blend adjoint", "project adjoint"),
         *(FrameArray(f"grad_{field.name}", (splats, *field.row_shape(sh_degree)), None,
                      "project adjoint", "adam") for field in LEARNED),
         FrameArray("grad_means", (splats, 2), None, "project adjoint", "adam"),
@@ -96,7 +109,7 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
 
 
 def by_stage(arrays: Iterable[FrameArray]) -> list[list[FrameArray]]:
-    """The arrays that live in each of STAGES."""
+    """The arrays that are alive in each of STAGES."""
     alive: list[list[FrameArray]] = [[] for _ in STAGES]
     for array in arrays:
         for stage in range(STAGES.index(array.first), STAGES.index(array.last) + 1):
@@ -104,20 +117,20 @@ def by_stage(arrays: Iterable[FrameArray]) -> list[list[FrameArray]]:
     return alive
 
 
-def _uints(names, count, first, last):
+def _uints(names: str, count: int, first: str, last: str) -> list[FrameArray]:
     return [FrameArray(name, (count,), np.uint32, first, last) for name in names.split()]
 
 
-def _scan(device, count, stage):
+def _scan(device: Device, count: int, stage: str) -> list[FrameArray]:
     """What `exclusive_scan` allocates for `count` elements, in that stage alone."""
     chunks = -(-count // chunk_size(device, count))
     return [*_uints("offsets", count, stage, stage),
             FrameArray("totals", (chunks + 1,), np.uint64, stage, stage)]
 
 
-def _sort(device, count, bits, stage):
-    """What `stable_sort` allocates besides its two results: a second pass has the arrays of the one
-    before."""
+def _sort(device: Device, count: int, bits: int, stage: str) -> list[FrameArray]:
+    """What `stable_sort` allocates besides its two results; a second pass still has the arrays of
+    the first."""
     passes, digit_bits = digits(device, bits)
     chunks = max(1, -(-count // chunk_size(device, count)))
     table = chunks << digit_bits

@@ -1,12 +1,19 @@
 """Gaussians to splats, and the adjoint (cl/project.cl)."""
 
+from collections.abc import Mapping
+
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.constants import CAMERA_REALS, SPLAT_REALS
-from clsplat.device import ArraySpec, Kernel, each
+from clsplat.device import Array, ArraySpec, Device, Kernel, each
 from clsplat.gaussians import LEARNED
+from clsplat.rendering.blend import Defines
 
-BORDER = 0.15  # of the photo, beyond its borders: how far a Jacobian follows
+Rows = Mapping[str, Array]  # field name -> real[N, *row shape]
+
+BORDER = 0.15  # of the photo: so far beyond its borders Jacobians are not clamped
 LOW_PASS = 0.3  # pixels squared (Kerbl et al. 2023)
 
 _PARAMETERS = dict(opacity_logits=("real", "N"), log_scales=("real", "N", 3),
@@ -26,29 +33,36 @@ ADJOINT = Kernel("project.cl", "project_adjoint", each("count"), count="uint", d
                  grad_sh_rest=("real", "V", "K", 3), grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1))
-
-
 CAMERA = ArraySpec((CAMERA_REALS,))
 
 
-def pack_camera(device, camera, near, low_pass=LOW_PASS):
-    """The camera as the kernels read it (cl/include/camera.h), on the device."""
+def pack_camera(device: Device, camera: Camera, near: float, low_pass: float = LOW_PASS) -> Array:
+    """The camera on the device, as the kernels read it: real[27] (cl/include/camera.h)."""
     return device.upload(np.concatenate([
         camera.rotation.reshape(-1), camera.translation, camera.focal, camera.centre,
         camera.position, [near, low_pass, camera.width, camera.height],
         *clamped_ratios(camera)]))
 
 
-def clamped_ratios(camera):
-    """(lowest, highest): float64[2] each, x/z and y/z to which Jacobians are clamped. A part of a
-    photo has those of the whole, so that it shows the same."""
+def clamped_ratios(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(smallest, largest), float64[2] each: the x/z and y/z to which Jacobians are clamped.
+
+    A part of a photo has those of the whole photo, so that both show the same.
+    """
     low, high = np.reshape(camera.borders, (2, 2))
     beyond = BORDER * (high - low)
-    return tuple((end - camera.centre) / camera.focal for end in (low - beyond, high + beyond))
+    smallest, largest = ((end - camera.centre) / camera.focal
+                         for end in (low - beyond, high + beyond))
+    return smallest, largest
 
 
-def cull(device, rows, camera, defines):
-    """(flags uint[N], depth keys uint[N]): which gaussians meet the image, and their order."""
+def cull(device: Device, rows: Rows, camera: Array, defines: Defines) -> tuple[Array, Array]:
+    """Find the gaussians that a packed camera sees.
+
+    Returns
+    -------
+    uint[N], 1 for those that the image shows, and uint[N], keys that sort them front to back.
+    """
     count = len(rows["positions"])
     flags, depth_keys = (device.empty(count, np.uint32) for _ in range(2))
     device.launch(CULL, defines, count=count, camera=camera, positions=rows["positions"],
@@ -57,30 +71,41 @@ def cull(device, rows, camera, defines):
     return flags, depth_keys
 
 
-def project(device, rows, visible, camera, degree, defines):
-    """splats real[V, 12] (cl/include/splat.h) of the gaussians `visible` uint[V]."""
+def project(device: Device, rows: Rows, visible: Array, camera: Array, sh_degree: int,
+            defines: Defines) -> Array:
+    """The splats real[V, 12] (cl/include/splat.h) of the gaussians `visible` uint[V]."""
     splats = device.empty((len(visible), SPLAT_REALS))
-    device.launch(PROJECT, defines, count=len(visible), degree=degree, rows=visible, camera=camera,
-                  splats=splats, **_learned(rows))
+    device.launch(PROJECT, defines, count=len(visible), degree=sh_degree, rows=visible,
+                  camera=camera, splats=splats, **_learned(rows))
     return splats
 
 
-def project_adjoint(device, rows, visible, camera, degree, defines, sums, skipped):
-    """Gradients by field name, real[V, *row shape]; the pixel gradient of the means real[V, 2];
-    and active uint[V], the row of each gradient, or NO_ROW where it was not finite.
+def project_adjoint(device: Device, rows: Rows, visible: Array, camera: Array, sh_degree: int,
+                    defines: Defines, splat_grads: Array, skipped: Array
+                    ) -> tuple[dict[str, Array], Array, Array]:
+    """Gradients by the gaussians from gradients by their splats.
 
-    sums: real[V, S], each splat's sums from the blend adjoint. skipped: uint[1], counts the latter.
+    Parameters
+    ----------
+    device, rows, visible, camera, sh_degree, defines : as they were for `project`.
+    splat_grads : real[V, 9 or 10], of `blend_adjoint`.
+    skipped : uint[1], to which the number of gradients that are not finite is added.
+
+    Returns
+    -------
+    Field name -> real[V, *row shape]; real[V, 2], by the means in pixels; uint[V], the row of each
+    gradient, or NO_ROW where it is not finite.
     """
     count = len(visible)
     gradients = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED}
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
-    device.launch(ADJOINT, defines, count=count, degree=degree, sum_count=sums.shape[1],
-                  rows=visible, camera=camera, **_learned(rows), sums=sums,
+    device.launch(ADJOINT, defines, count=count, degree=sh_degree,
+                  sum_count=splat_grads.shape[1], rows=visible, camera=camera, **_learned(rows),
+                  sums=splat_grads,
                   **{f"grad_{name}": g for name, g in gradients.items()},
                   grad_means=grad_means, active=active, skipped=skipped)
     return gradients, grad_means, active
 
 
-def _learned(rows):
-    """Without what is only carried along."""
+def _learned(rows: Rows) -> dict[str, Array]:
     return {field.name: rows[field.name] for field in LEARNED}

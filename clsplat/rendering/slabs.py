@@ -1,50 +1,79 @@
-"""Frames of models larger than the device: slabs of depth, one after the other, front to back.
+"""Frames of models larger than the device: slabs of depth, rendered front to back.
 
-Rows stay in host memory. Boxes around parts of them say which parts a view cannot see; of the
+Rows stay in host memory. Bounding boxes of parts of them say which parts a view cannot see; in the
 others `cull` finds, on the device, the gaussians that are drawn and their depth keys. Sorted by
-key, ties by row, they are cut into slabs that fit. Each is rendered by itself, and laid behind
-those before it:
+key, ties by row, they are divided into slabs that fit. Each is rendered by itself and composited
+behind the ones before it:
 
     C = C1 + T1 C2,  D = D1 + T1 D2,  T = T1 T2
 
-The order is that of a frame in one piece, to the last tie. Only the stop differs: blending ends a
-pixel before its transmittance would fall below TRANSMITTANCE_MIN, and a slab begins with 1 again.
-What a slab then adds, a frame in one piece leaves out; it weighs less than TRANSMITTANCE_MIN / (1 -
-ALPHA_MAX) = 0.01 where all but opaque gaussians lie behind each other, and mostly far less.
+The order is that of a frame in one piece, to the last tie. Only the end of a pixel differs:
+blending stops before its transmittance would fall below TRANSMITTANCE_MIN, and each slab begins
+with 1 again. So a slab may add what a frame in one piece leaves out. Its weight is below
+TRANSMITTANCE_MIN / (1 - ALPHA_MAX) = 0.01 where almost opaque gaussians lie behind each other, and
+mostly far smaller.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.constants import ALPHA_STEPS, SPLAT_REALS, TRANSMITTANCE_MIN
-from clsplat.gaussians import LEARNED
-from clsplat.rendering.bands import LARGEST_SHARE
+from clsplat.device import Array, Device
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.rendering.bands import BUFFER_SHARE
 from clsplat.rendering.blend import Blended
-from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import LOW_PASS, clamped_ratios, cull
 
 MODEL_SHARE = 0.3  # of the device's memory for a model and its splats; two may be compared
-INDICES = 6  # uint a gaussian that culling and sorting take
-PART = 1 << 16  # rows that share a box
+INDICES = 6  # uints for each gaussian that culling and sorting need
+PART_ROWS = 1 << 16  # rows that share a bounding box
 CUTOFF = 2.01 * np.log(ALPHA_STEPS)  # squared distance: at least largest_extent's of cl/project.cl
-ROUNDING = 1e-5  # of coordinates, that float32 may lose on the way to a pixel
-CULLED = ("positions", "log_scales", "quaternions", "opacity_logits")
+ROUNDING = 1e-5  # share of a coordinate that float32 may lose on the way to a pixel
+CULL_FIELDS = ("positions", "log_scales", "quaternions", "opacity_logits")
 
 
-def gaussian_limit(device, sh_degree):
-    """Gaussians of a model that may be on the device at a time: those for which it has room."""
+class ModelRenderer(Protocol):
+    """What `Renderer` and `SlabRenderer` have in common; each takes its own rows and cameras."""
+
+    def pack(self, camera: Camera, /) -> Any:
+        """The camera as `render` expects it."""
+
+    def render(self, rows: Any, camera: Any, width: int, height: int, sh_degree: int, /,
+               with_depth: bool = False) -> Frame | SlabFrame:
+        """Render the model from a packed camera."""
+
+
+def gaussian_limit(device: Device, sh_degree: int) -> int:
+    """The largest number of gaussians for which the device has memory at a time."""
     widths = [field.width(sh_degree) for field in LEARNED]
     real = device.real.itemsize
     room = MODEL_SHARE * device.handle.global_mem_size / (
         real * (sum(widths) + SPLAT_REALS) + 4 * INDICES)
-    in_a_buffer = LARGEST_SHARE * device.largest_buffer / (real * max(*widths, SPLAT_REALS))
+    in_a_buffer = BUFFER_SHARE * device.largest_buffer / (real * max(*widths, SPLAT_REALS))
     return max(1, int(min(room, in_a_buffer)))
 
 
-def open_model(device, gaussians, near, antialiased=False, background=(0.0, 0.0, 0.0)):
-    """(renderer, rows) of finished Gaussians: a Renderer and device rows where these fit, else a
-    SlabRenderer and `Parts`; both render alike. The rest as in `pipeline.Renderer`."""
+def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: bool = False,
+               background: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[ModelRenderer, Any]:
+    """Prepare finished gaussians for rendering.
+
+    Parameters
+    ----------
+    device, near, antialiased, background : as for `pipeline.Renderer`.
+    gaussians : the model, of any size.
+
+    Returns
+    -------
+    A Renderer and rows on the device where these fit, otherwise a SlabRenderer and `Parts`.
+    """
     settings = device, gaussians.sh_degree, near, antialiased, background
     limit = gaussian_limit(device, gaussians.sh_degree)
     if gaussians.count > limit:
@@ -55,19 +84,25 @@ def open_model(device, gaussians, near, antialiased=False, background=(0.0, 0.0,
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """rows: field -> float[N, *row shape] in host memory; firsts: int[P + 1], where parts of them
-    begin; low, high: float64[P, 3], the boxes of their centres; scales: float64[P], the largest
-    standard deviation in each. World units."""
+    """A model in host memory, in parts with bounding boxes.
 
-    rows: dict
-    firsts: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    scales: np.ndarray
+    Attributes
+    ----------
+    rows : field name -> float[N, *row shape].
+    firsts : int[P + 1], the first row of each part, and N.
+    low, high : float64[P, 3], corners of the bounding box of the centres, world units.
+    scales : float64[P], the largest standard deviation of a gaussian, world units.
+    """
+
+    rows: dict[str, NDArray[np.floating]]
+    firsts: NDArray[np.int64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    scales: NDArray[np.float64]
 
     @classmethod
-    def of(cls, rows, size=PART):
-        """Parts of `size` neighbouring rows: those of a block of a merged model lie together."""
+    def of(cls, rows: dict[str, NDArray[np.floating]], size: int = PART_ROWS) -> Parts:
+        """Parts of `size` consecutive rows: in a merged model, these lie in the same block."""
         positions, log_scales = rows["positions"], rows["log_scales"]
         firsts = np.append(np.arange(0, len(positions), size), len(positions))
         pieces = [slice(*ends) for ends in zip(firsts, firsts[1:])]
@@ -76,12 +111,12 @@ class Parts:
         largest = np.array([log_scales[piece].max() for piece in pieces], np.float64)
         return cls(rows, firsts, low, high, np.exp(largest))
 
-    def seen(self, camera, near):
-        """Slices of the rows that a Camera may see: what `cull` would draw is in one of them.
+    def seen(self, camera: Camera, near: float) -> list[slice]:
+        """Slices of the rows that a camera may see: all that `cull` would draw is in one of them.
 
-        A footprint reaches into the image from the left if f x/z + c + e > 0, its half width e at
-        most pad + reach/z with constants a part: times z this is linear in the centre, hence true
-        of none in a box if it is of no corner.
+        A footprint reaches into the image from the left if f x/z + c + e > 0, where its half width
+        e is at most pad + reach/z with constants for each part. Times z this is linear in the
+        centre, so it holds for no centre in a box if it holds for no corner.
         """
         pick = np.array(list(np.ndindex(2, 2, 2)))
         corners = np.stack([self.low, self.high], axis=1)[:, pick, np.arange(3)]
@@ -104,47 +139,59 @@ class Parts:
 
 @dataclass(eq=False)
 class SlabFrame:
-    """A picture without what its adjoint would need; slabs: how many were drawn."""
+    """A rendered image that has no adjoint.
+
+    Attributes
+    ----------
+    blended : the image, its depth and its transmittance.
+    slabs : how many slabs were rendered.
+    """
 
     blended: Blended
     slabs: int
 
     @property
-    def image(self):
+    def image(self) -> Array:
+        """real[3, H, W]."""
         return self.blended.image
 
 
 class SlabRenderer:
-    """Renders `Parts` as Renderer does device rows, at most `limit` gaussians at a time.
+    """Renders `Parts` in slabs.
 
-    limit: None takes what the device has room for; the rest as in `pipeline.Renderer`.
+    Parameters
+    ----------
+    device, sh_degree, near, antialiased, background : as for `pipeline.Renderer`.
+    limit : gaussians of a slab; None: as many as the device has memory for.
     """
 
-    def __init__(self, device, sh_degree, near, antialiased=False, background=(0.0, 0.0, 0.0),
-                 limit=None):
+    def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
+                 background: Sequence[float] = (0.0, 0.0, 0.0), limit: int | None = None) -> None:
         self.device, self.near = device, near
         self.limit = limit or gaussian_limit(device, sh_degree)
         self.background = np.asarray(background, np.float64)
         self._renderer = Renderer(device, sh_degree, near, antialiased)  # on black
         self._defines = (("SH_REST", (sh_degree + 1) ** 2 - 1), ("ANTIALIASED", int(antialiased)))
 
-    def pack(self, camera):
-        """The camera for `render`: in host memory too, which chooses the parts."""
+    def pack(self, camera: Camera) -> tuple[Camera, Array]:
+        """The camera for `render`: in host memory, to choose the parts, and on the device."""
         return camera, self._renderer.pack(camera)
 
-    def render(self, parts, camera, width, height, degree, with_depth=False):
-        """Render `Parts` with a camera of `pack`; returns a SlabFrame."""
-        seen_by, packed = camera
+    def render(self, parts: Parts, camera: tuple[Camera, Array], width: int, height: int,
+               sh_degree: int, with_depth: bool = False) -> SlabFrame:
+        """Render a model; arguments as for `pipeline.Renderer.render`."""
+        host_camera, packed = camera
         real, device = self.device.real, self.device
         image, depth = np.zeros((3, height, width), real), np.zeros((height, width), real)
         left, slabs = np.ones((height, width), real), 0
-        drawn = self._front_to_back(parts, seen_by, packed)
+        drawn = self._front_to_back(parts, host_camera, packed)
         for begin in range(0, len(drawn), self.limit):
             if left.max() < TRANSMITTANCE_MIN:
                 break
             chosen = drawn[begin:begin + self.limit]
             rows = {f.name: device.upload(parts.rows[f.name][chosen]) for f in LEARNED}
-            slab = self._renderer.render(rows, packed, width, height, degree, with_depth).blended
+            slab = self._renderer.render(rows, packed, width, height, sh_degree,
+                                         with_depth).blended
             image += left * slab.image.download()
             if with_depth:
                 depth += left * slab.depth.download()
@@ -154,11 +201,11 @@ class SlabRenderer:
         return SlabFrame(Blended(device.upload(image), device.upload(left), None,
                                  device.upload(depth)), slabs)
 
-    def _front_to_back(self, parts, camera, packed):
+    def _front_to_back(self, parts: Parts, camera: Camera, packed: Array) -> NDArray[np.int64]:
         """int64[V]: the rows that are drawn, by depth as the device computes it, ties by row."""
         rows, keys = [np.empty(0, np.int64)], [np.empty(0, np.uint32)]
         for piece in parts.seen(camera, self.near):
-            on_device = {name: self.device.upload(parts.rows[name][piece]) for name in CULLED}
+            on_device = {name: self.device.upload(parts.rows[name][piece]) for name in CULL_FIELDS}
             flags, depth_keys = cull(self.device, on_device, packed, self._defines)
             drawn = np.flatnonzero(flags.download())
             rows.append(piece.start + drawn)

@@ -1,4 +1,4 @@
-"""The public Python API: what `import clsplat` offers, beside what the command line gives."""
+"""The public Python API: what `import clsplat` offers, compared with the command line."""
 
 import os
 import subprocess
@@ -159,7 +159,7 @@ def test_parameters_are_replaced_and_read_back(item_device):
 
 
 @pytest.mark.parametrize("wrong, words", [
-    (lambda r: r.update(place=np.zeros(3)), "place: no field"),
+    (lambda r: r.update(place=np.zeros(3)), "place: not a field"),
     (lambda r: r.update(positions=np.zeros((3, 3))), r"\(3, 3\), not \(30, 3\)"),
     (lambda r: r.backward(r.forward(CAMERA), np.zeros((28, 40))), "grad_image"),
     (lambda r: r.backward(r.forward(CAMERA), np.zeros((28, 40, 3)), np.zeros((28, 40))),
@@ -274,7 +274,7 @@ def test_example_of_a_callback(tmp_path):
 
 @pytest.mark.slow
 def test_example_of_torch(tmp_path):
-    pytest.importorskip("torch", reason="torch is not installed; it is no dependency")
+    pytest.importorskip("torch", reason="torch is not installed; it is not a dependency")
     assert float(ran("torch_autograd.py").split()[1]) < 0.02
 
 

@@ -1,4 +1,4 @@
-"""Decisions of densification on hand-made rows: who is cloned, split and pruned, and into what."""
+"""Decisions of densification on hand-made rows: clones, splits, prunes and the new rows."""
 
 import numpy as np
 import pytest
@@ -161,7 +161,7 @@ def test_all_may_be_pruned():
 
 
 def with_spheres(rows, distances, max_offset=1.0, axis=0):
-    """The rows with anchors so far from them along an axis, and distinct max_offsets."""
+    """The rows with anchors at these distances along an axis, and distinct max_offsets."""
     anchors = rows["positions"].copy()
     anchors[:, axis] -= np.float32(distances)
     count = len(anchors)
@@ -212,7 +212,7 @@ def test_a_child_outside_the_shrunken_sphere_is_dropped_at_once():
     count, reach, shrink = 300, 2.0, 0.7
     rows = with_spheres(rows_of([LARGE] * count, [SOLID] * count),
                         np.linspace(0, 1.9, count), max_offset=1.0)
-    given = dict(sphere_reach=reach, sphere_shrink=shrink)
+    settings = dict(sphere_reach=reach, sphere_shrink=shrink)
     free = {name: rows[name] for name in rows if name not in ("anchors", "max_offsets")}
     places = growth_of(free, [MOVING] * count).changes["positions"][1]
     parents = np.repeat(np.arange(count), 2)
@@ -221,12 +221,12 @@ def test_a_child_outside_the_shrunken_sphere_is_dropped_at_once():
     both = np.bincount(parents[inside], minlength=count)
     assert min(np.bincount(both)) > 3  # parents with none, one and two children inside
 
-    growth = growth_of(rows, [MOVING] * count, **given)
+    growth = growth_of(rows, [MOVING] * count, **settings)
     after = applied(growth, rows)
     assert np.array_equal(growth.source, parents[inside])
     assert np.array_equal(after["positions"], places[inside])
     assert (growth.split, growth.pruned) == ((both > 0).sum(), (both == 0).sum())
-    released = growth_of(rows, [MOVING] * count, sphere_rule="release", **given)
+    released = growth_of(rows, [MOVING] * count, sphere_rule="release", **settings)
     assert len(released.source) == 2 * count
 
 

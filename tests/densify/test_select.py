@@ -1,4 +1,4 @@
-"""Masks of growth and pruning: who is chosen, how many, and how often by chance."""
+"""Masks of growth and pruning: which are chosen, how many, and with what probability."""
 
 import numpy as np
 import pytest
@@ -17,16 +17,16 @@ def chosen(mask):
     (None, [0, 2, 3, 6]), (9, [0, 2, 3, 6]), (4, [0, 2, 3, 6]), (3, [0, 2, 3]), (1, [0]), (0, []),
     (-2, [])])
 def test_above_the_threshold(room, expected):
-    """At the threshold counts; the highest have the room, among equals the first."""
+    """The threshold itself counts; the highest are chosen, among equals the first."""
     assert chosen(above_threshold(GRADIENT, 2.0, room)) == expected
 
 
-@pytest.mark.parametrize("wanted, expected", [
+@pytest.mark.parametrize("count, expected", [
     (-1, []), (0, []), (1, [0]), (3, [0, 2, 3]), (6, [0, 1, 2, 3, 4, 6]),
     (20, [0, 1, 2, 3, 4, 6])])
-def test_the_highest(wanted, expected):
+def test_the_highest(count, expected):
     """Whatever the threshold, but never one that has no gradient."""
-    assert chosen(highest(GRADIENT, wanted)) == expected
+    assert chosen(highest(GRADIENT, count)) == expected
 
 
 def test_among_many_equals_the_first():
@@ -51,13 +51,13 @@ def a_population(count=400, seed=0):
     return rng.uniform(1, 9, count), rng.choice([0.5, 1.0], count), np.arange(count) % 4 > 0
 
 
-@pytest.mark.parametrize("wanted", [0, 1, 10, 101, 10**6, -5])
-def test_the_budget_is_shared_by_kind(wanted):
+@pytest.mark.parametrize("count", [0, 1, 10, 101, 10**6, -5])
+def test_the_budget_is_shared_by_kind(count):
     scores, gradient, small = a_population()
     eligible = gradient >= 1.0
-    mask = by_score(scores, gradient, 1.0, small, wanted, np.random.default_rng(1))
+    mask = by_score(scores, gradient, 1.0, small, count, np.random.default_rng(1))
     assert not (mask & ~eligible).any()
-    total = min(max(wanted, 0), eligible.sum())
+    total = min(max(count, 0), eligible.sum())
     assert mask.sum() == total
     assert (mask & small).sum() == round(total * (eligible & small).sum() / eligible.sum())
 

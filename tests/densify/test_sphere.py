@@ -1,4 +1,4 @@
-"""The sphere around each anchor: its size at the start, what is outside, what children get."""
+"""The sphere around each anchor: its initial size, what is outside, and the spheres of children."""
 
 import numpy as np
 import pytest
@@ -19,19 +19,19 @@ def cloud(count, seed=0):
 
 @pytest.mark.parametrize("neighbours", [1, 3, 15])
 def test_spheres_at_the_start(neighbours):
-    given = cloud(40)
-    gaussians = with_spheres(given, neighbours)
-    p = given.positions.astype(float)
+    initial = cloud(40)
+    gaussians = with_spheres(initial, neighbours)
+    p = initial.positions.astype(float)
     apart = np.sort(np.linalg.norm(p[:, None] - p, axis=2), axis=1)[:, 1:]
     assert np.allclose(gaussians.max_offsets, apart[:, :neighbours].mean(axis=1), rtol=1e-6)
-    assert np.array_equal(gaussians.anchors, given.positions)
-    assert gaussians.anchors is not given.positions  # training moves one, not the other
+    assert np.array_equal(gaussians.anchors, initial.positions)
+    assert gaussians.anchors is not initial.positions  # training moves one, not the other
     assert gaussians.sh_degree == 1
     for field in SPHERE:
         values = gaussians.rows[field.name]
         assert values.dtype == np.float32 and values.shape == (40, *field.shape)
-    assert gaussians.rows.keys() == given.rows.keys() | {"anchors", "max_offsets"}
-    assert all(gaussians.rows[name] is values for name, values in given.rows.items())
+    assert gaussians.rows.keys() == initial.rows.keys() | {"anchors", "max_offsets"}
+    assert all(gaussians.rows[name] is values for name, values in initial.rows.items())
     assert not outside(gaussians.positions, gaussians.anchors, gaussians.max_offsets, 0.0).any()
 
 
@@ -62,7 +62,7 @@ def test_what_is_no_number_is_outside(name, value):
     rows = {"positions": np.zeros((3, 3), np.float32), "anchors": np.zeros((3, 3), np.float32),
             "max_offsets": np.ones(3, np.float32)}
     rows[name][1] = value
-    # a sphere without end holds everything
+    # nothing is outside an infinite sphere
     expected = [False, not (name == "max_offsets" and value == np.inf), False]
     assert outside(*rows.values(), 15.0).tolist() == expected
 

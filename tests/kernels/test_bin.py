@@ -19,7 +19,8 @@ class Binned:
     def __init__(self, device, rows, width, height):
         pairs = bin_splats(device, device.upload(rows), front_to_back(device, rows), width, height)
         self.pairs, self.counts = pairs, pairs.counts.download()
-        self.offsets, self.slots = pairs.offsets.download(), pairs.slots.download()
+        self.offsets = pairs.offsets.download()
+        self.emission_indices = pairs.emission_indices.download()
         self.ranges = pairs.ranges.download().astype(int)
         self.splats = pairs.sorted_splats.download()
         self.tiles = {v: set() for v in range(len(rows))}
@@ -49,11 +50,11 @@ def check(device, rows, width, height, what):
     needed = sum(map(len, truth))
     assert pairs.count <= 1.03 * needed + 5, f"{what}: {pairs.count} pairs, {needed} are needed"
     assert binned.counts.sum() == pairs.count == np.diff(binned.ranges).sum()
-    assert np.array_equal(np.sort(binned.slots), np.arange(pairs.count))
-    own = binned.slots - binned.offsets[binned.splats]
-    assert (own < binned.counts[binned.splats]).all(), f"{what}: a slot of another splat"
-    for first, last in binned.ranges:
-        assert (np.diff(binned.splats[first:last].astype(int)) > 0).all(), f"{what}: depth order"
+    assert np.array_equal(np.sort(binned.emission_indices), np.arange(pairs.count))
+    own = binned.emission_indices - binned.offsets[binned.splats]
+    assert (own < binned.counts[binned.splats]).all(), f"{what}: an index of another splat"
+    for begin, end in binned.ranges:
+        assert (np.diff(binned.splats[begin:end].astype(int)) > 0).all(), f"{what}: depth order"
     return binned
 
 
@@ -132,9 +133,10 @@ def test_a_band_has_the_pairs_of_its_tiles(device):
             assert np.array_equal(own[begin:end], listed[first:last]), band
         first, last = ranges[band.start][0], ranges[band.stop - 1][1]
         assert np.array_equal(counts, np.bincount(listed[first:last], minlength=130)), band
-        # a splat's slots are in the order of its tiles
+        # a splat's pairs are emitted in the order of its tiles
         by_splat = np.argsort(own, kind="stable")
-        assert np.array_equal(pairs.slots.download()[by_splat], np.arange(pairs.count)), band
+        indices = pairs.emission_indices.download()
+        assert np.array_equal(indices[by_splat], np.arange(pairs.count)), band
 
 
 @pytest.mark.oclgrind

@@ -26,7 +26,7 @@ class Blended:
         self.blended = blend(device, self.splats, self.pairs, *size, self.background, self.defines)
         self.image = self.blended.image.download()
         self.transmittance = self.blended.transmittance.download()
-        self.last = self.blended.last.download()
+        self.last_contributor = self.blended.last_contributor.download()
         self.depth = self.blended.depth.download()
 
     def adjoint(self, grad_image, grad_depth=None, grad_transmittance=None):
@@ -81,7 +81,7 @@ def test_a_deep_faint_stack_crosses_batches_and_buckets(device):
     """All of more than 256 splats of one tile are blended, in two batches and many buckets."""
     splats, order = cases.splats(330, 17, 16, seed=2, opacity=(0.005, 0.02), sigma=(8, 30))
     actual = check(device, splats, order, (17, 16), "faint stack")
-    assert actual.last[8, 8] > 256 and actual.transmittance.min() > 2e-4
+    assert actual.last_contributor[8, 8] > 256 and actual.transmittance.min() > 2e-4
 
 
 @pytest.mark.parametrize("count", [31, 32, 33, 255, 256, 257])
@@ -89,14 +89,15 @@ def test_lists_around_bucket_and_batch_sizes(device, count):
     splats, order = cases.splats(count, 16, 16, seed=count, opacity=(0.006, 0.02), sigma=(9, 30))
     splats["means"] = cases.single(8 + 0.2 * (splats["means"] - 8))
     actual = check(device, splats, order, (16, 16), f"{count} splats")
-    assert actual.last.max() == count - 1
+    assert actual.last_contributor.max() == count - 1
 
 
 def test_an_opaque_stack_ends_early(device):
     """Every pixel of the first tile is opaque long before its list of 400 ends."""
     splats, order = cases.splats(400, 20, 16, seed=3, opacity=(0.3, 0.9999), sigma=(6, 30))
     actual = check(device, splats, order, (20, 16), "opaque stack")
-    assert 0 <= actual.last[:, :16].max() < 200 and actual.transmittance[:, :16].max() < 0.02
+    assert 0 <= actual.last_contributor[:, :16].max() < 200
+    assert actual.transmittance[:, :16].max() < 0.02
 
 
 def test_pixels_of_a_tile_end_at_different_depths(device):
@@ -135,7 +136,7 @@ def test_the_background_shows_through(device):
 def test_nothing_leaves_the_background(device):
     actual = Blended(device, np.zeros((0, 12)), (33, 17))
     assert (actual.image == BACKGROUND[:, None, None]).all()
-    assert (actual.transmittance == 1).all() and (actual.last == -1).all()
+    assert (actual.transmittance == 1).all() and (actual.last_contributor == -1).all()
     assert (actual.depth == 0).all()
     assert actual.adjoint(np.ones((3, 17, 33)), *np.ones((2, 17, 33))).shape == (0, 10)
 

@@ -17,7 +17,7 @@ WEIGHT = 0.2
 
 @pytest.fixture(autouse=True)
 def short_strips(monkeypatch):
-    monkeypatch.setattr(module, "STRIP", 16)
+    monkeypatch.setattr(module, "STRIP_ROWS", 16)
 
 
 def a_pair(width, height, seed=0):
@@ -50,8 +50,8 @@ def test_each_part_alone(device, weight):
 
 def test_strips_of_the_default_height(device, monkeypatch):
     monkeypatch.undo()
-    assert module.STRIP > 16
-    check(device, *a_pair(20, module.STRIP + 3, 2), "a tall image")
+    assert module.STRIP_ROWS > 16
+    check(device, *a_pair(20, module.STRIP_ROWS + 3, 2), "a tall image")
 
 
 def test_equal_images_have_no_loss(device):

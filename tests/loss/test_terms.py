@@ -39,7 +39,7 @@ class Darkness(LossTerm):
 
 
 class Nearness(LossTerm):
-    """A pull of the summed depth to 0, which wants frames with depth."""
+    """A pull of the summed depth to 0, which needs frames with depth."""
 
     name = "nearness"
     needs_depth = True
@@ -51,7 +51,7 @@ class Nearness(LossTerm):
 
 
 class Never(Darkness):
-    """A term that no options ask for."""
+    """A term that no options request."""
 
     @classmethod
     def is_used(cls, options):
@@ -59,7 +59,7 @@ class Never(Darkness):
 
 
 def test_a_new_term_takes_part_in_a_training(item_device, tmp_path, monkeypatch):
-    """The image becomes dark where nothing but the term wants it to, and the record says so."""
+    """The image becomes dark only because of the term, and the record says so."""
     city, lights = read_scene(CITY), {}
     for name, listed in (("without", (Never,)), ("with", (Darkness,))):
         monkeypatch.setattr(terms, "TERMS", (ImageLoss, *listed))
@@ -103,7 +103,7 @@ def test_gradients_of_terms_are_added(device, monkeypatch):
     assert any(not np.array_equal(rows[name], moved[name]) for name in rows)
 
 
-def test_a_term_that_wants_depth_has_it(device, monkeypatch):
+def test_a_term_that_needs_depth_has_it(device, monkeypatch):
     (_, depth, transmittance), frame, rows = stepped(device, monkeypatch, ImageLoss, Nearness)
     assert frame.with_depth and transmittance is None
     assert np.array_equal(depth, np.full(frame.blended.depth.shape, 0.5))
@@ -124,8 +124,8 @@ def test_gradients_add_up(device, name):
 
 
 def test_options_and_plans_decide_which_terms_there_are(item_device):
-    found = [type(term) for term in terms.terms_of(item_device, options_of())]
-    assert found == [ImageLoss]
+    used = [type(term) for term in terms.terms_of(item_device, options_of())]
+    assert used == [ImageLoss]
     term = Reprojection(item_device, options_of())
     assert Reprojection.is_used(options_of(schedule="sig", reproject="on", reset_every=0))
     assert term.weight(PLAN) == 0

@@ -1,4 +1,4 @@
-"""Learning rates: those of 3DGS, only the positions' decaying, the opacities' as asked."""
+"""Learning rates: those of 3DGS; only the positions decay, the opacity rate is an option."""
 
 import pytest
 

@@ -19,8 +19,8 @@ from tests.kernels.test_pipeline import cotangents
 @pytest.mark.parametrize("with_depth", [False, True])
 @pytest.mark.parametrize("name, count", [("giants", 400), ("many", 3000), ("specks", 2000)])
 def test_a_frame_allocates_what_is_listed(device, monkeypatch, name, count, with_depth):
-    """Pairs, pixels or gaussians are what most of the memory goes to. Of the frame alone, and of
-    all to the end of the adjoint."""
+    """Where pairs, pixels or gaussians need most of the memory; for the frame alone, and up to the
+    end of the adjoint."""
     pool = ExactPool(device)
     monkeypatch.setattr(device, "_pool", pool)
     case = cases.gaussians(name, count=count)

@@ -1,4 +1,4 @@
-"""Models larger than the device, in slabs of depth: the picture of a render in one piece."""
+"""Models larger than the device, in slabs of depth: the image of a render in one piece."""
 
 import dataclasses
 
@@ -51,8 +51,8 @@ def faint(name, **changes):
 
 
 def same_to_rounding(actual, expected):
-    for got, wanted in zip(actual, expected):
-        assert abs(got - wanted).max() <= 2e-6 * (1 + abs(wanted).max())
+    for got, target in zip(actual, expected):
+        assert abs(got - target).max() <= 2e-6 * (1 + abs(target).max())
 
 
 @pytest.mark.parametrize("name", ["ragged", "giants", "near_plane"])
@@ -68,7 +68,7 @@ def test_any_number_of_slabs_gives_the_same_picture(device, name):
 
 
 def test_two_blocks_whose_gaussians_alternate_in_depth(float_device):
-    """Block after block would be a wrong picture; slab after slab is the right one."""
+    """Rendering block by block would be wrong; slab by slab is right."""
     case = faint("plain", count=200)
     rows = case["rows"]
     rows["opacity_logits"][:], rows["positions"][:, :2] = -1.5, 0.02 * rows["positions"][:, :2]

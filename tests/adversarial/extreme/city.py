@@ -44,7 +44,7 @@ class CityRun:
         self.rows = {name: device.upload(values) for name, values in rows.items()}
         self.camera = self.renderer.pack(camera)
         self.frame = self.renderer.render(
-            self.rows, self.camera, camera.width, camera.height, degree=3)
+            self.rows, self.camera, camera.width, camera.height, sh_degree=3)
         self.image = self.frame.image.download().astype(np.float64)
 
     def culled(self):

@@ -40,7 +40,7 @@ def as_scene(points, colours, *cameras):
 def rendered(device, gaussians, camera, near=0.01):
     renderer = Renderer(device, gaussians.sh_degree, near)
     frame = renderer.render(upload_rows(device, gaussians.rows), renderer.pack(camera), *SIZE,
-                            degree=0)
+                            sh_degree=0)
     return frame.image.download()
 
 
