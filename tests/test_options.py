@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
-from clsplat.config.option import flag_name, wanted
+from clsplat.config.option import expected, flag_name
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions, checked, from_toml, resolve, seconds_of, serves
 from clsplat.schedule import OURS, schedule_of
@@ -116,13 +116,13 @@ def test_help_has_each_group_once_with_defaults():
 
 @pytest.mark.parametrize("text, message", [
     ("iteration = 5", "unknown option 'iteration'"),
-    ("iterations = 2.5", "'iterations' wants a whole number of at least 1, got 2.5"),
-    ("iterations = true", "'iterations' wants a whole number of at least 1, got True"),
-    ("iterations = 0", "'iterations' wants a whole number of at least 1, got 0"),
-    ("sh_degree = 4", "'sh-degree' wants auto or a whole number from 0 to 3, got 4"),
-    ("ssim-weight = nan", "'ssim-weight' wants a number from 0 to 1"),
-    ("optimizer = 'sgd'", "'optimizer' wants one of dense, sparse"),
-    ("background = [1, 1]", "'background' wants three numbers"),
+    ("iterations = 2.5", "'iterations' expects a whole number of at least 1, got 2.5"),
+    ("iterations = true", "'iterations' expects a whole number of at least 1, got True"),
+    ("iterations = 0", "'iterations' expects a whole number of at least 1, got 0"),
+    ("sh_degree = 4", "'sh-degree' expects auto or a whole number from 0 to 3, got 4"),
+    ("ssim-weight = nan", "'ssim-weight' expects a number from 0 to 1"),
+    ("optimizer = 'sgd'", "'optimizer' expects one of dense, sparse"),
+    ("background = [1, 1]", "'background' expects three numbers"),
     ("iterations = ", "not valid TOML"),
 ])
 def test_a_wrong_file_is_one_line_that_names_it(text, message, toml):
@@ -142,7 +142,7 @@ def test_a_file_that_is_not_text_or_not_there(tmp_path):
 
 
 def test_a_flag_out_of_its_limits_is_refused():
-    with pytest.raises(InputError, match="option 'downscale' wants a number of at least 1, got"):
+    with pytest.raises(InputError, match="option 'downscale' expects a number of at least 1, got"):
         resolve({}, {"downscale": 0.5})
 
 
@@ -171,12 +171,12 @@ def test_elements_and_infinities_are_refused(text, wish, toml):
     with pytest.raises(InputError) as caught:
         from_toml(path)
     key = text.split(" ")[0].replace("_", "-")
-    assert str(caught.value).startswith(f"{path}: option '{key}' wants {wish}")
+    assert str(caught.value).startswith(f"{path}: option '{key}' expects {wish}")
     assert ", got " in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_an_infinite_flag_is_refused():
-    with pytest.raises(InputError, match="option 'downscale' wants a finite number"):
+    with pytest.raises(InputError, match="option 'downscale' expects a finite number"):
         resolve({}, {"downscale": float("inf")})
 
 
@@ -268,13 +268,13 @@ def test_an_option_of_another_schedule_is_refused(name, schedule):
     with pytest.raises(InputError) as caught:
         resolve({}, {"schedule": schedule, name: value})
     assert str(caught.value) == (
-        f"{flag_name(name)}: means nothing to --schedule {schedule}; leave it out, or use "
+        f"{flag_name(name)}: has no effect with --schedule {schedule}; leave it out, or use "
         f"--schedule {' or '.join(only)}")
     assert getattr(resolve({}, {"schedule": schedule, name: field.default}), name) == field.default
 
 
 def test_what_a_file_and_a_flag_say_together_is_refused(toml):
-    with pytest.raises(InputError, match="--levels: means nothing to --schedule constant"):
+    with pytest.raises(InputError, match="--levels: has no effect with --schedule constant"):
         resolve(from_toml(toml("levels = [4, 2, 1]")), {"schedule": "constant"})
 
 
@@ -289,7 +289,7 @@ def test_levels_that_fall_to_1(levels):
 def test_levels_that_do_not(levels, shown):
     with pytest.raises(InputError) as caught:
         resolve({}, {"levels": levels})
-    said = "wants auto or factors that fall and end at 1, such as 4,2,1"
+    said = "expects auto or factors that fall and end at 1, such as 4,2,1"
     assert str(caught.value) == f"option 'levels' {said}, got {levels}"
     with pytest.raises(InputError) as caught:
         invoke("--levels", shown)
@@ -298,7 +298,7 @@ def test_levels_that_do_not(levels, shown):
 
 @pytest.mark.parametrize("levels", [(4, 0.5), (math.nan, 1), (math.inf, 1), (4, 0), (-2, 1)])
 def test_levels_that_are_no_factors(levels):
-    with pytest.raises(InputError, match="'levels' wants (a finite|auto or factors that fall)"):
+    with pytest.raises(InputError, match="'levels' expects (a finite|auto or factors that fall)"):
         resolve({}, {"levels": levels})
 
 
@@ -321,7 +321,8 @@ def test_lists_have_commas_or_come_in_parts(arguments, expected):
 def test_what_is_no_list_is_refused(flag, text):
     with pytest.raises(InputError) as caught:
         invoke(flag, text)
-    assert str(caught.value) == f"{flag} {text}: wants {wanted(FIELDS[flag[2:].replace('-', '_')])}"
+    known = FIELDS[flag[2:].replace("-", "_")]
+    assert str(caught.value) == f"{flag} {text}: expects {expected(known)}"
 
 
 # --- time budget
@@ -341,7 +342,7 @@ def test_what_is_no_time_is_refused(text):
     with pytest.raises(InputError) as caught:
         resolve({}, {"time_budget": text})
     assert str(caught.value) == (
-        "option 'time-budget' wants none or a number of seconds, or one with s, m or "
+        "option 'time-budget' expects none or a number of seconds, or one with s, m or "
         f"h such as 10m, got {text!r}")
 
 
@@ -366,7 +367,7 @@ def test_a_word_is_a_flag_a_key_and_a_record_that_agree(name, word, toml):
     assert checked("options.json", name, word) == meaning
     written = json.loads(json.dumps(meaning))  # what is recorded, and what users had before
     assert checked("options.json", name, written) == meaning
-    assert word in wanted(FIELDS[name])
+    assert word in expected(FIELDS[name])
 
 
 def test_few_words_are_enough():

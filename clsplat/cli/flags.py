@@ -6,7 +6,7 @@ import click
 from click.core import ParameterSource
 
 from clsplat.cli.sections import SectionedOption
-from clsplat.config.option import check_flag, flag_name, kind_of, options_of, parsed, wanted
+from clsplat.config.option import check_flag, expected, flag_name, kind_of, options_of, parsed
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 
@@ -57,8 +57,8 @@ class Value(click.ParamType):
         try:
             return parsed(self.option, value)
         except ValueError:
-            raise InputError(f"{flag_name(self.option.name)} {value}: wants {wanted(self.option)}"
-                             ) from None
+            raise InputError(f"{flag_name(self.option.name)} {value}: expects "
+                             f"{expected(self.option)}") from None
 
 
 def flags_of(kind):

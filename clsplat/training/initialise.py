@@ -35,9 +35,9 @@ def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
     else:
         if not os.path.exists(options.init):
             raise InputError(
-                f"{options.init}: no such file; --init wants sfm, random or a PLY file")
+                f"{options.init}: no such file; --init expects sfm, random or a PLY file")
         if os.path.isdir(options.init):
-            raise InputError(f"{options.init}: a folder; --init wants sfm, random or a PLY file, "
+            raise InputError(f"{options.init}: a folder; --init expects sfm, random or a PLY file, "
                              "such as the point_cloud.ply of a run")
         given = read_ply(options.init, scene.offset).scaled(1 / scene.unit)
         if given.count < FEWEST:

@@ -30,11 +30,11 @@ from tests.data.tiny_training import CITY, trained
 
 ROOT = Path(__file__).parents[2]
 CITY_FLAGS = [
-    ("--grid 0x0", "--grid 0x0: wants auto or blocks along both sides"),
-    ("--grid 2", "--grid 2: wants auto or blocks along both sides"),
-    ("--grid 1x1x1", "--grid 1x1x1: wants auto or blocks along both sides"),
-    ("--grid -1x-1", "--grid -1x-1: wants auto or blocks along both sides"),
-    ("--grid 1e3x1", "--grid 1e3x1: wants auto or blocks along both sides"),
+    ("--grid 0x0", "--grid 0x0: expects auto or blocks along both sides"),
+    ("--grid 2", "--grid 2: expects auto or blocks along both sides"),
+    ("--grid 1x1x1", "--grid 1x1x1: expects auto or blocks along both sides"),
+    ("--grid -1x-1", "--grid -1x-1: expects auto or blocks along both sides"),
+    ("--grid 1e3x1", "--grid 1e3x1: expects auto or blocks along both sides"),
     ("--grid 100000x100000", "makes 10,000,000,000 blocks, more than 10,000"),
     ("--grid 50x50", "makes 2,500 blocks, but the scene will have about 4,400 gaussians, enough"),
     ("--workers 0", "--workers 0: expects 1 to 1024"),
@@ -44,20 +44,20 @@ CITY_FLAGS = [
     ("--against /dev/zero", "--against /dev/zero: no such file"),
     ("--against .", "--against .: has no point_cloud.ply"),
     (f"--against {__file__}", "not a PLY"),
-    ("--margin nan", "--margin nan: wants a number from 0 to 10"),
-    ("--margin -5", "--margin -5: wants a number from 0 to 10"),
-    ("--margin inf", "--margin inf: wants a number from 0 to 10"),
-    ("--threshold nan", "--threshold nan: wants a number from 0 to 2"),
-    ("--threshold -1", "--threshold -1: wants a number from 0 to 2"),
-    ("--least-views -1", "--least-views -1: wants a whole number of at least 0"),
-    ("--block-gaussians 1", "--block-gaussians 1: wants auto or a whole number of at least 100"),
-    ("--block-gaussians -7", "--block-gaussians -7: wants auto or a whole number of at least 100"),
-    ("--up 0 0 0", "--up 0 0 0: wants three numbers"),
-    ("--up nan 0 1", "--up nan 0 1: wants three numbers"),
-    ("--up 1e300 1e300 0", "--up 1e+300 1e+300 0: wants at most 1e+15"),
-    ("--bounds 0 0 0 0", "--bounds 0 0 0 0: wants X0 Y0"),
-    ("--bounds 0 0 1e300 1e300", "--bounds 0 0 1e+300 1e+300: wants at most 1e+15"),
-    ("--bounds nan 0 1 1", "--bounds nan 0 1 1: wants X0 Y0"),
+    ("--margin nan", "--margin nan: expects a number from 0 to 10"),
+    ("--margin -5", "--margin -5: expects a number from 0 to 10"),
+    ("--margin inf", "--margin inf: expects a number from 0 to 10"),
+    ("--threshold nan", "--threshold nan: expects a number from 0 to 2"),
+    ("--threshold -1", "--threshold -1: expects a number from 0 to 2"),
+    ("--least-views -1", "--least-views -1: expects a whole number of at least 0"),
+    ("--block-gaussians 1", "--block-gaussians 1: expects auto or a whole number of at least 100"),
+    ("--block-gaussians -7", "expects auto or a whole number of at least 100"),
+    ("--up 0 0 0", "--up 0 0 0: expects three numbers"),
+    ("--up nan 0 1", "--up nan 0 1: expects three numbers"),
+    ("--up 1e300 1e300 0", "--up 1e+300 1e+300 0: expects at most 1e+15"),
+    ("--bounds 0 0 0 0", "--bounds 0 0 0 0: expects X0 Y0"),
+    ("--bounds 0 0 1e300 1e300", "--bounds 0 0 1e+300 1e+300: expects at most 1e+15"),
+    ("--bounds nan 0 1 1", "--bounds nan 0 1 1: expects X0 Y0"),
     ("--method quadtree", "--method"),
     ("--device 0,", "--device 0,: wants names"),
     ("--device 0,1", "names 2 devices for --workers 1"),
@@ -65,8 +65,8 @@ CITY_FLAGS = [
     ("--device 99", "no device matches '99'"),
     ("--scheduler nonsense", "--scheduler nonsense: no Dask scheduler answers"),
     ("--init random", "--init, --coarse"),
-    ("--near 1e300", "--near 1e+300: wants at most"),
-    ("--levels 1,2", "--levels 1,2: wants auto or factors that fall"),
+    ("--near 1e300", "--near 1e+300: expects at most"),
+    ("--levels 1,2", "--levels 1,2: expects auto or factors that fall"),
 ]
 
 
@@ -94,8 +94,8 @@ def test_a_city_option_is_refused_before_anything_is_made(tmp_path, capsys, monk
     ("--photos 0", "--photos 0: wants whole numbers from 1"),
     ("--photos 10,-1", "--photos 10,-1: wants"), ("--photos x", "--photos x: wants"),
     ("--photos 1,,2", "wants"), ("--photos " + "9" * 400, "wants whole numbers from 1"),
-    ("--margin nan", "--margin nan: wants a number from 0 to 10"),
-    ("--margin -1", "--margin -1: wants")])
+    ("--margin nan", "--margin nan: expects a number from 0 to 10"),
+    ("--margin -1", "--margin -1: expects")])
 def test_plan_refuses_before_it_takes_steps(capsys, monkeypatch, flags, said):
     monkeypatch.setattr("clsplat.estimate.forecast.Planned", None)
     assert said in refused(capsys, "plan", CITY, *flags.split(" "))

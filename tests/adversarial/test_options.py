@@ -37,7 +37,7 @@ def accepted(name):
             taken.append(checked("here", name, value))
         except InputError as error:
             said = str(error)
-            assert said.startswith(f"here: option '{name.replace('_', '-')}' wants "), said
+            assert said.startswith(f"here: option '{name.replace('_', '-')}' expects "), said
             assert "\n" not in said and len(said) < 500
     return taken
 
@@ -84,7 +84,7 @@ def test_a_limit_is_taken_and_what_is_beyond_refused(name, run):
     for value in beyond:
         if value in field.metadata["words"].values():
             continue  # what a word stands for
-        with pytest.raises(InputError, match=f"here: option '{name.replace('_', '-')}' wants "):
+        with pytest.raises(InputError, match=f"here: option '{name.replace('_', '-')}' expects "):
             checked("here", name, shaped(value))
 
 
@@ -98,19 +98,19 @@ def test_a_run_of_large_numbers_is_read_by_eval(run, given):
 
 
 @pytest.mark.parametrize("given, said", [
-    ({"near": 1e300}, "option 'near' wants at most 1e+15, got 1e+300"),
-    ({"grow_threshold": 1e101}, "wants at most 1e+15"),
-    ({"batch": 99_999_999_999}, "option 'batch' wants at most 1,024, got 99999999999"),
-    ({"iterations": 10**9}, "option 'iterations' wants at most 10,000,000"),
-    ({"steps_scale": 1e308}, "option 'steps-scale' wants at most 10000, got 1e+308"),
-    ({"iterations": 10**6, "steps_scale": 100.0}, "--steps-scale 100: makes 1,000,000 steps more "
-                                                  "than 10,000,000; give a smaller one"),
-    ({"time_budget": "1e300"}, "option 'time-budget' wants at most a year"),
-    ({"init": "a\x00b"}, "option 'init' wants text in Unicode"),
-    ({"init": "\udcff.ply"}, "option 'init' wants text in Unicode"),
-    ({"device": "x" * 5000}, "option 'device' wants at most 4096 characters"),
-    ({"eval_at": [1] * 1001}, "option 'eval-at' wants at most 1000 values"),
-    ({"levels": [1e16, 1.0]}, "option 'levels' wants at most 1e+15")])
+    ({"near": 1e300}, "option 'near' expects at most 1e+15, got 1e+300"),
+    ({"grow_threshold": 1e101}, "expects at most 1e+15"),
+    ({"batch": 99_999_999_999}, "option 'batch' expects at most 1,024, got 99999999999"),
+    ({"iterations": 10**9}, "option 'iterations' expects at most 10,000,000"),
+    ({"steps_scale": 1e308}, "option 'steps-scale' expects at most 10000, got 1e+308"),
+    ({"iterations": 10**6, "steps_scale": 100.0}, "--steps-scale 100: turns 1,000,000 steps into "
+                                                  "more than 10,000,000; give a smaller factor"),
+    ({"time_budget": "1e300"}, "option 'time-budget' expects at most a year"),
+    ({"init": "a\x00b"}, "option 'init' expects text in Unicode"),
+    ({"init": "\udcff.ply"}, "option 'init' expects text in Unicode"),
+    ({"device": "x" * 5000}, "option 'device' expects at most 4096 characters"),
+    ({"eval_at": [1] * 1001}, "option 'eval-at' expects at most 1000 values"),
+    ({"levels": [1e16, 1.0]}, "option 'levels' expects at most 1e+15")])
 def test_what_no_training_can_be_made_with_is_refused(given, said):
     with pytest.raises(InputError) as caught:
         resolve({}, given)

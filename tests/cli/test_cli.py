@@ -150,7 +150,7 @@ def test_wrong_usage_is_one_line_and_exit_2(arguments):
     result = clsplat_(*arguments)
     assert result.exit_code == 2
     assert result.stderr.startswith("error: ")
-    assert "--help`." in result.stderr or ": wants " in result.stderr
+    assert "--help`." in result.stderr or ": expects " in result.stderr
     assert result.stderr.count("\n") == 1
 
 

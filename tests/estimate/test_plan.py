@@ -324,14 +324,14 @@ def test_the_command_says_it_all(monkeypatch, item_device):
     assert result.stdout.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
     assert " ".join(line[0] for line in lines[1:]) == (
         "levels sh antialiased exposure reproject engine photos memory time")
-    assert "exposure      off: asked for\n" in result.output
+    assert "exposure      off: requested\n" in result.output
     assert "sh degree     3: 99% of the points are seen from within 7" in result.output
     assert "for 60 steps: a step takes " in result.output
 
 
 @pytest.mark.parametrize("words, complaint", [
     ((CITY / "nothing",), "no such scene"), ((CITY, "--test-every", 1), "holds out every view"),
-    ((CITY, "--sh-degree", "x"), "--sh-degree x: wants auto or a whole number"),
+    ((CITY, "--sh-degree", "x"), "--sh-degree x: expects auto or a whole number"),
     ((CITY, "--levels", "90,1"), "less than a tile")])
 def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
     monkeypatch.setattr("clsplat.device.choose_device", lambda *_, **__: None)

@@ -141,13 +141,13 @@ def test_a_chosen_grid_joins_starved_blocks():
 
 
 @pytest.mark.parametrize("changes, cause", [
-    ({"method": "quadtree"}, "--method quadtree: wants one of citygs"),
+    ({"method": "quadtree"}, "--method quadtree: expects one of citygs"),
     ({"grid": (0, 2)}, "--grid 0x2"),
     ({"up": (0, 0, 0)}, "--up"),
     ({"up": (0, 1)}, "--up"),
     ({"up": (0, np.nan, 1)}, "--up"),
-    ({"bounds": (1, 0, 1, 5)}, "--bounds 1 0 1 5: wants X0 Y0"),
-    ({"bounds": (0, 0, np.inf, 5)}, "--bounds 0 0 inf 5: wants a finite number"),
+    ({"bounds": (1, 0, 1, 5)}, "--bounds 1 0 1 5: expects X0 Y0"),
+    ({"bounds": (0, 0, np.inf, 5)}, "--bounds 0 0 inf 5: expects a finite number"),
     ({"bounds": (500, 500, 600, 600)}, r"field: no points within the bounds 500 500 600 600"),
 ])
 def test_bad_input_is_one_line(changes, cause):

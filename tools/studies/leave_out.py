@@ -107,7 +107,7 @@ def _scene(text):
     """(name, Scene) of SCENE[:DOWNSCALE][@VIEWS]."""
     path, at, views = text.partition("@")
     if at and not (views.isdigit() and int(views) >= 2):
-        raise InputError(f"{text}: wants a whole number of views, at least 2, after @")
+        raise InputError(f"{text}: expects a whole number of views, at least 2, after @")
     found = Scene(path)
     scene = read_scene(found.path).reduced(found.downscale)
     if not at:

@@ -47,7 +47,7 @@ def main(argv):
     for text in given.also:
         name, colon, flags = text.partition(":")
         if not colon:
-            raise InputError(f"--also {text}: wants a name, a colon and flags, such as "
+            raise InputError(f"--also {text}: expects a name, a colon and flags, such as "
                              "'constant+exposure: --schedule constant --exposure on'")
         columns[name.strip()] = shlex.split(flags)
     stops = [str(stop) for stop in given.eval_at if stop < given.steps]
