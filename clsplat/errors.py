@@ -1,4 +1,4 @@
-"""The errors a user can meet. Each message is one line that names the cause and the cure."""
+"""The errors that a user can meet. Each message is one line that names the cause and the cure."""
 
 
 class ClsplatError(Exception):
@@ -9,15 +9,15 @@ class InputError(ClsplatError):
     """A file, scene or option that cannot be used; the message names it and says what to do."""
 
 
-TOO_LARGE = "does not fit the device"  # begins what a DeviceError says of memory
+TOO_LARGE = "does not fit the device"  # the beginning of a DeviceError about memory
 
 
 class DeviceError(ClsplatError):
-    """No working OpenCL device, a kernel that does not build, or memory that is not there."""
+    """No working OpenCL device, a kernel that does not build, or too little memory."""
 
 
 class ShapeError(ClsplatError):
-    """An array handed to a kernel has the wrong shape or type; the message names the argument."""
+    """An array passed to a kernel has the wrong shape or type; the message names the argument."""
 
 
 class StopTraining(Exception):
@@ -27,7 +27,9 @@ class StopTraining(Exception):
 class Interrupted(ClsplatError):
     """Training was stopped by the user after its state was saved.
 
-    planned: whether an option or a callback asked for it, and no signal.
+    Attributes
+    ----------
+    planned : whether an option or a callback requested it rather than a signal.
     """
 
     def __init__(self, message: str = "", planned: bool = False) -> None:

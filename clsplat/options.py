@@ -1,4 +1,4 @@
-"""The options of a training: the groups of its concerns, composed and resolved."""
+"""The options of a training, composed of the groups that each package declares."""
 
 import dataclasses
 import math
@@ -19,15 +19,17 @@ from clsplat.schedule.registry import OURS, ScheduleOptions, others_that_load, s
 from clsplat.schedule.sig import SigOptions
 from clsplat.schedule.taming import TamingOptions
 
-MOST_SECONDS = 366 * 24 * 3600.0  # of a time budget
-UNITS = {"s": 1, "m": 60, "h": 3600}
+MOST_SECONDS = 366 * 24 * 3600.0  # in a time budget
+UNIT_SECONDS = {"s": 1, "m": 60, "h": 3600}
 
 
 def seconds_of(text: str) -> float:
-    """The seconds of `--time-budget`: a number, or one with the unit s, m or h; ValueError for
-    anything else."""
+    """Parse `--time-budget`: a number with the unit s, m or h, or without one for seconds.
+
+    Raises ValueError for anything else.
+    """
     try:
-        unit = UNITS[text[-1]] if text[-1] in UNITS else None
+        unit = UNIT_SECONDS.get(text[-1:])
         seconds = float(text if unit is None else text[:-1]) * (unit or 1)
     except ValueError:
         seconds = 0.0
@@ -53,14 +55,14 @@ class RunOptions:
     time_budget: str = option("", "Run", "time for the whole run, such as 90s, 10m or 2h, in "
                               "place of -n; the schedule is fitted to it", main=True,
                               words={"none": ""}, check=seconds_of,
-                              wish="a number of seconds, or one with s, m or h such as 10m")
-    checkpoint_every: int = option(1000, "Run", "steps between checkpoints; end: one, at the end",
+                              expects="a number of seconds, or one with s, m or h such as 10m")
+    checkpoint_every: int = option(1000, "Run", "steps between checkpoints; end: only at the end",
                                    affects="nothing", words={"end": 0}, minimum=1)
     eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps, such as "
                                       "500,2000", affects="time", words={"none": ()}, minimum=1,
-                                      wish="a list of steps, each at least 1")
+                                      expects="a list of steps, each at least 1")
     eval_every: int = option(AUTO, "Run", "steps between evaluations on the held-out views; auto: "
-                             "eight evaluations, fewer where they are slow; end: one, at the end",
+                             "eight evaluations, fewer where they are slow; end: only at the end",
                              affects="time", main=True, words={AUTO: AUTO, "end": 0}, minimum=1)
     snapshots: bool = option(False, "Run", "keep the model at the end of each level, for `clsplat "
                              "render --lod`", affects="time", part="levels")
@@ -72,7 +74,7 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class DeviceOptions:
-    """Where a run is trained. It may go on elsewhere; its record says what the device was."""
+    """The device of a run. A run may be resumed on another one; its record names the first."""
 
     device: str = option("auto", "Device", "auto, cpu, gpu, a number of `clsplat devices`, or part "
                          "of a name", affects="nothing", main=True)
@@ -91,9 +93,9 @@ class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, SphereOptions, S
 
 
 def _with_others(kind: type[TrainOptions]) -> type[TrainOptions]:
-    """The same with the options of schedules that other packages register."""
-    found = dict.fromkeys(schedule.Options for schedule in others_that_load().values())
-    bases = [own for own in found if own is not None and not issubclass(kind, own)]
+    """Add the options of schedules that other packages register."""
+    groups = dict.fromkeys(schedule.Options for schedule in others_that_load().values())
+    bases = [own for own in groups if own is not None and not issubclass(kind, own)]
     return dataclasses.make_dataclass(kind.__name__, [], bases=(*bases, kind), frozen=True) \
         if bases else kind
 
@@ -102,19 +104,19 @@ TrainOptions = _with_others(TrainOptions)  # type: ignore[misc]
 
 
 def checked(source: str, key: str, value: Any) -> Any:
-    """`options.checked` of an option of a training."""
+    """`config.option.checked` for the options of a training."""
     return declared.checked(TrainOptions, source, key, value)
 
 
 def from_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """`options.from_toml` for the options of a training."""
+    """`config.toml.from_toml` for the options of a training."""
     return toml.from_toml(TrainOptions, path)
 
 
 def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOptions:
-    """TrainOptions from a TOML file's values overridden by the command line's.
+    """Build TrainOptions from the values of a TOML file, overridden by those of the command line.
 
-    Unless given, an option has the value that the given schedule, preset, size and the like set.
+    An option that neither gives has the value that the schedule, preset, size and the like set.
     Raises InputError for options that contradict each other.
     """
     given = {k: checked("", k, v) for k, v in {**file_values, **flag_values}.items()}
@@ -130,7 +132,7 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
 
 
 def serves(known: declared.Option, schedule: str) -> bool:
-    """Whether an option means something to a schedule."""
+    """Whether an option has an effect with a schedule."""
     part = known.metadata["part"]
     return part is None or part in schedule_of(schedule).parts
 
@@ -141,11 +143,11 @@ def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
                 known, options.schedule):
             serving = [name for name in (*OURS, *others_that_load()) if serves(known, name)]
             raise InputError(
-                f"{flag_name(known.name)}: means nothing to --schedule {options.schedule}; leave "
+                f"{flag_name(known.name)}: has no effect with --schedule {options.schedule}; leave "
                 f"it out, or use --schedule {' or '.join(serving)}")
     if options.iterations * options.steps_scale > MOST_STEPS:
-        raise InputError(f"--steps-scale {options.steps_scale:g}: makes {options.iterations:,} "
-                         f"steps more than {MOST_STEPS:,}; give a smaller one")
+        raise InputError(f"--steps-scale {options.steps_scale:g}: turns {options.iterations:,} "
+                         f"steps into more than {MOST_STEPS:,}; give a smaller factor")
     if options.time_budget and options.iterations != RunOptions.iterations:
         raise InputError("--time-budget: decides the number of steps, as -n does; leave one of "
                          "them out")

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand
-from clsplat.config.option import flag_name, wanted
+from clsplat.config.option import expected, flag_name
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions, checked, from_toml, resolve, seconds_of, serves
 from clsplat.schedule import OURS, schedule_of
@@ -268,13 +268,13 @@ def test_an_option_of_another_schedule_is_refused(name, schedule):
     with pytest.raises(InputError) as caught:
         resolve({}, {"schedule": schedule, name: value})
     assert str(caught.value) == (
-        f"{flag_name(name)}: means nothing to --schedule {schedule}; leave it out, or use "
+        f"{flag_name(name)}: has no effect with --schedule {schedule}; leave it out, or use "
         f"--schedule {' or '.join(only)}")
     assert getattr(resolve({}, {"schedule": schedule, name: field.default}), name) == field.default
 
 
 def test_what_a_file_and_a_flag_say_together_is_refused(toml):
-    with pytest.raises(InputError, match="--levels: means nothing to --schedule constant"):
+    with pytest.raises(InputError, match="--levels: has no effect with --schedule constant"):
         resolve(from_toml(toml("levels = [4, 2, 1]")), {"schedule": "constant"})
 
 
@@ -321,8 +321,8 @@ def test_lists_have_commas_or_come_in_parts(arguments, expected):
 def test_what_is_no_list_is_refused(flag, text):
     with pytest.raises(InputError) as caught:
         invoke(flag, text)
-    option = FIELDS[flag[2:].replace("-", "_")]
-    assert str(caught.value) == f"{flag} {text}: expects {wanted(option)}"
+    known = FIELDS[flag[2:].replace("-", "_")]
+    assert str(caught.value) == f"{flag} {text}: expects {expected(known)}"
 
 
 # --- time budget
@@ -367,7 +367,7 @@ def test_a_word_is_a_flag_a_key_and_a_record_that_agree(name, word, toml):
     assert checked("options.json", name, word) == meaning
     written = json.loads(json.dumps(meaning))  # what is recorded, and what users had before
     assert checked("options.json", name, written) == meaning
-    assert word in wanted(FIELDS[name])
+    assert word in expected(FIELDS[name])
 
 
 def test_few_words_are_enough():

@@ -11,7 +11,15 @@ import click
 from click.core import ParameterSource
 
 from clsplat.cli.sections import SectionedOption
-from clsplat.config.option import Option, check_flag, flag_name, kind_of, options_of, parsed, wanted
+from clsplat.config.option import (
+    Option,
+    check_flag,
+    expected,
+    flag_name,
+    kind_of,
+    options_of,
+    parsed,
+)
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 
@@ -71,7 +79,7 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # generic only since cl
             return parsed(self.option, value)
         except ValueError:
             raise InputError(f"{flag_name(self.option.name)} {value}: expects "
-                             f"{wanted(self.option)}") from None
+                             f"{expected(self.option)}") from None
 
 
 def flags_of(kind: type) -> Callable[[Command], Command]:

@@ -1,8 +1,8 @@
-"""What an option is: a field with a default, limits and a help text, and how its values are read.
+"""An option: a dataclass field with a default, limits and a help text, and how values are read.
 
-Each concern declares its options as a frozen dataclass of such fields; `clsplat/options.py`
-composes them. The same fields are the flags of the command line (cli/flags.py), the keys of a TOML
-file and those of a run's record.
+Each package declares its options as a frozen dataclass of such fields; `clsplat/options.py`
+composes them. The same fields become flags of the command line (cli/flags.py), keys of a TOML file
+and keys of a run's record.
 """
 
 import dataclasses
@@ -16,10 +16,10 @@ from clsplat.errors import InputError
 
 AUTO = "auto"
 MOST = {int: 2**63 - 1, float: 1e15}  # squares and their sums stay far within float32
-MOST_STEPS = 10_000_000  # of a training: 300 times the default
-MOST_ELEMENTS = 1000  # of a list
-LONGEST_TEXT = 4096  # characters: the longest path that Linux takes
-SHOWN = 200  # characters, of what a user gave, in a message
+MOST_STEPS = 10_000_000  # in a training: 300 times the default
+MOST_ELEMENTS = 1000  # in a list
+LONGEST_TEXT = 4096  # characters: the longest path that Linux allows
+SHOWN = 200  # characters of a user's value that a message repeats
 KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 Option = dataclasses.Field[Any]
@@ -29,7 +29,7 @@ def option(default: Any, group: str, text: str, *, affects: str = "model",
            short: str | None = None, main: bool = False, words: dict[str, Any] | None = None,
            choices: Sequence[str] = (), more: Callable[[], Iterable[str]] | None = None,
            minimum: float | None = None, maximum: float | None = None, most: float | None = None,
-           wish: str | None = None, check: Callable[[Any], object] | None = None,
+           expects: str | None = None, check: Callable[[Any], object] | None = None,
            separator: str | None = None, sets: dict[Any, dict[str, Any]] | None = None,
            part: str | None = None) -> Any:
     """A field of a dataclass of options.
@@ -37,22 +37,21 @@ def option(default: Any, group: str, text: str, *, affects: str = "model",
     Parameters
     ----------
     default : the value where nobody gives one.
-    group : the heading that the help lists it under.
-    text : its help.
-    affects : "model", the bytes of the result; "time", how long it takes, or what else is written;
-        "nothing" of both.
-    short : a second flag, such as -n.
-    main : whether --help lists it; --help-all lists all.
-    words : word -> the value that it stands for, which no limit refuses.
-    choices : the values that there are.
-    more : gives choices of other packages; asked only where need be.
+    group : heading under which the help lists it.
+    text : help text.
+    affects : "model" (the bytes of the result), "time" (the duration, or other files) or "nothing".
+    short : second flag, such as -n.
+    main : whether --help lists the option; --help-all lists all of them.
+    words : word -> the value that it stands for; the limits do not apply to it.
+    choices : the allowed values.
+    more : returns choices that other packages add; called only when they are needed.
     minimum, maximum : limits of a number, or of each element of a tuple.
-    most : a maximum that is no end of a scale, but what can still be done; None: MOST of its type.
-    wish : what a refusal says is wanted, where limits and type do not say it well.
-    check : called with a value that is within the limits; raises ValueError.
-    separator : between the elements of a tuple that is one word of the command line.
-    sets : value of this option -> other options that it sets unless the user does, by name.
-    part : the part of a training that it belongs to; schedules without it refuse the option.
+    most : practical upper bound, which messages do not list as a limit; default MOST of the type.
+    expects : what an error message says is expected, where limits and type do not say it well.
+    check : called with a value within the limits; raises ValueError to refuse it.
+    separator : between the elements of a tuple that is a single word on the command line.
+    sets : value of this option -> {name: value} of options that it sets unless the user does.
+    part : part of a training that the option belongs to; schedules without it refuse the option.
     """
     settings = {name: value for name, value in locals().items() if name not in ("default", "text")}
     return dataclasses.field(default=default, metadata={**settings, "help": text,
@@ -70,9 +69,12 @@ def flag_name(name: str) -> str:
 
 
 def kind_of(option: Option) -> tuple[Any, int | None]:
-    """(type of a value or of each element, number of elements: 0 for no tuple, None for any)."""
+    """(type of a value or of each element, number of elements).
+
+    The number is 0 if the option is not a tuple, and None if a tuple may have any length.
+    """
     kind: Any = option.type
-    if isinstance(kind, UnionType):  # or None, which a word stands for
+    if isinstance(kind, UnionType):  # X | None: a word stands for None
         kind = get_args(kind)[0]
     elements = get_args(kind)
     if not elements:
@@ -80,12 +82,12 @@ def kind_of(option: Option) -> tuple[Any, int | None]:
     return elements[0], None if ... in elements else len(elements)
 
 
-def wanted(option: Option) -> str:
-    """What an option expects, for an error message."""
+def expected(option: Option) -> str:
+    """The values that an option expects, in words, for an error message."""
     meta = option.metadata
     low, high = meta["minimum"], meta["maximum"]
-    if meta["wish"]:
-        text = meta["wish"]
+    if meta["expects"]:
+        text = meta["expects"]
     elif meta["choices"]:
         text = f"one of {', '.join((*meta['choices'], *(meta['more']() if meta['more'] else ())))}"
     else:
@@ -96,10 +98,14 @@ def wanted(option: Option) -> str:
 
 
 def checked_value(option: Option, value: Any) -> Any:
-    """`value` as the option has it; ValueError, which says what is wrong where `wanted` does not.
+    """Convert a value to the type of the option, or refuse it.
 
-    A word becomes what it stands for. Whole numbers serve as fractions, and lists, which are what
-    TOML and JSON have, as tuples.
+    A word becomes what it stands for, an integer becomes a float where one is expected, and a list,
+    as TOML and JSON have it, becomes a tuple.
+
+    Raises
+    ------
+    ValueError : its text says what is expected; without text, `expected` does.
     """
     words, (kind, count) = option.metadata["words"], kind_of(option)
     if isinstance(value, list):
@@ -146,7 +152,7 @@ def _checked_one(option: Option, kind: Any, value: Any) -> Any:
 
 
 def _check_text(text: str) -> None:
-    """ValueError for what a record, or the path of a file, cannot hold."""
+    """Refuse a text that neither a JSON record nor a path can contain."""
     if len(text) > LONGEST_TEXT:
         raise ValueError(f"at most {LONGEST_TEXT} characters")
     if "\0" in text or any("\ud800" <= letter <= "\udfff" for letter in text):
@@ -154,7 +160,7 @@ def _check_text(text: str) -> None:
 
 
 def parsed(option: Option, text: str) -> Any:
-    """What a text of the command line says, not yet checked; ValueError for no number."""
+    """Parse a text of the command line without checking limits; ValueError for what is no value."""
     kind, count = kind_of(option)
     if kind is str or text in option.metadata["words"]:
         return option.metadata["words"].get(text, text)
@@ -164,7 +170,7 @@ def parsed(option: Option, text: str) -> Any:
 
 
 def check_flag(option: Option, value: Any) -> Any:
-    """`checked_value` of what a flag gave; InputError names the flag."""
+    """`checked_value` of the value of a flag; the InputError names the flag."""
     try:
         return checked_value(option, value)
     except ValueError as error:
@@ -172,11 +178,11 @@ def check_flag(option: Option, value: Any) -> Any:
         text = between.join(f"{part:g}" if isinstance(part, float) else str(part)
                             for part in (value if isinstance(value, tuple) else (value,)))
         raise InputError(f"{flag_name(option.name)} {text[:SHOWN]}: expects "
-                         f"{str(error) or wanted(option)}") from None
+                         f"{str(error) or expected(option)}") from None
 
 
 def checked(kind: type, source: str, key: str, value: Any) -> Any:
-    """`checked_value` of the option `key` of a dataclass; InputError names `source`, if not ""."""
+    """`checked_value` of the option `key` of a dataclass; the InputError begins with `source`."""
     source = source and f"{source}: "
     known = {option.name: option for option in options_of(kind)}
     if key not in known:
@@ -186,35 +192,35 @@ def checked(kind: type, source: str, key: str, value: Any) -> Any:
         return checked_value(known[key], value)
     except ValueError as error:
         raise InputError(f"{source}option '{key.replace('_', '-')}' expects "
-                         f"{str(error) or wanted(known[key])}, got {_shown(value)}") from None
+                         f"{str(error) or expected(known[key])}, got {_shown(value)}") from None
 
 
 def _shown(value: object) -> str:
     try:
         return repr(value)[:SHOWN]
-    except ValueError:  # Python does not write out integers of more than 4300 digits
+    except ValueError:  # Python does not print integers of more than 4300 digits
         return "a number of thousands of digits"
 
 
 def plain(value: Any) -> Any:
-    """A dataclass, or a value of one, as JSON gives it back."""
+    """A value, or a dataclass as a dict, as it is after a round trip through JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
     return json.loads(json.dumps(value))
 
 
 def differences(record: dict[str, Any], options: Any) -> Iterator[tuple[str, Any, Any]]:
-    """(name, value there, value here) of each option that makes a run another one than recorded.
+    """Yield (name, recorded value, present value) of each option that would make another run.
 
-    The one place that says whether two runs are the same: options that affect "nothing" may differ.
+    This alone decides whether two runs are the same: options that affect "nothing" may differ.
 
     Parameters
     ----------
-    record : option -> value, as a file of JSON has it.
-    options : a dataclass of options.
+    record : option -> value, as a JSON file has it.
+    options : instance of a dataclass of options.
     """
-    here = plain(options)
+    present = plain(options)
     for known in options_of(type(options)):
-        there = plain(record.get(known.name))
-        if known.metadata["affects"] != "nothing" and there != here[known.name]:
-            yield known.name, there, here[known.name]
+        recorded = plain(record.get(known.name))
+        if known.metadata["affects"] != "nothing" and recorded != present[known.name]:
+            yield known.name, recorded, present[known.name]

@@ -11,24 +11,30 @@ try:
 except ModuleNotFoundError:  # Python 3.10
     import tomli as tomllib  # type: ignore[no-redef]
 
-LARGEST_FILE = 1 << 20  # bytes
+MOST_BYTES = 1 << 20  # in a file
 
 
 def from_toml(kind: type, path: str | os.PathLike[str]) -> dict[str, Any]:
-    """{option: value} of a TOML file; InputError for unknown keys and wrong values."""
+    """Read {option: value} from a TOML file; InputError for unknown keys and wrong values.
+
+    Parameters
+    ----------
+    kind : dataclass of options.
+    path : the file.
+    """
     try:
         if os.path.exists(path) and not os.path.isfile(path):
             raise InputError(f"{path}: cannot be read (it is not a file); give a TOML file of "
                              "options")
         with open(path, "rb") as file:
-            data = file.read(LARGEST_FILE + 1)
-        if len(data) > LARGEST_FILE:
-            raise InputError(f"{path}: is larger than {LARGEST_FILE >> 20} MiB; give a TOML file "
+            data = file.read(MOST_BYTES + 1)
+        if len(data) > MOST_BYTES:
+            raise InputError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; give a TOML file "
                              "of options, such as iterations = 7000")
-        table = tomllib.loads(data.decode("utf-8-sig"))  # Windows editors begin with a mark
+        table = tomllib.loads(data.decode("utf-8-sig"))  # with the mark of Windows editors
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:  # tomllib: also of integers with 4301 digits
+    except (ValueError, RecursionError) as error:  # also from integers of 4301 digits
         raise InputError(f"{path}: not valid TOML: {str(error)[:SHOWN]}") from None
     values: dict[str, Any] = {}
     for key, value in table.items():

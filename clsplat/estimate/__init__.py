@@ -1,5 +1,5 @@
-"""What a training will take, before it is begun: memory by counting, time by a few real steps.
+"""Predicts the memory and time of a training: memory by counting, time from a few real steps.
 
-What a scene needs is decided in `clsplat.training.decisions`, which the training itself asks; how
-its schedule will go is in `clsplat.schedule.simulate`.
+`clsplat.training.decisions` decides which parts a scene needs, as in a training, and
+`clsplat.schedule.simulate` predicts the schedule.
 """

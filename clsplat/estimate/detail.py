@@ -1,41 +1,46 @@
-"""How much fine detail the photos have, which decides how many gaussians they will ask for."""
+"""How much fine detail the photos have, on which the number of gaussians depends."""
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.io.resample import resample
+from clsplat.scene import View
 from clsplat.training.photos import decoded
 
-PHOTOS = 8  # that stand for all
-MOST_PIXELS, BANDS = 2e6, 16  # of a photo that are looked at
+SAMPLED_PHOTOS = 8
+SAMPLED_PIXELS, BANDS = 2e6, 16  # of a large photo
 
 
-def photo_detail(views, levels):
-    """{level: mean difference in 0..1 of photos, `level` times smaller, to their blocks of 2 x 2
-    pixels}: what another level of half the size would not show. Of some of the `views`, evenly
-    picked; each photo is read once."""
-    chosen = views[::-(-len(views) // PHOTOS)]
-    found = {level: [] for level in levels}
+def photo_detail(views: Sequence[View], levels: Iterable[float]) -> dict[float, float]:
+    """Measure the detail that photos at each level would lose at half the size.
+
+    It is the mean difference, in 0..1, between a photo `level` times smaller and the means of its
+    blocks of 2 x 2 pixels. Some evenly spaced views are sampled; each photo is read once.
+    """
+    chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
+    sampled: dict[float, list[np.floating]] = {level: [] for level in levels}
     for photo in decoded(chosen):
         for part in _parts(photo.transpose(1, 2, 0)):
-            for level, details in found.items():
+            for level, details in sampled.items():
                 height, width = (max(1, int(side / level)) for side in part.shape[:2])
                 small = part if level == 1 else resample(part, (width, height))
                 details.append(_detail(small.transpose(2, 0, 1) / np.float32(255)))
-    return {level: float(np.mean(details)) for level, details in found.items()}
+    return {level: float(np.mean(details)) for level, details in sampled.items()}
 
 
-def _parts(pixels):
-    """A photo uint8[H, W, 3], or of one of more than MOST_PIXELS some bands of rows, evenly spread,
-    that have so many together."""
+def _parts(pixels: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
+    """A photo [H, W, 3], or evenly spaced bands of rows with SAMPLED_PIXELS together."""
     height, width = pixels.shape[:2]
-    if height * width <= MOST_PIXELS:
+    if height * width <= SAMPLED_PIXELS:
         return [pixels]
-    rows = int(MOST_PIXELS / BANDS / width)
+    rows = int(SAMPLED_PIXELS / BANDS / width)
     return [pixels[top:top + rows] for top in
             np.linspace(0, height - rows, BANDS).astype(int)]
 
 
-def _detail(photo):
+def _detail(photo: NDArray[np.float32]) -> np.floating:
     height, width = (size - size % 2 for size in photo.shape[1:])
     blocks = photo[:, :height, :width].reshape(3, height // 2, 2, width // 2, 2)
     return np.abs(blocks - blocks.mean(axis=(2, 4), keepdims=True)).mean()

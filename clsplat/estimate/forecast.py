@@ -1,4 +1,4 @@
-"""What a training would leave out, and what it would take."""
+"""Plans a training: its decisions, and a forecast of its memory and time."""
 
 import dataclasses
 
@@ -22,15 +22,15 @@ MIB = 2**20
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Forecast:
-    """What a training is expected to take.
+    """The predicted course of a training.
 
     Attributes
     ----------
-    steps : of the whole run.
-    gaussians : the most at a time.
-    memory : of the device.
-    seconds : of training.
-    ends : [(level, gaussians, seconds a step), ...] at the beginning and at the end of the run.
+    steps : length of the run.
+    gaussians : largest number of gaussians.
+    memory : device memory.
+    seconds : time of training.
+    ends : (level, gaussians, seconds per step) at the beginning and at the end of the run.
     streaming : whether photos stay on the device.
     """
 
@@ -43,30 +43,32 @@ class Forecast:
 
 
 class Planned:
-    """A training as it would begin; InputError where it could not.
+    """A training that is prepared but not begun; InputError where it cannot be.
 
     Parameters
     ----------
     scene : as it was read.
-    options : as they were given.
+    options : as the user gave them.
     device : of the training.
-    progress : told what is being done.
+    progress : receives what is being done.
 
     Attributes
     ----------
-    prepared : the scene as it would be trained on.
+    prepared : the scene, ready for training.
     """
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device,
                  progress: SilentProgress | None = None) -> None:
         self.device, self.progress = device, progress or SilentProgress()
-        self.progress.phase("planning: looking at the photos")
+        self.progress.phase("planning: inspecting the photos")
         self.prepared = prepare(scene, options, device)
-        self._details: dict[float, float] = {}  # level -> of the photos
+        self._details: dict[float, float] = {}  # level -> `photo_detail`
 
     def forecast(self) -> Forecast:
-        """The Forecast. Takes some real steps on the device; raises DeviceError where they, or
-        those to come, do not fit."""
+        """Forecast the training; this takes some real steps on the device.
+
+        Raises DeviceError where these steps, or those to come, do not fit the device.
+        """
         options, prepared = self.prepared.options, self.prepared
         gaussians = initial_gaussians(prepared.scene, options)
         self.progress.phase("planning: how many gaussians")
@@ -83,16 +85,16 @@ class Planned:
                         self._streaming(memory))
 
     def _segments(self, options: TrainOptions, gaussians: Gaussians) -> list[Segment]:
-        """Those of a run that begins with these gaussians; of a block's, some never grow."""
+        """The simulated run, including the gaussians of a block that are frozen."""
         schedule = self.prepared.schedule(gaussians, options)
         unknown = set(schedule.levels) - self._details.keys()
         if unknown:
             self._details |= photo_detail(self.prepared.train_views, sorted(unknown))
         frozen = gaussians.count - schedule.facts.count
         return [dataclasses.replace(segment, gaussians=segment.gaussians + frozen)
-                for segment in simulate(schedule, self._details.get)]
+                for segment in simulate(schedule, self._details.__getitem__)]
 
-    def _streaming(self, memory):
+    def _streaming(self, memory: Memory) -> Decision:
         size = 3 * sum(v.camera.width * v.camera.height for v in self.prepared.train_views)
         value = "resident" if memory.resident else "streamed"
         allowed = DEVICE_SHARE * self.device.handle.global_mem_size

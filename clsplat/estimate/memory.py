@@ -1,8 +1,8 @@
-"""The device memory that a training will take at most, added up from the arrays that it allocates.
+"""Predicts the largest device memory of a training, the sum of the arrays that it allocates.
 
-What lasts is listed by its owners (`Model.arrays` and the like), what a step needs in
-`rendering.frame_arrays` and by the losses and the optimiser. How many splats and pairs a frame has
-is measured on sampled gaussians.
+Persistent arrays are listed by their owners (`Model.arrays` and the like), those of a step in
+`rendering.frame_arrays`, by the losses and by the optimiser. The numbers of splats and pairs of a
+frame are measured with sampled gaussians.
 """
 
 import math
@@ -30,8 +30,8 @@ from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.session import PreparedScene
 from clsplat.training.source_views import SourceViews
 
-VIEWS = 48  # whose frames stand for all
-MOST_SAMPLED = 200_000  # gaussians at most that are rendered; more are extrapolated to
+SAMPLED_VIEWS = 48
+MOST_SAMPLED = 200_000  # gaussians that are rendered; larger numbers are extrapolated
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class Memory:
 
     Attributes
     ----------
-    total : at most, while the model grows.
-    steps : at most after a step, which is what metrics.jsonl has.
-    photos : of them, those at the level with most.
+    total : the most, while the model grows.
+    steps : the most after a step, which metrics.jsonl records.
+    photos : photos of the level with most, which are part of it.
     resident : whether photos stay on the device at every level.
     model : parameters and moments at the end.
     """
@@ -55,45 +55,49 @@ class Memory:
 
 
 class Frames:
-    """How many splats and pairs views have, as a power law between two counts of gaussians.
+    """Numbers of splats and pairs of views, as power laws through two numbers of gaussians.
 
     Attributes
     ----------
-    indices : the views that stand for all.
+    indices : the sampled views.
     """
 
     def __init__(self, device: Device, prepared: PreparedScene, level: float,
                  counts: Iterable[int]) -> None:
-        self.indices = spread_out(len(prepared.train_views), VIEWS)
+        self.indices = spread_out(len(prepared.train_views), SAMPLED_VIEWS)
         renderer = Renderer(device, 0, prepared.near, prepared.options.antialiased)
         shown = at_level(prepared.train_views, level)
         measured = []
         for count in sorted({min(count, MOST_SAMPLED) for count in counts}):
             rows = {name: device.upload(values)
                     for name, values in sampled(prepared.scene, count, 0).rows.items()}
-            found = [settled(renderer, rows, shown[index].camera) for index in self.indices]
-            measured.append((count, np.maximum(found, 1)))
-        self.count, self.found = measured[0]
-        self.power = np.ones_like(self.found, float)
+            sizes = [settled(renderer, rows, shown[index].camera) for index in self.indices]
+            measured.append((count, np.maximum(sizes, 1)))
+        self.count, self.sizes = measured[0]
+        self.power = np.ones_like(self.sizes, float)
         if len(measured) > 1:
-            ratio = np.log(measured[1][1] / self.found) / math.log(measured[1][0] / self.count)
+            ratio = np.log(measured[1][1] / self.sizes) / math.log(measured[1][0] / self.count)
             self.power = ratio.clip(0, 1)
 
     def at(self, count: int) -> list[list[int]]:
-        """[[splats, pairs], ...] of each of `indices`."""
-        found = self.found * (count / self.count) ** self.power
-        return np.minimum(found, [count, np.inf]).astype(int).tolist()
+        """[[splats, pairs], ...] of `indices`, with `count` gaussians."""
+        sizes = self.sizes * (count / self.count) ** self.power
+        pairs: list[list[int]] = np.minimum(sizes, [count, np.inf]).astype(int).tolist()
+        return pairs
 
 
 class Pool:
-    """The bytes that the device's pool keeps for short-lived arrays: of each size of block as many
-    as were in use at a time."""
+    """The bytes that the device's pool keeps for short-lived arrays.
+
+    For each block size it keeps as many blocks as were in use at once.
+    """
 
     def __init__(self, real: np.dtype) -> None:
-        self._real, self._most = real, Counter()
+        self._real = real
+        self._most: Counter[int] = Counter()  # bytes of a block -> blocks
 
     def add(self, arrays: Iterable[FrameArray]) -> None:
-        """A step allocates these."""
+        """Add the arrays of a step."""
         for alive in by_stage(arrays):
             self._most |= Counter(block_bytes(array.nbytes(self._real)) for array in alive)
 
@@ -105,14 +109,14 @@ class Pool:
 
 def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussians,
                      segments: Sequence[Segment]) -> Memory:
-    """The Memory of a training; DeviceError where one of its arrays would be too large.
+    """Predict the device memory of a training; DeviceError if an array would be too large.
 
     Parameters
     ----------
     device : of the training.
     prepared : the scene.
     gaussians : the initial ones.
-    segments : of the run, as its schedule is simulated.
+    segments : the simulated run.
     """
     options, views = prepared.options, prepared.train_views
     names, capacity = list(gaussians.rows), gaussians.count
@@ -121,7 +125,7 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     total = steps = most_photos = 0
     level, count, resident = None, gaussians.count, True
 
-    def model_of(capacity):
+    def model_of(capacity: int) -> list[ArraySpec]:
         return model_arrays(names, options.sh_degree, capacity, options.engine)
 
     for segment in segments:
@@ -156,25 +160,25 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
 
 def model_arrays(names: Iterable[str], sh_degree: int, capacity: int,
                  engine: str) -> list[ArraySpec]:
-    """Rows and moments of so many gaussians, in the order in which growth replaces them."""
+    """The arrays of rows and moments, in the order in which growth replaces them."""
     rows = Model.arrays(names, sh_degree, capacity)
     moments = ENGINES[engine].arrays({field.name: rows[field.name] for field in LEARNED})
     return [spec for fields in (rows, *moments) for spec in fields.values()]
 
 
 def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:
-    """What else lasts while there are `count` gaussians, photos aside."""
+    """The other persistent arrays with `count` gaussians, without photos."""
     options, views, scene = prepared.options, prepared.train_views, prepared.scene
     neighbours = prepared.decisions.neighbours
     return [*Statistics.arrays(count).values(), *Renderer.ARRAYS, *len(views) * [CAMERA],
             *(Exposures.arrays(len(views)).values() if options.exposure == "on" else ()),
             *(SourceViews.arrays(neighbours).values() if neighbours else ()),
-            *([ArraySpec((count,), np.uint32)] if scene.region else ())]  # which are frozen
+            *([ArraySpec((count,), np.uint32)] if scene.region else ())]  # Step.frozen
 
 
 def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
                 terms: Iterable[LossTerm]) -> list[FrameArray]:
-    """What a step allocates for a view with these terms of the loss."""
+    """The arrays that a step allocates for a view, with these terms of the loss."""
     options, terms = prepared.options, list(terms)
     exposes, count, seen = options.exposure == "on", size.gaussians, size.splats
     degree, image = options.sh_degree, (size.width, size.height)
@@ -192,23 +196,22 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
 
 
 def block_bytes(size: int) -> int:
-    """What the pool takes for `size` bytes: the largest size of its bin, of which there are two an
-    octave."""
+    """Bytes that the pool takes for `size` bytes: the largest size of its bin, two per octave."""
     half = 1 << max(0, size.bit_length() - 2)  # half of the leading bit
     return (size // half + 1) * half - 1
 
 
-def _bytes(device, specs):
+def _bytes(device: Device, specs: Sequence[ArraySpec]) -> int:
     for spec in specs:
         device.check_size(spec.nbytes(device.real))
     return sum(spec.nbytes(device.real) for spec in specs)
 
 
-def _while_replaced(device, old, new):
-    """Bytes at most, where each array is replaced by a new one in turn."""
-    held, most = _bytes(device, old), 0
+def _while_replaced(device: Device, old: Sequence[ArraySpec], new: Sequence[ArraySpec]) -> int:
+    """The most bytes while each array is replaced by a new one in turn."""
+    used, most = _bytes(device, old), 0
     for before, after in zip(old, new):
-        held += after.nbytes(device.real)
-        most = max(most, held)
-        held -= before.nbytes(device.real)
+        used += after.nbytes(device.real)
+        most = max(most, used)
+        used -= before.nbytes(device.real)
     return most

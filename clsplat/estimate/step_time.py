@@ -1,7 +1,7 @@
-"""The time that a training will take, from a few of its real steps.
+"""Predicts the time of a training from a few real steps.
 
-A step is taken to cost a + b * pixels + c * gaussians; the three are fitted to steps at two levels
-and two numbers of gaussians, and added up over the segments of the simulated schedule.
+We model the time of a step as a + b * pixels + c * gaussians, fit a, b and c to steps at two levels
+and two numbers of gaussians, and sum over the segments of the simulated schedule.
 """
 
 import itertools
@@ -25,22 +25,25 @@ from clsplat.training.photos import at_level
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import PreparedScene
 
-VIEWS = 8  # stepped with in turn
-BATCH = 0.2  # seconds at least that are timed at once, as training goes: without waiting in between
-BATCHES = 3  # whose median counts
-MORE = 4  # times the initial gaussians, at most, are stepped with
-MOST = 200_000
-MOST_PIXELS = 2e6  # of an image that is stepped with; larger ones are extrapolated to
-BUSY = 0.5  # processes that wait or run, a core
+SAMPLED_VIEWS = 8  # for steps in turn
+TIMED_SECONDS = 0.2  # least time of a measurement, in which steps do not wait for the device
+REPEATS = 3  # of a measurement; the median counts
+MOST_GROWTH = 4  # largest multiple of the initial gaussians in a timed step
+MOST_GAUSSIANS = 200_000  # in a timed step
+MOST_PIXELS = 2e6  # of an image in a timed step; larger images are extrapolated
+BUSY_LOAD = 0.5  # processes per core that run or wait
 
 
 def predicted_seconds(device: Device, prepared: PreparedScene, gaussians: Gaussians,
                       segments: Sequence[Segment], progress: SilentProgress | None = None,
                       ) -> tuple[float, list[tuple[float, int, float]]]:
-    """(seconds of training, [(level, gaussians, seconds a step), ...]: of the first segment and of
-    the last).
+    """Predict the time of a training, without evaluations, files and compilation.
 
-    Arguments as of `memory.predicted_memory`. Evaluations, files and compiling are no training.
+    Arguments as for `memory.predicted_memory`.
+
+    Returns
+    -------
+    (seconds, [(level, gaussians, seconds per step), ...] of the first and of the last segment).
     """
     progress, views = progress or SilentProgress(), prepared.train_views
     regularises = any(segment.regularises for segment in segments)
@@ -57,11 +60,13 @@ def predicted_seconds(device: Device, prepared: PreparedScene, gaussians: Gaussi
 
 def stepped_with(views: Sequence[View], count: int,
                  segments: Sequence[Segment]) -> list[tuple[float, int]]:
-    """[(level, gaussians), ...] to time steps at: those of the run's first level and of its
-    last, of `count` gaussians and of more. Images of more than MOST_PIXELS are left out: two
-    smaller sizes say how time grows with pixels."""
-    few = min(count, MOST)
-    many = min(max(segments[-1].gaussians, 2 * few), MORE * few, MOST)
+    """The (level, gaussians) at which steps are timed.
+
+    These are the first and the last level of the run, each with `count` gaussians and with more.
+    Two smaller sizes replace images of more than MOST_PIXELS; they show how time grows with pixels.
+    """
+    few = min(count, MOST_GAUSSIANS)
+    many = min(max(segments[-1].gaussians, 2 * few), MOST_GROWTH * few, MOST_GAUSSIANS)
     first, last = segments[0].level, segments[-1].level
     most_first = max(segment.gaussians for segment in segments if segment.level == first)
     smaller = math.sqrt(pixels(views, 1.0) / MOST_PIXELS)
@@ -72,52 +77,57 @@ def stepped_with(views: Sequence[View], count: int,
 
 
 def load() -> tuple[float, int] | None:
-    """(processes that run or wait, cores) where the machine is busy with other things, by its
-    average of the last minute; None where it is not, or does not tell."""
+    """(processes that run or wait, cores) if other processes keep the machine busy, else None.
+
+    The number of processes is the average of the last minute; None too where it is not known.
+    """
     try:
         average, cores = os.getloadavg()[0], os.cpu_count() or 1
     except (AttributeError, OSError):  # Windows has none
         return None
-    return (average, cores) if average > BUSY * cores else None
+    return (average, cores) if average > BUSY_LOAD * cores else None
 
 
 def fitted(measured: Sequence[tuple[float, int, float]]) -> NDArray[np.float64]:
-    """(a, b, c) >= 0 of [(pixels, gaussians, seconds), ...], equal relative errors weighing
-    equally. Images of one size say only what a + b * pixels is."""
+    """Fit (a, b, c) >= 0 to [(pixels, gaussians, seconds), ...], by relative errors.
+
+    Images of a single size determine only a + b * pixels.
+    """
     image, count, seconds = np.array(measured, float).T
     columns = np.stack([np.ones_like(image), image / image.max(), count / count.max()], axis=1)
-    solution, _ = nnls(columns / seconds[:, None], np.ones_like(seconds))
-    return solution / [1, image.max(), count.max()]
+    solution: NDArray[np.float64] = nnls(columns / seconds[:, None], np.ones_like(seconds))[0]
+    return solution / np.array([1, image.max(), count.max()])
 
 
-def predicted(cost: Sequence[float], views: Sequence[View],
+def predicted(cost: Sequence[float] | NDArray[np.float64], views: Sequence[View],
               segments: Sequence[Segment]) -> float:
-    """Seconds of a run by (a, b, c)."""
+    """Seconds of a run, from the cost (a, b, c)."""
     sizes = {level: pixels(views, level) for level in {s.level for s in segments}}
     return float(sum(s.steps * np.dot(cost, (1, sizes[s.level], s.gaussians)) for s in segments))
 
 
 def pixels(views: Sequence[View], level: float) -> float:
-    """Of an image, on average."""
+    """Mean number of pixels of an image at a level."""
     return float(np.mean([v.camera.width * v.camera.height for v in at_level(views, level)]))
 
 
-def _step_seconds(device, prepared, level, count, regularises):
-    """Seconds of a step on real photos."""
-    chosen = spread_out(len(prepared.train_views), VIEWS)
+def _step_seconds(device: Device, prepared: PreparedScene, level: float, count: int,
+                  regularises: bool) -> float:
+    """Measure the seconds of a step on real photos."""
+    chosen = spread_out(len(prepared.train_views), SAMPLED_VIEWS)
     renderer = Renderer(device, 0, prepared.near, prepared.options.antialiased)
     cameras = [view.camera
                for view in at_level([prepared.train_views[index] for index in chosen], level)]
     gaussians = sized(sampled(prepared.scene, count, prepared.options.sh_degree), renderer, cameras)
     trial = TrialSteps(trial_session(prepared, device, gaussians, level))
     steps = [trial.prepare(index, regularises) for index in chosen]
-    for step in steps:  # builds kernels and fills the pool
+    for step in steps:  # compile kernels and fill the pool
         step()
     device.finish()
     turns, each = itertools.cycle(steps), []
-    for _ in range(BATCHES):
+    for _ in range(REPEATS):
         begin, taken = time.perf_counter(), 0
-        while time.perf_counter() - begin < BATCH:
+        while time.perf_counter() - begin < TIMED_SECONDS:
             next(turns)()
             taken += 1
         device.finish()

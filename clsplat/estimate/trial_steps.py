@@ -1,4 +1,4 @@
-"""Steps of a training that is not begun: its own Session, on gaussians sampled about the points."""
+"""Trial steps before a training, in a session of its own with sampled gaussians."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,15 +16,15 @@ from clsplat.training.photos import at_level, decode
 from clsplat.training.session import PreparedScene, Session
 
 PAIRS_A_SPLAT, PAIRS_A_TILE = 1.62, 114
-SIZES, HALVINGS = 2.0, 6  # logarithm of the size looked for, and how often its range is halved
+LOG_SIZE, HALVINGS = 2.0, 6  # search range +-LOG_SIZE of the log size, and its number of halvings
 
 
 class TrialSteps:
-    """Takes steps of a Session, one view at a time.
+    """Takes steps of a session, one view at a time.
 
     Attributes
     ----------
-    session : what is stepped with.
+    session : the session.
     plan : of every step; may be replaced.
     """
 
@@ -33,27 +33,31 @@ class TrialSteps:
         self.plan = trial_plan(session.options, session.level, False)
 
     def prepare(self, index: int, regularises: bool = False) -> Callable[[], object]:
-        """A function that takes one step on a view, with its photo and camera in place; a batch is
-        all of this view."""
+        """Return a function that takes a step on a view, whose photo is on the device already.
+
+        A batch consists of this view only.
+        """
         session, plan = self.session, replace(self.plan, regularises=float(regularises))
         samples = session.options.batch * [session.sample(index, 1, plan)]
 
-        def take():
+        def take() -> object:
             session.iteration += 1
             return session.step.run(session.iteration, plan, samples)
         return take
 
 
 def trial_plan(options: TrainOptions, level: float, regularises: bool) -> Plan:
-    """The Plan of a step with all harmonics, which gathers statistics."""
+    """The plan of a step with all spherical harmonics, which gathers statistics."""
     return Plan(level=level, degree=options.sh_degree, gathers=True, grows=False,
                 resets_opacity=False, prunes_large=False, decay=0.0,
                 regularises=float(regularises))
 
 
 class SizedPhotos:
-    """What `training.photos.Photos` is to a Session, where only the sizes of photos matter: one of
-    each size is read, and stands for all."""
+    """Replaces `training.photos.Photos` where only the sizes of photos matter.
+
+    One photo of each size is read and used for all views of that size.
+    """
 
     resident = True
 
@@ -63,7 +67,7 @@ class SizedPhotos:
         self._photos: dict[tuple[int, int], Array] = {}
 
     def use(self, level: float) -> None:
-        """There is one level."""
+        """Do nothing, as there is a single level."""
 
     def __getitem__(self, index: int) -> Array:
         view = self.views[index]
@@ -75,14 +79,17 @@ class SizedPhotos:
 
 def trial_session(prepared: PreparedScene, device: Device, gaussians: Gaussians,
                   level: float) -> Session:
-    """A Session at a level whose photos have the right sizes."""
+    """A session at a level, with photos of the right sizes."""
     return Session(prepared, device, gaussians,
                    photos=SizedPhotos(device, prepared.train_views, level))
 
 
 def sampled(scene: Scene, count: int, sh_degree: int, seed: int = 0) -> Gaussians:
-    """Gaussians, `count` of them, as growth might leave them: the sparse points, or some of them,
-    and more within half their distance to each other; sized anew by that distance."""
+    """Sample `count` gaussians that resemble a model after growth.
+
+    These are the sparse points, or some of them, and more points within half their distance to each
+    other. Sizes follow the distances.
+    """
     points, colours = scene.points, scene.colours
     rng = np.random.default_rng(seed)
     if count < len(points):
@@ -98,37 +105,42 @@ def sampled(scene: Scene, count: int, sh_degree: int, seed: int = 0) -> Gaussian
 
 
 def sized(gaussians: Gaussians, renderer: Renderer, cameras: Sequence[Camera]) -> Gaussians:
-    """The gaussians made larger or smaller, all alike, so that the cameras' frames have as many
-    pairs together as `settled` says. Pairs are counted, nothing is rendered."""
-    low, high = -SIZES, SIZES
+    """Scale all gaussians by one factor, so that the frames have as many pairs as `settled` says.
+
+    Pairs are counted over all cameras; nothing is rendered.
+    """
+    low, high = -LOG_SIZE, LOG_SIZE
     packed = [renderer.pack(camera) for camera in cameras]
     rows = {name: renderer.device.upload(values) for name, values in gaussians.rows.items()}
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         log_scales = gaussians.log_scales + np.float32(middle)
         rows["log_scales"].write(log_scales)
-        pairs = wanted = 0
+        pairs, target = 0, 0.0
         for camera, on_device in zip(cameras, packed):
-            splats, found = renderer.count(rows, on_device, camera.width, camera.height)
-            pairs += found
-            wanted += _settled_pairs(splats, camera, renderer.device)
-        low, high = (low, middle) if pairs > wanted else (middle, high)
+            splats, count = renderer.count(rows, on_device, camera.width, camera.height)
+            pairs += count
+            target += _settled_pairs(splats, camera, renderer.device)
+        low, high = (low, middle) if pairs > target else (middle, high)
     return Gaussians({**gaussians.rows, "log_scales": log_scales}, gaussians.sh_degree)
 
 
 def settled(renderer: Renderer, rows: dict[str, Array], camera: Camera) -> tuple[int, float]:
-    """(splats, pairs) of a frame, were the gaussians trained: PAIRS_A_SPLAT a splat and
-    PAIRS_A_TILE a tile. Of the trained models of five scenes that was off by 26 % at most, in the
-    mean of the views and in the largest; sampled gaussians had up to 2.5 times as many."""
+    """Estimate (splats, pairs) of a frame as if the gaussians were trained.
+
+    We assume PAIRS_A_SPLAT pairs for each splat and PAIRS_A_TILE for each tile. With trained models
+    of five scenes the error was at most 26 %, in the mean of the views and in the largest; sampled
+    gaussians had up to 2.5 times as many pairs.
+    """
     splats = renderer.count_splats(rows, renderer.pack(camera))
     return splats, _settled_pairs(splats, camera, renderer.device)
 
 
-def _settled_pairs(splats, camera, device):
+def _settled_pairs(splats: int, camera: Camera, device: Device) -> float:
     return (PAIRS_A_SPLAT * splats
             + PAIRS_A_TILE * camera.width * camera.height / device.tile**2)
 
 
 def spread_out(count: int, most: int) -> list[int]:
-    """Indices of at most `most` of `count` things, evenly spread."""
+    """At most `most` evenly spaced indices below `count`."""
     return sorted(set(np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()))

@@ -44,7 +44,7 @@ class PartitionOptions:
     grid: tuple[int, int] | None = option(
         None, "Blocks", "number of blocks along both sides of the ground, such as 3x3; auto: as "
         "many as --block-gaussians requires", words={AUTO: None}, separator="x", minimum=1,
-        wish="blocks along both sides, 1 or more each way, such as 3x3")
+        expects="blocks along both sides, 1 or more each way, such as 3x3")
     block_gaussians: int = option(  # the grid that it chose is kept
         0, "Blocks", "gaussians that a block may end with; auto: as many as fit the device",
         affects="nothing", words={AUTO: 0}, minimum=LEAST_GAUSSIANS)
@@ -52,12 +52,12 @@ class PartitionOptions:
                            "as a share of the block's sides", minimum=0.0, maximum=10.0)
     up: tuple[float, float, float] | None = option(
         None, "Blocks", "the direction that points up; default: estimated from the cameras",
-        wish="three numbers that are not all 0, such as 0 0 1", minimum=-MOST[float],
+        expects="three numbers that are not all 0, such as 0 0 1", minimum=-MOST[float],
         check=check_up)
     bounds: tuple[float, float, float, float] | None = option(
         None, "Blocks", "X0 Y0 X1 Y1: the area of interest on the map; default: estimated from "
-        "the points", wish="X0 Y0 X1 Y1 with X0 below X1 and Y0 below Y1, on the map that `clsplat "
-        "partition` draws", minimum=-MOST[float], check=check_bounds)
+        "the points", expects="X0 Y0 X1 Y1 with X0 below X1 and Y0 below Y1, on the map that "
+        "`clsplat partition` draws", minimum=-MOST[float], check=check_bounds)
     starved: str = option("refuse", "Blocks", "what becomes of a block of --grid that has too few "
                           "views: refuse the grid, or join the block to a neighbour",
                           choices=("refuse", "join"))

@@ -20,4 +20,4 @@ class RenderingOptions:
                          "of the scene extent", words={AUTO: 0.0}, minimum=0.0)
     background: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0), "Rendering", "background colour: red, green and blue from 0 to 1",
-        minimum=0.0, maximum=1.0, wish="three numbers from 0 to 1")
+        minimum=0.0, maximum=1.0, expects="three numbers from 0 to 1")

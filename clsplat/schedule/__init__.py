@@ -1,8 +1,8 @@
-"""Schedules decide, before each step, the resolution, the degree and whether the model may grow.
+"""Schedules decide before each step its resolution and SH degree, and whether the model may grow.
 
-Each is a `plan.Schedule` in a file of its own, with its options, defaults and presets. `sig`
-follows the scene's frequency, `constant` is 3DGS's, `dash` and `taming` are the baselines of the
-SIG paper. Other packages register theirs (registry.py).
+Each is a `plan.Schedule` in its own file, with its options, defaults and presets. `sig` follows the
+scene frequency, `constant` is that of 3DGS, `dash` and `taming` are the baselines of the SIG paper.
+Other packages register theirs (registry.py).
 """
 
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule

@@ -1,4 +1,4 @@
-"""The schedule of 3DGS (Kerbl et al. 2023): nothing but the step number decides."""
+"""The schedule of 3DGS (Kerbl et al. 2023): the step number alone decides."""
 
 from clsplat.schedule.plan import Plan, Schedule
 
@@ -8,11 +8,11 @@ class Constant(Schedule):
 
     defaults = {"reset_every": 3000, "exposure": "off", "opacity_rate": 0.05, "prune_size": 0.1}
 
-    def plan(self, iteration):
-        """The Plan of a step, counted from 1.
+    def plan(self, iteration: int) -> Plan:
+        """See `Schedule.plan`.
 
         Growth follows the step after a round number: evaluations at round numbers then see a model
-        that has had a whole interval to settle.
+        that has had a whole interval to recover.
         """
         o = self.options
         before = iteration - 1

@@ -1,48 +1,62 @@
-"""Whether the scene frequency has converged at a level: three tests of its samples.
+"""Three tests for whether the scene frequency has converged at a level.
 
-`paper` (Xue et al. 2026, eq. 8): the last difference a step is below k mean(1/d). `release`, their
-code: a parabola through the last samples is flat beside the steepest moment of the level.
-`robust`, ours: the median of the last differences a step is below a share of the frequency itself,
-because the initial cloud's 1/d says little once growth has refined it many times over.
+`paper` (Xue et al. 2026, eq. 8): the last difference per step is below k mean(1/d). `release`, the
+authors' code: a parabola through the last samples is flat compared with the steepest slope of the
+level. `robust`, ours: the median of the last differences per step is below a share of the frequency
+itself, because the initial cloud's 1/d says little once growth has refined it many times over.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-MEDIAN_OF = 3  # differences: one outlier among them decides nothing
-WINDOW = 6  # samples of the release's parabola
-SLOPE_SHARE, CURVATURE_SHARE = 0.05, 0.1  # of the level's steepest slope (release)
+MEDIAN_OF = 3  # differences, so that a single outlier decides nothing
+WINDOW = 6  # samples under the parabola of `release`
+SLOPE_SHARE, CURVATURE_SHARE = 0.05, 0.1  # of the level's steepest slope (`release`)
+Samples = Sequence[tuple[int, float]]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """slope and threshold: frequency a step; slope is None where there are too few samples."""
+    """The result of a convergence test.
+
+    Attributes
+    ----------
+    slope : growth of the frequency per step; None if there are too few samples.
+    threshold : the slope below which it has converged.
+    converged : whether it has.
+    """
 
     slope: float | None
     threshold: float
     converged: bool
 
 
-def judge(test, samples, rate, inverse_distance):
-    """The Verdict on samples [(iteration, frequency), ...] of one level, oldest first.
+def judge(test: str, samples: Samples, rate: float, inverse_distance: float) -> Verdict:
+    """Test whether the scene frequency has converged.
 
-    test: "robust", "paper" or "release"; rate: k, a step; inverse_distance: mean(1/d) of the
-    initial cloud, 1 / world unit, which only `paper` uses. A sample that is not finite counts as
-    none.
+    Parameters
+    ----------
+    test : "robust", "paper" or "release".
+    samples : (iteration, frequency) of one level, oldest first; values that are not finite are
+        ignored.
+    rate : k, per step.
+    inverse_distance : 1 / world unit; mean(1/d) of the initial cloud, which only `paper` uses.
     """
     samples = [sample for sample in samples if math.isfinite(sample[1])]
-    return {"robust": _robust, "paper": _paper, "release": _release}[test](
-        samples, rate, inverse_distance)
+    if test == "paper":
+        return _paper(samples, rate * inverse_distance)
+    return _release(samples) if test == "release" else _robust(samples, rate)
 
 
-def _differences(samples):
-    """Frequency a step between neighbouring samples."""
+def _differences(samples: Samples) -> list[float]:
+    """Growth of the frequency per step between neighbouring samples."""
     return [(after - before) / (end - begin)
             for (begin, before), (end, after) in zip(samples, samples[1:])]
 
 
-def _robust(samples, rate, _):
+def _robust(samples: Samples, rate: float) -> Verdict:
     threshold = rate * samples[-1][1] if samples else 0.0
     if len(samples) <= MEDIAN_OF:
         return Verdict(None, threshold, False)
@@ -50,15 +64,14 @@ def _robust(samples, rate, _):
     return Verdict(slope, threshold, slope < threshold)
 
 
-def _paper(samples, rate, inverse_distance):
-    threshold = rate * inverse_distance
+def _paper(samples: Samples, threshold: float) -> Verdict:
     if len(samples) < 2:
         return Verdict(None, threshold, False)
     slope = _differences(samples)[-1]
     return Verdict(slope, threshold, slope < threshold)
 
 
-def _release(samples, rate, _):
+def _release(samples: Samples) -> Verdict:
     if len(samples) < WINDOW:
         return Verdict(None, 0.0, False)
     values = [value for _, value in samples]
@@ -67,7 +80,7 @@ def _release(samples, rate, _):
             for end in range(WINDOW, len(values) + 1)]
     slope, curvature = fits[-1]
     steepest = max(s for s, _ in fits)
-    # of a constant frequency nothing but rounding would decide
+    # with a constant frequency, rounding would decide
     latest = values[-WINDOW:]
     flat = max(latest) - min(latest) <= 1e-9 * abs(values[-1])
     converged = flat or (slope >= 0 and slope < SLOPE_SHARE * steepest
@@ -75,8 +88,8 @@ def _release(samples, rate, _):
     return Verdict(slope / spacing, SLOPE_SHARE * steepest / spacing, bool(converged))
 
 
-def _end_of_parabola(values):
-    """(slope, curvature) a sample at the last of evenly spaced values, by least squares.
+def _end_of_parabola(values: Sequence[float]) -> tuple[float, float]:
+    """(slope, curvature) per sample at the last of evenly spaced values, by least squares.
 
     The parabola is a sum of orthogonal polynomials: 1, t and t^2 - mean(t^2), t = 0 in the middle.
     """

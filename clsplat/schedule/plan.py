@@ -1,4 +1,4 @@
-"""What a schedule is told, and what it says of one step."""
+"""The interface of a schedule: the facts that it knows, and the plan that it gives for a step."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ if TYPE_CHECKING:  # --help must not wait for numpy
 
     from clsplat.options import TrainOptions
 
-EVERY = 100  # steps between rounds of growth, where nobody says otherwise
+STEPS_A_ROUND = 100  # between rounds of growth, by default
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a schedule says of one step.
+    """What a schedule decides for one step.
 
     Attributes
     ----------
     level : down-sampling factor of the training images, at least 1.
-    degree : of the spherical harmonics.
-    gathers : whether densification statistics are kept.
-    grows : whether a round of growth follows the step.
+    degree : degree of the spherical harmonics.
+    gathers : whether the step adds to the densification statistics.
+    grows : whether a round of growth follows the step; it uses the statistics gathered since the
+        last round.
     resets_opacity : whether an opacity reset follows the step.
-    prunes_large : whether rounds of growth remove gaussians that are larger than prune_size.
-    decay : how far the decay of the position rate is, 0 to 1.
-    regularises : weight of the reprojection loss, 0 where it is left out.
+    prunes_large : whether a round of growth removes gaussians that are larger than prune_size.
+    decay : progress of the decay of the position learning rate, 0 to 1.
+    regularises : weight of the reprojection loss, 0 to leave it out.
     """
 
     level: float
@@ -43,12 +44,15 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class SceneFacts:
-    """What a schedule may know of the scene before training.
+    """What a schedule knows about the scene before training.
 
-    size: (width, height) of the smallest training image, pixels; count: initial gaussians;
-    inverse_distance: mean of 1 / distance to the nearest other sparse point, 1 / world unit;
-    photos: called without arguments, gives an iterator of all training photos uint8[3, H, W];
-    pixels: in all of them.
+    Attributes
+    ----------
+    size : (width, height) of the smallest training image, pixels.
+    count : number of initial gaussians.
+    inverse_distance : 1 / world unit; mean of 1 / distance to the nearest other sparse point.
+    photos : returns an iterator over all training photos uint8[3, H, W], which are read anew.
+    pixels : number of pixels in all training photos.
     """
 
     size: tuple[int, int]
@@ -59,22 +63,30 @@ class SceneFacts:
 
 
 class Schedule:
-    """What every schedule answers; a subclass in another package becomes `--schedule NAME` by the
-    entry point `NAME = MODULE:CLASS` in the group `clsplat.schedules`.
+    """Base class of all schedules.
+
+    A schedule must define `plan`; everything else has a default. For each step the training calls,
+    in this order: `plan`; `target` and `spares_half`, if the plan grows, during the round of growth
+    that follows the step; `observe`, every `observe_every` steps. A schedule may keep state between
+    the calls; `state` and `load` carry it through a checkpoint. `clsplat plan` drives the same
+    methods without a model, so they must not depend on anything but their arguments.
+
+    A subclass in another package becomes `--schedule NAME` by the entry point `NAME = MODULE:CLASS`
+    in the group `clsplat.schedules`; docs/examples/halves.py is a complete one.
 
     Attributes
     ----------
-    levels : all down-sampling factors, in the order they will come.
-    defaults : options that the schedule sets unless the user does, by name.
-    parts : the parts of a training that it uses: "levels" (it changes the resolution), "spheres",
-        "reprojection", and the `part` of its own options. It refuses options of other parts.
-    Options : a frozen dataclass of its own options (options.py), or None.
-    selection : how growth chooses, "threshold", "highest" or "score" (densify/select.py).
+    levels : all down-sampling factors, in the order in which they come.
+    defaults : name -> value of options that the schedule sets unless the user does.
+    parts : parts of a training that the schedule uses: "levels" (it changes the resolution),
+        "spheres", "reprojection", and the `part` of its own options. Options of other parts are
+        refused.
+    Options : frozen dataclass of the schedule's own options (config/option.py), or None.
+    selection : how growth selects gaussians: "threshold", "highest" or "score" (densify/select.py).
     observe_every : steps between calls of `observe`.
-    latest : what the last `observe` found, for the record.
-    options : TrainOptions with scaled steps; may be replaced between steps (a time budget moves the
-        end).
-    facts : what is known of the scene.
+    latest : values of the last `observe`, which metrics.jsonl records.
+    options : with scaled steps; a time budget replaces them between steps, as it moves the end.
+    facts : what is known about the scene.
     """
 
     levels: tuple[float, ...] = (1.0,)
@@ -90,90 +102,118 @@ class Schedule:
 
     @classmethod
     def grows_until(cls, options: TrainOptions) -> int:
-        """The last step that may grow, where the `densify_until` of these options is auto: half of
-        the run."""
+        """The value of `densify_until` if that is auto: half of the run."""
         return options.iterations // 2
 
     @classmethod
     def grows_every(cls, options: TrainOptions) -> int:
-        """Steps between rounds of growth, where the `densify_every` of these options is auto; 0:
-        `plan` decides."""
-        return EVERY
+        """The value of `densify_every` if that is auto; 0 if `plan` decides."""
+        return STEPS_A_ROUND
 
     @classmethod
     def planned_levels(cls, options: TrainOptions, size: tuple[int, int]
                        ) -> tuple[tuple[float, ...] | None, str]:
-        """(levels or None where only training finds them, a sentence that says so).
+        """Say before training which levels will come.
 
         Parameters
         ----------
         options : with scaled steps.
-        size : width and height of the smallest training image, pixels.
+        size : (width, height) of the smallest training image, pixels.
+
+        Returns
+        -------
+        (the levels, or None if they are known only in training; a sentence for the user).
         """
         return cls.levels, f"{listed(cls.levels)}: {sizes_text(cls.levels, size)}"
 
     @classmethod
     def options_of_block(cls, options: TrainOptions) -> dict[str, Any]:
-        """{option: value} that a block of a city changes of these options, since it begins with the
-        gaussians of a coarse run."""
+        """{option: value} that differ in a block of a city, which starts from a coarse run."""
         return {}
 
     def plan(self, iteration: int) -> Plan:
-        """The Plan of a step; iteration counts from 1."""
-        raise NotImplementedError
-
-    def target(self, iteration: int, count: int, above: int) -> int | None:
-        """How many gaussians a round of growth after step `iteration` may reach, or None for as
-        many as deserve it.
+        """Decide one step; called before each step, in order.
 
         Parameters
         ----------
-        iteration : the step, from 1.
-        count : gaussians after this round's pruning.
-        above : those beyond the growth threshold.
+        iteration : number of the step, from 1 to `options.iterations`.
+        """
+        raise NotImplementedError
+
+    def target(self, iteration: int, count: int, above: int) -> int | None:
+        """Limit a round of growth; called once in each round.
+
+        Parameters
+        ----------
+        iteration : number of the step before the round, from 1.
+        count : gaussians that this round's pruning leaves.
+        above : how many of them exceed the growth threshold.
+
+        Returns
+        -------
+        The number of gaussians that the round may reach, or None for no limit: all that exceed the
+        threshold grow.
         """
         return None
 
     def spares_half(self, iteration: int) -> bool:
-        """Whether a round of growth, after step `iteration`, prunes only half of its candidates."""
+        """Whether the round of growth after step `iteration` prunes only half of its candidates.
+
+        Called only if `selection` is "score".
+        """
         return False
 
-    def ahead(self, iteration: int) -> list[tuple[float, int]]:
-        """[(level, steps)]: what is still to come after step `iteration`, by what is known now."""
+    def ahead(self, iteration: int) -> list[tuple[float, float]]:
+        """Predict the rest of the run after step `iteration`, as [(level, steps), ...].
+
+        A time budget estimates the remaining time from this.
+        """
         return [(self.levels[-1], self.options.iterations - iteration)]
 
     def observe(self, iteration: int, frequency: dict[str, float]) -> dict[str, Any] | None:
-        """Look at the scene frequency after step `iteration`; returns a decision to log, or None.
+        """Take note of the scene frequency; called every `observe_every` steps, after the step.
+
+        A schedule that follows the frequency changes its own state here, for the next `plan`.
 
         Parameters
         ----------
-        iteration : the step, from 1.
-        frequency : name of a variant -> scene frequency, 1 / world unit.
+        iteration : number of the step that was taken last, from 1.
+        frequency : variant -> scene frequency, 1 / world unit (`training.frequency`).
+
+        Returns
+        -------
+        Values of a "level" record in metrics.jsonl, or None if nothing was decided.
         """
         return None
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint must hold, for JSON."""
+        """State for a checkpoint, of types that JSON has."""
         return {}
 
     def load(self, state: dict[str, Any]) -> None:
-        """Take over the `state` that a checkpoint held."""
+        """Restore what `state` returned when the checkpoint was written."""
 
     def degree(self, iteration: int) -> int:
-        """Of the harmonics at step `iteration`: one more every `sh_every` steps."""
+        """Degree of the spherical harmonics: one more every `sh_every` steps."""
         return min(self.options.sh_degree, (iteration - 1) // self.options.sh_every)
 
     def decay(self, iteration: int) -> float:
-        """Share of the position rate's decay at step `iteration`: even over the run."""
+        """Progress of the decay of the position learning rate: even over the run."""
         return min(1.0, (iteration - 1) / self.options.iterations)
 
 
 def listed(levels: tuple[float, ...]) -> str:
-    """Such as 4 2 1."""
+    """The levels as text, such as 4 2 1."""
     return " ".join(f"{level:g}" for level in levels)
 
 
 def sizes_text(levels: tuple[float, ...], size: tuple[int, int]) -> str:
-    """Levels' image sizes in words; size: width and height of the finest, pixels."""
+    """Image sizes of levels, in words.
+
+    Parameters
+    ----------
+    levels : down-sampling factors, coarse to fine.
+    size : (width, height) at level 1, pixels.
+    """
     sizes = [f"{int(size[0] / level)} x {int(size[1] / level)}" for level in levels]
     return f"{sizes[0]} to {sizes[-1]} pixels" if len(sizes) > 1 else f"{sizes[0]} pixels"

@@ -1,35 +1,38 @@
 """The SIG schedule (Xue et al. 2026): resolution and growth follow the scene's frequency.
 
 Training begins with small images. When the scene frequency has converged at a level, the next one
-begins (FARS), and each level grows for a number of rounds, then settles (DS), to no more gaussians
-than its pixels can tell apart: at 59 numbers a gaussian and 3 a pixel, fewer than 20 pixels each
-would leave more unknowns than measurements. The paper gives no guards; ours: rounds of growth
-disturb the frequency, so nothing is tested before they are over, several tests in a row must agree,
+begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
+than its pixels can determine: with 59 parameters a gaussian and 3 values a pixel, fewer than 20
+pixels each would leave more unknowns than measurements. The paper has no safeguards; ours: rounds
+of growth disturb the frequency, so it is tested only after them, several tests in a row must agree,
 and each coarser level has a deadline, a share of the run, so that the finest always gets its time.
-The tests `paper` and `release` are unguarded, as published.
+The tests `paper` and `release` have no safeguards, as published.
 """
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from clsplat.config.option import AUTO, option
 from clsplat.errors import InputError
 from clsplat.schedule.convergence import judge
-from clsplat.schedule.plan import Plan, Schedule, listed, sizes_text
+from clsplat.schedule.plan import Plan, SceneFacts, Schedule, listed, sizes_text
+
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
 
 LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
 SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns at once
 TILE = 16  # pixels
-LOOK = 100  # steps between looks at the frequency, fewer where levels are short
-LOOKS_A_LEVEL = 8
+OBSERVE_STEPS = 100  # between samples of the frequency, fewer where levels are short
+SAMPLES_A_LEVEL = 8
 SETTLE_SHARE = 0.2  # of a level at most pass before its first round of growth (densify_from)
-GROWS_SHARE = 0.7  # of a level's time; the rest is for what has grown
-EVERY = (100, 200)  # limits of the steps between rounds
-MOST_GROWTH = 5  # a round adds at most one gaussian in so many (as DashGaussian)
-REPROJECT_DECAY = 0.1  # of the reprojection weight, at the end of the run
+GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are trained
+ROUND_STEPS = (100, 200)  # least and most between rounds of growth
+MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
+REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
-
-# what the authors' paper and their released code choose
+# the choices of the authors' paper and of their released code
 PAPER = {
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
@@ -44,15 +47,15 @@ RELEASE = {
 VARIANTS = ("robust", "paper", "release")
 
 
-def check_levels(levels):
-    """ValueError for factors that do not fall to 1."""
+def check_levels(levels: tuple[float, ...]) -> None:
+    """Raise ValueError for factors that do not fall to 1."""
     if levels[-1:] != (1.0,) or any(a <= b for a, b in zip(levels, levels[1:])):
         raise ValueError
 
 
 @dataclass(frozen=True)
 class SigOptions:
-    """When the next level begins, and how much each grows."""
+    """Options of the `sig` schedule: when the next level begins, and how much each grows."""
 
     preset: str = option("ours", "Schedule", "choices of the SIG paper, of its released code, or "
                          "ours", main=True, choices=("ours", "paper", "release"), part="sig",
@@ -60,7 +63,7 @@ class SigOptions:
     levels: tuple[float, ...] = option(
         (), "Levels", "down-sampling factors of the levels, from coarse to fine, such as 4,2,1; "
         "auto: 5,4,3,2,1 without those whose images are too small to matter", words={AUTO: ()},
-        minimum=1.0, wish="factors that fall and end at 1, such as 4,2,1", check=check_levels,
+        minimum=1.0, expects="factors that fall and end at 1, such as 4,2,1", check=check_levels,
         part="sig")
     frequency: str = option("robust", "Levels", "which scene frequency is tested for convergence",
                             choices=VARIANTS, part="sig")
@@ -93,28 +96,30 @@ class Sig(Schedule):
     Options = SigOptions
 
     @classmethod
-    def grows_until(cls, options):
-        """To the end, as each level has its own rounds."""
+    def grows_until(cls, options: "TrainOptions") -> int:
+        """See `Schedule.grows_until`: to the end, as each level has its own rounds."""
         return options.iterations if options.rounds else super().grows_until(options)
 
     @classmethod
-    def grows_every(cls, options):
-        """By the length of a level (`every`)."""
+    def grows_every(cls, options: "TrainOptions") -> int:
+        """See `Schedule.grows_every`: the length of a level decides (`every`)."""
         return 0 if options.rounds else super().grows_every(options)
 
     @classmethod
-    def planned_levels(cls, options, size):
+    def planned_levels(cls, options: "TrainOptions", size: tuple[int, int]
+                       ) -> tuple[tuple[float, ...], str]:
+        """See `Schedule.planned_levels`."""
         levels = chosen_levels(options.levels, size)
         sizes = sizes_text(levels, size)
-        return levels, (f"{listed(levels)}: asked for; {sizes}" if options.levels else
+        return levels, (f"{listed(levels)}: requested; {sizes}" if options.levels else
                         f"{listed(levels)}: {sizes}; sides below {SMALLEST_SIDE} are left out")
 
     @classmethod
-    def options_of_block(cls, options):
-        """The coarse run, at half size, has been through the other levels."""
+    def options_of_block(cls, options: "TrainOptions") -> dict[str, Any]:
+        """See `Schedule.options_of_block`: the coarse run, at half size, had the other levels."""
         return {} if options.levels else {"levels": (1.0,)}
 
-    def __init__(self, options, facts):
+    def __init__(self, options: "TrainOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
         self.levels = chosen_levels(options.levels, facts.size)
         self.index = 0
@@ -122,51 +127,53 @@ class Sig(Schedule):
         self.rounds_taken = self.carried = 0
         self.grown_at = 0  # step of the last round
         self.full = facts.count >= self.ceiling
-        self.samples = []
+        self.samples: list[tuple[int, float]] = []
         self.hits = 0
 
     @property
-    def guarded(self):
+    def guarded(self) -> bool:
+        """Whether our safeguards apply."""
         return self.options.convergence == "robust"
 
     @property
-    def last(self):
+    def last(self) -> bool:
         """Whether this is the finest level."""
         return self.index == len(self.levels) - 1
 
     @property
-    def allotment(self):
-        """Steps that this level may take."""
+    def allotment(self) -> float:
+        """Number of steps that this level may take."""
         o = self.options
         if self.last:
             return o.iterations - self.began
         return o.level_share * o.iterations / (len(self.levels) - 1)
 
     @property
-    def ceiling(self):
-        """Gaussians that this level's pixels can tell apart."""
+    def ceiling(self) -> float:
+        """Number of gaussians that this level's pixels can determine."""
         if not self.options.pixels_per_gaussian:
             return math.inf
         pixels = self.facts.pixels / self.levels[self.index] ** 2
         return math.floor(pixels / self.options.pixels_per_gaussian)
 
     @property
-    def observe_every(self):
-        """Steps between looks at the frequency."""
+    def observe_every(self) -> int:  # type: ignore[override]  # read-only here
+        """Steps between samples of the frequency."""
         share = self.options.level_share * self.options.iterations / len(self.levels)
-        return max(1, min(LOOK, int(share / LOOKS_A_LEVEL)))
+        return max(1, min(OBSERVE_STEPS, int(share / SAMPLES_A_LEVEL)))
 
     @property
-    def every(self):
+    def every(self) -> int:
         """Steps between rounds of growth."""
         o = self.options
         if o.densify_every:
             return o.densify_every
-        low, high = EVERY
+        low, high = ROUND_STEPS
         evenly = GROWS_SHARE * self.allotment / max(1, o.rounds)
-        return max(1, int(min(max(evenly, min(low, self.allotment / LOOKS_A_LEVEL)), high)))
+        return max(1, int(min(max(evenly, min(low, self.allotment / SAMPLES_A_LEVEL)), high)))
 
-    def plan(self, iteration):
+    def plan(self, iteration: int) -> Plan:
+        """See `Schedule.plan`."""
         o, before = self.options, iteration - 1
         since = before - self.began
         if o.rounds:
@@ -187,38 +194,40 @@ class Sig(Schedule):
             regularises=o.reproject_weight * REPROJECT_DECAY**progress
             if growing and o.reproject == "on" else 0.0)
 
-    def _rounds_left(self, since):
+    def _rounds_left(self, since: int) -> bool:
         """Whether this level, so many steps old, still has rounds of growth to come."""
         in_time = since <= GROWS_SHARE * self.allotment or not self.guarded
         return in_time and self.rounds_taken < self.options.rounds + self.carried
 
-    def _resets(self, before, growing):
-        """Whether opacities are lowered after a step: where a level begins that will prune what
-        does not recover, or every so many steps."""
+    def _resets(self, before: int, growing: bool) -> bool:
+        """Whether opacities are reset after a step: every `reset_every` steps, and where a level
+        begins that will prune what does not recover."""
         o = self.options
         if before == 0:
             return False
         return (o.level_reset and before == self.began and (o.rounds > 0 or growing)) or (
             growing and o.reset_every > 0 and before % o.reset_every == 0)
 
-    def decay(self, iteration):
-        """The position rate falls at the finest level only: what has settled at a coarse one must
-        still be able to move when finer images show where it belongs (docs/notebook/results.md).
+    def decay(self, iteration: int) -> float:
+        """See `Schedule.decay`: the position rate falls at the finest level only.
+
+        A gaussian that has settled at a coarser level must still be able to move when finer images
+        show where it belongs (docs/notebook/results.md).
         """
         left = self.options.iterations - self.began
         return min(1.0, (iteration - 1 - self.began) / max(1, left)) if self.last else 0.0
 
-    def target(self, iteration, count, above):
-        """See `Schedule.target`: what the level's pixels can tell apart, a fifth more at a time."""
+    def target(self, iteration: int, count: int, above: int) -> int | None:
+        """See `Schedule.target`: up to `ceiling`, a fifth more in each round."""
         self.rounds_taken += 1
         self.grown_at = iteration
         self.full = count >= self.ceiling
         if self.ceiling == math.inf:
             return None
-        return max(count, min(self.ceiling, count + count // MOST_GROWTH))
+        return max(count, min(int(self.ceiling), count + count // MOST_GROWTH))
 
-    def observe(self, iteration, frequency):
-        """See `Schedule.observe`. The decision: dict for an event "level"."""
+    def observe(self, iteration: int, frequency: dict[str, float]) -> dict[str, Any] | None:
+        """See `Schedule.observe`; the decision is that the next level begins."""
         if self.last:
             self.latest = None
             return None
@@ -243,17 +252,17 @@ class Sig(Schedule):
         self._advance(iteration)
         return decision
 
-    def ahead(self, iteration):
+    def ahead(self, iteration: int) -> list[tuple[float, float]]:
         """See `Schedule.ahead`: coarser levels until their deadline, the rest at the finest."""
-        lower = []
+        coarser: list[tuple[float, float]] = []
         if not self.last:
-            lower = [(level, self.allotment) for level in self.levels[self.index:-1]]
-            lower[0] = lower[0][0], max(0, self.allotment - (iteration - self.began))
-        rest = self.options.iterations - iteration - sum(steps for _, steps in lower)
-        return [*lower, (self.levels[-1], max(0, rest))]
+            coarser = [(level, self.allotment) for level in self.levels[self.index:-1]]
+            coarser[0] = coarser[0][0], max(0, self.allotment - (iteration - self.began))
+        rest = self.options.iterations - iteration - sum(steps for _, steps in coarser)
+        return [*coarser, (self.levels[-1], max(0, rest))]
 
-    def _settled(self, iteration):
-        """Whether this level's growth is over, and the samples after it are enough to judge by."""
+    def _settled(self, iteration: int) -> bool:
+        """Whether this level's growth is over, with enough samples after it for a test."""
         since = iteration - self.began
         if not self.options.rounds:
             return since >= GROWS_SHARE * self.allotment
@@ -261,8 +270,8 @@ class Sig(Schedule):
         return self.full or (not self._rounds_left(since)
                              and iteration >= self.grown_at + 2 * self.observe_every)
 
-    def _advance(self, iteration):
-        if self.options.convergence == "release":  # its unused rounds pile up, and stay
+    def _advance(self, iteration: int) -> None:
+        if self.options.convergence == "release":  # where unused rounds are kept and add up
             self.carried += max(0, self.options.rounds - self.rounds_taken)
         self.index += 1
         self.began = iteration
@@ -270,21 +279,28 @@ class Sig(Schedule):
         self.full = False
         self.samples = []
 
-    def state(self):
+    def state(self) -> dict[str, Any]:
+        """See `Schedule.state`."""
         return {"index": self.index, "began": self.began, "rounds_taken": self.rounds_taken,
                 "carried": self.carried, "grown_at": self.grown_at, "full": self.full,
                 "samples": self.samples, "hits": self.hits, "latest": self.latest}
 
-    def load(self, state):
+    def load(self, state: dict[str, Any]) -> None:
+        """See `Schedule.load`."""
         for name, value in state.items():
             setattr(self, name, value)
 
 
-def chosen_levels(levels, size):
-    """The factors to train at, for images of size (width, height) at full resolution.
+def chosen_levels(levels: tuple[float, ...], size: tuple[int, int]) -> tuple[float, ...]:
+    """The down-sampling factors of a training.
 
-    Given levels must leave every image at least a tile wide, or InputError; of the default ones
-    those with sides below SMALLEST_SIDE are left out.
+    InputError where a requested factor would make an image smaller than a tile; the default ones
+    leave out sides below SMALLEST_SIDE.
+
+    Parameters
+    ----------
+    levels : the requested ones; empty for the default ones.
+    size : (width, height) of the smallest training image, pixels.
     """
     side = min(size)
     if levels:

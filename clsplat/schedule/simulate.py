@@ -1,35 +1,36 @@
-"""A schedule driven to its end without a model, to predict levels and numbers of gaussians.
+"""Drives a schedule to its end without a model, to predict levels and numbers of gaussians.
 
 We assume that each level ends at the earliest test that its schedule allows, and that the number of
 gaussians densified in a round is proportional to a power of the photos' fine detail. The four
-numbers of that were fitted to runs of 7000 steps on caliterra (half and full size), boruszyn, lund
-and the city. There the most gaussians are predicted to 1.00 to 1.05 of what came under sig, 0.73 to
-1.42 under constant, 0.52 to 1.01 under dash, 1.00 to 1.26 under taming; other scenes may be off by
-more. `--max-gaussians` makes the end certain. `python -m tools.studies.predicted` compares.
+constants were fitted to runs of 7000 steps on caliterra (half and full size), boruszyn, lund and
+the city. There the prediction of the largest number of gaussians was 1.00 to 1.05 of the actual one
+with sig, 0.73 to 1.42 with constant, 0.52 to 1.01 with dash, 1.00 to 1.26 with taming; other scenes
+may be off by more. `--max-gaussians` bounds it. `python -m tools.studies.predicted` compares.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 from clsplat.schedule.plan import Schedule
 from clsplat.schedule.sig import VARIANTS
 
-ASKS = 0.4  # share of the gaussians at most that asks for more in a round of growth
-# of a level's training pixels, the share that asks for a gaussian in a round: the power of their
-# detail, until they are sharp, and of it what is left when the position rate has decayed
-ASKED, SHARP, POWER, SETTLES = 0.009, 0.0125, 3, 0.03
+MOST_DENSIFIED = 0.4  # share of the gaussians that a round of growth densifies at most
+# In a round, a level densifies PER_PIXEL gaussians for each of its training pixels, times the POWER
+# of detail / SHARP (at most 1), times SETTLED to the power of the position rate's decay.
+PER_PIXEL, SHARP, POWER, SETTLED = 0.009, 0.0125, 3, 0.03
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Equal steps in a row.
+    """A number of consecutive steps that are alike.
 
     Attributes
     ----------
-    steps : their number.
+    steps : how many.
     level : down-sampling factor.
-    gaussians : in the model.
-    regularises : whether they compare with source views.
+    gaussians : number of gaussians in the model.
+    regularises : whether the steps compare with source views.
     """
 
     steps: int
@@ -39,42 +40,41 @@ class Segment:
 
 
 def simulate(schedule: Schedule, detail: Callable[[float], float] | None = None) -> list[Segment]:
-    """The segments of a whole run.
+    """Predict the segments of a whole run.
 
     Parameters
     ----------
-    schedule : a new one, which is used up.
-    detail : called with a level, gives the mean difference of a photo, at that level and in 0..1,
-        to its blocks of 2 x 2 pixels; None takes photos for sharp.
+    schedule : a new one; the simulation changes its state.
+    detail : level -> `estimate.detail.photo_detail` of it; None: photos are sharp.
     """
-    options = schedule.options
+    return [Segment(len(list(steps)), *kind)
+            for kind, steps in groupby(_steps(schedule, detail))]
+
+
+def _steps(schedule: Schedule, detail: Callable[[float], float] | None
+           ) -> Iterator[tuple[float, int, bool]]:
+    """(level, gaussians, whether it regularises) of each step."""
     flat = {f"{variant}_mean": 1.0 for variant in VARIANTS}
-    count, taken = schedule.facts.count, []
-    pixels = schedule.facts.pixels
-    for iteration in range(1, options.iterations + 1):
+    count, pixels = schedule.facts.count, schedule.facts.pixels
+    for iteration in range(1, schedule.options.iterations + 1):
         plan = schedule.plan(iteration)
-        kind = plan.level, count, plan.regularises > 0
-        if taken and taken[-1][0] == kind:
-            taken[-1][1] += 1
-        else:
-            taken.append([kind, 1])
+        yield plan.level, count, plan.regularises > 0
         if plan.grows:
             share = 1.0 if detail is None else min(1.0, (detail(plan.level) / SHARP) ** POWER)
-            asked = ASKED * share * pixels / plan.level**2 * SETTLES**plan.decay
-            count = _grown(schedule, iteration, count, asked)
+            densified = PER_PIXEL * share * pixels / plan.level**2 * SETTLED**plan.decay
+            count = _grown(schedule, iteration, count, densified)
         if iteration % schedule.observe_every == 0:
             schedule.observe(iteration, flat)
-    return [Segment(steps, *kind) for kind, steps in taken]
 
 
 def largest(segments: Sequence[Segment]) -> int:
-    """The most gaussians at a time."""
+    """The largest number of gaussians during a run."""
     return max(segment.gaussians for segment in segments)
 
 
-def _grown(schedule, iteration, count, asked):
-    """Gaussians after a round of growth, as `training.step.Step` chooses them."""
-    above = int(min(asked, ASKS * count))
+def _grown(schedule: Schedule, iteration: int, count: int, densified: float) -> int:
+    """Number of gaussians after a round of growth, as in `training.step.Step`."""
+    above = int(min(densified, MOST_DENSIFIED * count))
     target, limit = schedule.target(iteration, count, above), schedule.options.max_gaussians
     if limit:
         target = min(limit, limit if target is None else target)

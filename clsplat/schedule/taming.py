@@ -1,17 +1,21 @@
 """The schedule of Taming 3DGS (Mallick et al. 2024): 3DGS whose growth follows a budget."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from clsplat.config.option import option
 from clsplat.schedule.constant import Constant
-from clsplat.schedule.plan import EVERY
+from clsplat.schedule.plan import STEPS_A_ROUND
 
-ROUNDS = 60  # of growth a run: one in 500 of 30,000 steps
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
+
+ROUNDS = 60  # of growth in a run: one every 500 of 30,000 steps
 
 
 @dataclass(frozen=True)
 class TamingOptions:
-    """The budget."""
+    """Options of the `taming` schedule."""
 
     taming_budget: float = option(15.0, "Growth", "number of gaussians at the end, as a multiple "
                                   "of those at the start", minimum=1.0, part="taming")
@@ -25,13 +29,15 @@ class Taming(Constant):
     parts = frozenset({"taming"})
     Options = TamingOptions
     selection = "score"
-    rounds_sparing = 27  # the first ones, which prune only half of what 3DGS would
+    rounds_sparing = 27  # in the first rounds, half of the gaussians that 3DGS prunes stay
 
     @classmethod
-    def grows_every(cls, options):
-        return max(EVERY, options.iterations // ROUNDS)
+    def grows_every(cls, options: "TrainOptions") -> int:
+        """See `Schedule.grows_every`."""
+        return max(STEPS_A_ROUND, options.iterations // ROUNDS)
 
-    def target(self, iteration, count, above):
+    def target(self, iteration: int, count: int, above: int) -> int:
+        """See `Schedule.target`."""
         o, start = self.options, self.facts.count
         end = o.taming_budget * start
         if o.max_gaussians:
@@ -40,6 +46,7 @@ class Taming(Constant):
         share = min(max(share, 0.0), 1.0)
         return max(count, int(start + (end - start) * (2 * share - share**2)))
 
-    def spares_half(self, iteration):
+    def spares_half(self, iteration: int) -> bool:
+        """See `Schedule.spares_half`."""
         return (iteration - 1 - self.options.densify_from) // self.options.densify_every \
             <= self.rounds_sparing

@@ -1,20 +1,24 @@
-"""Trains one block of a larger scene, from the folder that says all about it."""
+"""Trains one block of a larger scene from its folder, which contains all that it needs."""
+
+from typing import Any
 
 from clsplat.config.option import differences
 from clsplat.device import choose_device
 from clsplat.errors import InputError
+from clsplat.io.city import BlockFolder
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.options import checked, resolve
+from clsplat.options import TrainOptions, checked, resolve
 from clsplat.training.loop import resume, train
+from clsplat.training.progress import SilentProgress
 
-# what the coarse run has decided for all blocks, or their tones and degrees would not meet
+# options that the coarse run decides, so that all blocks agree on colours and SH degree
 DECIDED = ("exposure", "sh_degree")
-MOVES = "init"  # a path in the block's folder
+MAY_DIFFER = "init"  # a path in the block's folder, which may have been moved
 
 
-def decided_by(coarse):
-    """{option: value} that a coarse run, a RunFolder, has decided for all blocks."""
+def decided_by(coarse: RunFolder) -> dict[str, Any]:
+    """{option: value} that a coarse run has decided for all blocks."""
     decisions, path = coarse.read_options().get("decisions"), coarse.path / OPTIONS
     if not isinstance(decisions, dict) or not set(DECIDED) <= set(decisions):
         raise InputError(f"{path}: damaged (decisions is {str(decisions)[:20]!r}); remove "
@@ -22,33 +26,49 @@ def decided_by(coarse):
     return {name: checked(str(path), name, decisions[name]) for name in DECIDED}
 
 
-def options_of_blocks(given, decided):
-    """{option: value} of every block, for CityFolder.write_block.
+def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[str, Any]:
+    """{option: value} of every block, for `CityFolder.write_block`.
 
-    given: what the user asks of blocks; decided: see `decided_by`. Blocks hold out nothing: they
-    are given training views only. The gaussians have their harmonics already, so these are not
-    switched on one by one.
+    Blocks have training views only, so none is held out. Their gaussians have spherical harmonics
+    from the start, so all degrees are active at once.
+
+    Parameters
+    ----------
+    given : options that the user sets for blocks.
+    decided : those of `decided_by`.
     """
-    given = {name: value for name, value in given.items() if name != "images"}  # links to them
+    given = {name: value for name, value in given.items() if name != "images"}  # it has links
     return {"sh_every": 1, **given, **decided, "coarse": False, "test_every": 0}
 
 
-def block_options(block, **changes):
-    """The TrainOptions of a BlockFolder, changed as given; InputError for what is none."""
+def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
+    """The options in a block's folder, with changes; InputError for invalid ones."""
     values = {key: checked(str(block.path), key, value)
               for key, value in block.read()["options"].items()}
     return resolve(values, {"init": str(block.initial), **changes})
 
 
-def train_block(block, options, progress=None, patience=0.0):
-    """Train a BlockFolder to its end: from the start, or on from the last checkpoint of its run.
+def train_block(block: BlockFolder, options: TrainOptions,
+                progress: SilentProgress | None = None, patience: float = 0.0) -> bool:
+    """Train a block to its end, from the start or from the last checkpoint of its run.
 
-    options: those of `block_options`; patience: seconds to wait for another process that trains it.
-    Returns whether there was anything to do: a finished run is left alone. InputError where it was
-    begun with other options.
+    Parameters
+    ----------
+    block : its folder.
+    options : those of `block_options`.
+    progress : receives steps, messages and phases.
+    patience : seconds to wait for another process that trains the block.
+
+    Returns
+    -------
+    Whether it had to be trained: a finished run is not trained again.
+
+    Raises
+    ------
+    InputError : for a run that was begun with other options.
     """
     run = RunFolder(block.run)
-    if run.is_finished:  # also on a disk that may not be written
+    if run.is_finished:  # checked before locking: the disk may be read-only
         _check_same(run, options)
         return False
     with run.locked(patience):
@@ -64,8 +84,8 @@ def train_block(block, options, progress=None, patience=0.0):
     return True
 
 
-def _check_same(run, options):
-    for name, there, here in differences(run.read_options(), options):
-        if name != MOVES:
-            raise InputError(f"{run.path}: was begun with {name} {there}, and block.json has "
-                             f"{here}; put that back, or remove the run")
+def _check_same(run: RunFolder, options: TrainOptions) -> None:
+    for name, recorded, present in differences(run.read_options(), options):
+        if name != MAY_DIFFER:
+            raise InputError(f"{run.path}: was begun with {name} {recorded}, and block.json has "
+                             f"{present}; put that back, or remove the run")

@@ -1,15 +1,15 @@
-"""A time budget instead of a number of steps: the schedule is laid over measured step times.
+"""A time budget instead of a number of steps: the schedule is fitted to measured step times.
 
-The number of steps is estimated again and again from what steps take at the levels seen so far and
-from those the schedule still has to come; the schedule's shares, rates and degrees follow it. The
-budget is of wall time from the start of `clsplat.training.loop.train`, evaluations and files
-included; steps are measured by the time of training alone. `deadline.Deadline` applies it.
+The number of steps is estimated repeatedly, from the measured time of a step at each level so far
+and from the steps that the schedule predicts; shares, rates and degrees of the schedule follow it.
+The budget is wall time from the start of `clsplat.training.loop.train`, with evaluations and files;
+the time of a step is that of training alone. `deadline.Deadline` applies the budget.
 
-Lowered opacities, new levels and growth make a model worse before they make it better. Each begins
-only while the time that is left allows the steps to recover from it: measured on boruszyn (400 and
-1500 steps of sig, 1500 of constant), the score of held-out views is back after 90 to 100 steps
-where opacities were lowered, and after 20 to 40 steps of growth. A level that no longer fits does
-not begin; the run ends at the level that it has.
+Opacity resets, new levels and growth make a model worse before they make it better. Each happens
+only if the time left allows the model to recover: measured on boruszyn (400 and 1500 steps of sig,
+1500 of constant), the score of held-out views recovers 90 to 100 steps after an opacity reset, and
+20 to 40 steps after growth. A level that no longer fits does not begin; the run then ends at the
+present level.
 """
 
 import math
@@ -19,47 +19,47 @@ from typing import Any
 from clsplat.errors import InputError
 from clsplat.schedule import Plan
 
-EVERY = 0.005  # of the budget passes between estimates
-MEMORY = 0.5  # weight of the newest measurement of a level
-FIRST_STEP_SECONDS = 0.05  # until one was measured
-REPORT_SECONDS = 1.0  # of drawing the run's page
-BYTES_PER_SECOND = 100e6  # of writing checkpoint and model, until one was written
-SPARE = 0.005  # of the budget, for what no estimate foresees
-RECOVERY = 150  # steps that must be left where opacities are lowered
-SETTLING = 50  # ... where a level begins, or the model grows
-LONG = 20 * RECOVERY  # steps: with more left, no estimate is so wrong that a run ends soon
-EVALUATION_SHARE = 0.1  # of the budget
-TOO_LITTLE = 0.5  # share of the budget that all but training may take
+ESTIMATE_SHARE = 0.005  # of the budget between two estimates
+NEWEST_WEIGHT = 0.5  # of the newest measurement in a level's step time
+FIRST_STEP_SECONDS = 0.05  # assumed before the first measurement
+REPORT_SECONDS = 1.0  # to draw the run's page
+BYTES_PER_SECOND = 100e6  # assumed for checkpoint and model before the first is written
+RESERVE_SHARE = 0.005  # of the budget, for the unforeseen
+RESET_RECOVERY = 150  # steps that must be left after an opacity reset
+GROWTH_RECOVERY = 50  # steps that must be left after growth or a new level
+FAR_FROM_END = 20 * RESET_RECOVERY  # steps left, which no wrong estimate turns into a few
+EVALUATION_SHARE = 0.1  # of the budget at most
+MOST_OVERHEAD = 0.5  # share of the budget that all but training may take
 
 
 class TimeBudget:
-    """How many steps a time allows.
+    """Estimates how many steps a time allows.
 
     Parameters
     ----------
-    seconds : all there is.
-    evaluation_seconds : of evaluating once, to be kept up to date.
+    seconds : the whole budget.
+    evaluation_seconds : duration of one evaluation; the caller keeps it up to date.
     elapsed : seconds spent before the first step.
-    saved_bytes : of checkpoint and model.
-    evaluations : wanted, evenly over the time; those are made that EVALUATION_SHARE allows.
+    saved_bytes : size of checkpoint and model.
+    evaluations : requested number, evenly over the time; EVALUATION_SHARE may allow fewer.
 
     Attributes
     ----------
-    last_level : the level that the run stays at, once another does not fit; None before.
+    last_level : level at which the run ends, once the next one does not fit; None before.
     """
 
     def __init__(self, seconds: float, evaluation_seconds: float, elapsed: float,
                  saved_bytes: float, evaluations: int = 1) -> None:
         self.seconds, self.evaluation_seconds = seconds, evaluation_seconds
         self.rate = BYTES_PER_SECOND
-        self.pending = 0  # evaluations still to come before the last
+        self.pending = 0  # evaluations to come before the last one
         self.step_seconds: dict[float, float] = {}  # level -> seconds
-        self.change_seconds = 0.0  # of going to another level: reading its photos
+        self.change_seconds = 0.0  # to change the level, which reads photos
         self.last_level: float | None = None
-        self._since = None  # (iteration, seconds) of the last measurement
+        self._since: tuple[int, float] | None = None  # (iteration, seconds) of the last measurement
         needed = elapsed + self.reserve(saved_bytes)
-        if needed > TOO_LITTLE * seconds:
-            least = math.ceil(1.1 * needed / TOO_LITTLE)  # the next try may measure more
+        if needed > MOST_OVERHEAD * seconds:
+            least = math.ceil(1.1 * needed / MOST_OVERHEAD)  # the next try may measure more
             raise InputError(
                 f"--time-budget {seconds:g}s: reading the photos, evaluating and saving once take "
                 f"{needed:.1f} s here; give at least {least}s")
@@ -68,12 +68,12 @@ class TimeBudget:
         self.pending = self._evaluations - 1
 
     def reserve(self, saved_bytes: float) -> float:
-        """Seconds to keep for the evaluations to come, the files and the page."""
+        """Seconds to reserve for evaluations to come, files and the page."""
         return (self.evaluation_seconds * (1 + self.pending) + saved_bytes / self.rate
-                + REPORT_SECONDS + SPARE * self.seconds)
+                + REPORT_SECONDS + RESERVE_SHARE * self.seconds)
 
     def evaluates(self, elapsed: float) -> bool:
-        """Whether it is time for an evaluation, one of those before the last."""
+        """Whether an evaluation is due now, other than the last one."""
         passed = int(self._evaluations * elapsed / self.seconds)
         if not self.pending or passed < self._evaluations - self.pending:
             return False
@@ -81,60 +81,80 @@ class TimeBudget:
         return True
 
     def is_due(self, elapsed: float) -> bool:
-        """Whether it is time for another estimate."""
-        return self._since is None or elapsed - self._since[1] > EVERY * self.seconds
+        """Whether another estimate is due."""
+        return self._since is None or elapsed - self._since[1] > ESTIMATE_SHARE * self.seconds
 
     def begin_steps(self, iteration: int, elapsed: float) -> None:
-        """What comes from now on are steps."""
+        """Measure steps from here on."""
         self._since = iteration, elapsed
 
     def note_steps(self, iteration: int, level: float, elapsed: float) -> None:
-        """Measure the steps since the last note, all at `level`."""
+        """Note the time of the steps since the last note, all at `level`."""
         if self._since and iteration > self._since[0]:
             latest = (elapsed - self._since[1]) / (iteration - self._since[0])
             before = self.step_seconds.get(level, latest)
-            self.step_seconds[level] = before + MEMORY * (latest - before)
+            self.step_seconds[level] = before + NEWEST_WEIGHT * (latest - before)
         self._since = iteration, elapsed
 
     def note_change(self, seconds: float, iteration: int, elapsed: float) -> None:
-        """Going to another level took so long, which is no time of a step."""
+        """Note the seconds that a change of level took, which are no part of a step."""
         self.change_seconds = max(self.change_seconds, seconds)
         self.begin_steps(iteration, elapsed)
 
     def note_saved(self, saved_bytes: float, seconds: float) -> None:
-        """Writing so many bytes took so long."""
+        """Note how long it took to write a checkpoint."""
         self.rate = max(saved_bytes / max(seconds, 1e-3), 1e6)
 
-    def steps(self, iteration: int, ahead: list[tuple[float, int]], elapsed: float,
+    def steps(self, iteration: int, ahead: list[tuple[float, float]], elapsed: float,
               saved_bytes: float) -> int:
-        """The number of steps of the whole run, as of `iteration`; ahead: (level, steps) still to
-        come by the present estimate."""
+        """Estimate the number of steps of the whole run.
+
+        Parameters
+        ----------
+        iteration : steps taken so far.
+        ahead : (level, steps) to come by the present estimate.
+        elapsed : seconds since the start.
+        saved_bytes : size of checkpoint and model.
+        """
         left = self.seconds - elapsed - self.reserve(saved_bytes)
         predicted = sum(self._step_seconds(level) * steps for level, steps in ahead)
-        steps = sum(steps for _, steps in ahead)
-        return iteration + max(0, int(steps * left / predicted)) if predicted > 0 else iteration
+        count = sum(steps for _, steps in ahead)
+        return iteration + max(0, int(count * left / predicted)) if predicted > 0 else iteration
 
     def left(self, level: float, changes: bool, elapsed: float, saved_bytes: float) -> int:
-        """Steps at `level` for which there is time, carefully judged; changes: whether the level
-        is still to be gone to."""
+        """Number of steps for which there is certainly time.
+
+        Parameters
+        ----------
+        level : of these steps.
+        changes : whether the run has yet to change to this level.
+        elapsed : seconds since the start.
+        saved_bytes : size of checkpoint and model.
+        """
         seconds = self.seconds - elapsed - self.reserve(saved_bytes)
         if changes:
             seconds -= self.change_seconds
         return max(0, int(seconds / self._step_seconds(level, power=2)))
 
     def allowed(self, plan: Plan, level: float, left: int) -> Plan:
-        """The Plan of a step, less what `left` steps do not allow to recover from; level: that of
-        the step before."""
-        if self.last_level is None and plan.level != level and left < SETTLING:
+        """Remove from a plan what the model could not recover from.
+
+        Parameters
+        ----------
+        plan : of the next step.
+        level : of the step before.
+        left : number of steps for which there is time.
+        """
+        if self.last_level is None and plan.level != level and left < GROWTH_RECOVERY:
             self.last_level = level
         if self.last_level is not None:
             return replace(plan, level=self.last_level, grows=False, resets_opacity=False)
-        return replace(plan, grows=plan.grows and left >= SETTLING,
-                       resets_opacity=plan.resets_opacity and left >= RECOVERY)
+        return replace(plan, grows=plan.grows and left >= GROWTH_RECOVERY,
+                       resets_opacity=plan.resets_opacity and left >= RESET_RECOVERY)
 
-    def _step_seconds(self, level, power=1):
-        """Of a level not seen yet: as if time grew with this power of the image's side, from the
-        nearest."""
+    def _step_seconds(self, level: float, power: int = 1) -> float:
+        """Seconds of a step. For a level without measurement, that of the nearest level times a
+        power of the ratio of their image sides."""
         if level in self.step_seconds:
             return self.step_seconds[level]
         if not self.step_seconds:
@@ -143,13 +163,13 @@ class TimeBudget:
         return self.step_seconds[nearest] * (nearest / level) ** power
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint must hold, for JSON."""
+        """State for a checkpoint, of types that JSON has."""
         return {"step_seconds": list(self.step_seconds.items()), "rate": self.rate,
                 "change_seconds": self.change_seconds, "last_level": self.last_level}
 
     def load(self, state: dict[str, Any]) -> None:
-        """Go on from the `state` that a checkpoint held."""
-        self.step_seconds = {level: seconds for level, seconds in state["step_seconds"]}
+        """Restore what `state` returned."""
+        self.step_seconds = dict(state["step_seconds"])
         self.rate = state["rate"]
         self.change_seconds = state["change_seconds"]
         self.last_level = state["last_level"]

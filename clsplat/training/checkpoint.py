@@ -1,13 +1,14 @@
-"""What a checkpoint holds of a training: rows, moments, statistics, exposures, schedule, clocks."""
+"""Checkpoints of a training: rows, moments, statistics, exposures, schedule and clocks."""
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
-from clsplat.gaussians import FIELDS, LEARNED, Gaussians
+from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.options import checked
 from clsplat.training.clock import Clock
@@ -17,17 +18,18 @@ from clsplat.training.session import Session
 
 Arrays = dict[str, NDArray[Any]]
 
-REALS = (np.float32, np.float64)  # what devices compute in
+REALS = (np.float32, np.float64)  # precisions of devices
+NUMBER = (int, float)
 # key of the state -> (types, least value of a number)
-NUMBER, OPTIONAL = (int, float), type(None)
-STATE = {"fingerprint": (str, None), "iteration": (int, 0), "level": (NUMBER, 1),
-         "train_seconds": (NUMBER, 0), "wall_seconds": (NUMBER, 0), "kernel_bytes": (int, 0),
-         "pixel_pairs": (int, 0), "initial_count": (int, 0), "skipped": (dict, None),
-         "schedule": (dict, None), "budget": ((dict, OPTIONAL), None)}
+STATE: dict[str, tuple[Any, int | None]] = {
+    "fingerprint": (str, None), "iteration": (int, 0), "level": (NUMBER, 1),
+    "train_seconds": (NUMBER, 0), "wall_seconds": (NUMBER, 0), "kernel_bytes": (int, 0),
+    "pixel_pairs": (int, 0), "initial_count": (int, 0), "skipped": (dict, None),
+    "schedule": (dict, None), "budget": ((dict, type(None)), None)}
 
 
 class Checkpoint:
-    """The checkpoint of a run, from which a Session goes on to the same bytes."""
+    """The checkpoint of a run, from which a session resumes to the same bytes."""
 
     def __init__(self, run: RunFolder, session: Session, clock: Clock, deadline: Deadline | None,
                  fingerprint: str) -> None:
@@ -35,9 +37,9 @@ class Checkpoint:
         self.deadline, self.fingerprint = deadline, fingerprint
 
     def save(self) -> None:
-        """Write it, while the clock is paused.
+        """Write the checkpoint, while the clock is paused.
 
-        Where a number is not finite, InputError: the checkpoint before is worth more.
+        Raises InputError where a value is not finite, and so keeps the previous checkpoint.
         """
         session, step = self.session, self.session.step
         m, v = step.model.adam.download(step.model.count)
@@ -50,10 +52,9 @@ class Checkpoint:
             parts["exposure"] = step.exposures.download()
         arrays = {f"{kind}.{name}": values for kind, fields in parts.items()
                   for name, values in fields.items()}
-        spoilt = [name for name, values in arrays.items() if not _is_finite(values)]
-        if spoilt:
-            raise broken(self.run,
-                         f"{', '.join(spoilt)} at step {session.iteration}: not finite")
+        bad = [name for name, values in arrays.items() if not _is_finite(values)]
+        if bad:
+            raise broken(self.run, f"{', '.join(bad)} at step {session.iteration}: not finite")
         self.run.save_checkpoint(arrays, {
             "fingerprint": self.fingerprint, "iteration": session.iteration,
             "level": session.level, **self.clock.state(), "pixel_pairs": step.pixel_pairs,
@@ -62,7 +63,7 @@ class Checkpoint:
             "budget": self.deadline and self.deadline.state()})
 
     def load(self, arrays: Arrays, state: dict[str, Any]) -> None:
-        """Take over what it holds besides the rows; KeyError names what it lacks."""
+        """Restore all but the rows; KeyError names what the checkpoint lacks."""
         session, step = self.session, self.session.step
         session.use_level(state["level"])
         step.model.adam.upload(_fields(arrays, "m", LEARNED), _fields(arrays, "v", LEARNED))
@@ -87,7 +88,13 @@ class Checkpoint:
 
 
 def check_state(state: dict[str, Any]) -> None:
-    """KeyError names what a checkpoint's state lacks, ValueError what is not as `save` wrote it."""
+    """Check the state of a checkpoint.
+
+    Raises
+    ------
+    KeyError : names a missing key.
+    ValueError : names a value that `Checkpoint.save` cannot have written.
+    """
     for key, (kinds, least) in STATE.items():
         value = state[key]
         if not isinstance(value, kinds) or least is not None and value is not None and (
@@ -97,9 +104,15 @@ def check_state(state: dict[str, Any]) -> None:
 
 def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
                     state: dict[str, Any]) -> Gaussians:
-    """The Gaussians of a run's checkpoint, in the units of training; record: the run's options.
+    """The gaussians in a run's checkpoint, in the units of training.
 
-    InputError where the checkpoint, or the options, lack what is needed.
+    Raises InputError where the checkpoint or the options lack what is needed.
+
+    Parameters
+    ----------
+    run : the folder.
+    record : option -> value, as the run's record has it.
+    arrays, state : contents of the checkpoint.
     """
     try:
         check_state(state)
@@ -111,9 +124,12 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
 
 
 def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
-    """The Gaussians of a checkpoint's arrays.
+    """The gaussians in the arrays of a checkpoint.
 
-    KeyError names an array that is missing, ValueError one that does not fit the others.
+    Raises
+    ------
+    KeyError : names an array that is missing.
+    ValueError : names an array that does not fit the others.
     """
     carried = [field for field in FIELDS if f"row.{field.name}" in arrays or field in LEARNED]
     gaussians = Gaussians(_fields(arrays, "row", carried), sh_degree)
@@ -128,10 +144,10 @@ def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
     return gaussians
 
 
-def _fields(arrays, kind, fields):
+def _fields(arrays: Arrays, kind: str, fields: Iterable[Field]) -> Arrays:
     return {field.name: arrays[f"{kind}.{field.name}"] for field in fields}
 
 
-def _is_finite(values):
-    """By the extremes, which nan spoils too: no copy of what may be gigabytes."""
+def _is_finite(values: NDArray[Any]) -> bool:
+    """Test the extremes, which are nan if any value is: this copies none of the gigabytes."""
     return bool(np.isfinite([values.min(initial=0), values.max(initial=0)]).all())

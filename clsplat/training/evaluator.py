@@ -1,4 +1,4 @@
-"""Metrics of the held-out views during a training, and when they are due."""
+"""Evaluates the held-out views during a training, and decides when that is due."""
 
 import time
 from typing import Any
@@ -9,18 +9,18 @@ from clsplat.training.clock import Clock
 from clsplat.training.recorder import Recorder
 from clsplat.training.session import Session
 
-EVALUATIONS = 8  # of a run, by default
-EVALUATION_SHARE = 1 / 3  # of the time so far, that they may take
+EVALUATIONS = 8  # in a run, by default
+EVALUATION_SHARE = 1 / 3  # of the time so far that evaluations may take
 
 
 class Evaluator:
-    """Evaluates a Session.
+    """Evaluates a session.
 
     Attributes
     ----------
-    evaluated_at : the step of the last evaluation of the run, or None.
-    per_view : scores of its views, where it was made in this process.
-    latest_seconds : that it took.
+    evaluated_at : step of the last evaluation of the run, or None.
+    per_view : scores of its views, if this process made it.
+    latest_seconds : its duration.
     """
 
     def __init__(self, session: Session, clock: Clock, recorder: Recorder) -> None:
@@ -30,17 +30,17 @@ class Evaluator:
         self.latest_seconds = self._all_seconds = 0.0
 
     def is_due(self) -> bool:
-        """Whether an evaluation follows the latest step, by its number or the time so far."""
+        """Whether an evaluation is due after the latest step, by its number and the time so far."""
         options, iteration = self.session.options, self.session.iteration
         if options.eval_every != AUTO:
             return options.eval_every > 0 and iteration % options.eval_every == 0
-        if EVALUATIONS * iteration % options.iterations >= EVALUATIONS:  # no eighth ends here
+        if EVALUATIONS * iteration % options.iterations >= EVALUATIONS:  # not after an eighth
             return False
         return (self._all_seconds + self.latest_seconds
                 <= EVALUATION_SHARE * self.clock.elapsed())
 
     def evaluate(self) -> None:
-        """Record the metrics, outside of training time; nothing where no view is held out."""
+        """Evaluate and record the metrics, outside of training time, if any view is held out."""
         session, progress = self.session, self.recorder.progress
         if not session.test_views:
             return

@@ -1,4 +1,4 @@
-"""What a training leaves: models that others open, and the page that people read."""
+"""Writes the results of a training: models and the report."""
 
 import logging
 from typing import Any
@@ -14,7 +14,7 @@ from clsplat.training.session import Session
 
 
 def save_model(run: RunFolder, session: Session) -> None:
-    """Write the finished model, and what was learned of its photos' colours."""
+    """Write the finished model and the colour transforms of its photos."""
     if session.step.exposures:
         rows = session.step.exposures.transforms.download().reshape(-1, 3, 4)
         run.save_exposures({view.name: row for view, row in zip(session.train_views, rows)})
@@ -24,10 +24,9 @@ def save_model(run: RunFolder, session: Session) -> None:
 
 
 def save_snapshot(run: RunFolder, session: Session) -> None:
-    """Write the model as a level leaves it: what clsplat/city/lod.py draws far away.
+    """Write the model at the end of a level, which clsplat/city/lod.py draws at a distance.
 
-    The header tells the level's factor, the steps taken and the scene frequencies, in 1 / world
-    unit.
+    The header has the level's factor, the steps taken and the scene frequencies, in 1 / world unit.
     """
     unit = session.scene.unit
     frequency = scene_frequency(session.device, session.model.rows, unit)
@@ -37,20 +36,20 @@ def save_snapshot(run: RunFolder, session: Session) -> None:
          *(f"frequency {name} {frequency[f'{name}_mean']:.9g}" for name in VARIANTS)))
 
 
-def _comments(session):
-    """Lines for the PLY header that other tools read."""
+def _comments(session: Session) -> tuple[str, ...]:
+    """Comments for the PLY header, which other tools read."""
     mode = "mip" if session.options.antialiased else "default"
     return (f"iterations {session.iteration}", f"SplatRenderMode: {mode}")
 
 
 def draw_report(run: RunFolder, session: Session, per_view: list[dict[str, Any]] | None) -> None:
-    """Draw the page of a run. A page that cannot be drawn is a warning: the model is complete.
+    """Write the report of a run; failure is only a warning, as the model is complete.
 
     Parameters
     ----------
-    run : where it is written.
-    session : whose views are shown.
-    per_view : scores of the held-out views, where they are known.
+    run : the folder.
+    session : the finished training.
+    per_view : scores of the held-out views, if known.
     """
     try:
         write_report(run, pictures=pictures_of(
@@ -58,7 +57,7 @@ def draw_report(run: RunFolder, session: Session, per_view: list[dict[str, Any]]
             session.test_views, session.train_views, per_view))
     except ClsplatError:
         raise
-    except Exception as error:  # noqa: BLE001  (fonts, locales, settings of matplotlib)
+    except Exception as error:  # noqa: BLE001  (fonts, locales, matplotlib settings)
         if was_interrupted(error):
             raise
         logging.getLogger(__name__).warning(

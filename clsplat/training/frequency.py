@@ -1,13 +1,13 @@
-"""How fine the detail is that a model holds: its scene frequency (cl/frequency.cl)."""
+"""The scene frequency, which tells how fine the detail of a model is (cl/frequency.cl)."""
 
 from clsplat.constants import FREQUENCY_SUMS, FREQUENCY_TERMS, LANES
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
 from clsplat.primitives.reduce import sum_columns
 
 VARIANTS = ("paper", "release", "robust")
-AXES = ("mean", "max", "min")  # over a gaussian's three axes, of 1 / sigma
-ROWS_AN_ITEM = 128  # few, so that single precision can add them up
-TOGETHER = Forms(item=1, group=LANES)  # work-items, in whatever groups: the same sums of each
+AXES = ("mean", "max", "min")  # of 1 / sigma over a gaussian's three axes
+ROWS_AN_ITEM = 128  # few, so that sums stay exact enough in single precision
+TOGETHER = Forms(item=1, group=LANES)  # work-items, so that sums do not depend on group size
 
 _ROWS = dict(count="uint", log_scales=("real", "N", 3), opacity_logits=("real", "N"))
 _MAXIMA = dict(maxima=("real", FREQUENCY_TERMS))
@@ -24,23 +24,23 @@ VALUES = Kernel("frequency.cl", "frequency_values", items("1"), **_MAXIMA,
 
 def scene_frequency(device: Device, rows: dict[str, Array],
                     unit: float = 1.0) -> dict[str, float]:
-    """{"paper_mean": float, ...}: nine scene frequencies, in 1 / world unit; waits.
+    """Compute nine scene frequencies, {"paper_mean": float, ...}, in 1 / world unit; waits.
 
     Parameters
     ----------
     device : of the rows.
     rows : field name -> Array, of which log_scales real[N, 3] and opacity_logits real[N] are read.
-    unit : world units that one of theirs stands for.
+    unit : world units per unit of the rows.
 
     Notes
     -----
     Keys are a variant and an axis. Variants: `paper`, weighted by squared opacity and determinant
     (SIG, ICLR 2026); `release`, one over the mean sigma, as its released code; `robust`, ours, one
-    over the mean sigma weighted by opacity, so that what cannot be seen does not count. Axis: what
-    a gaussian's frequency is, the mean, max or min of 1 / sigma.
+    over the mean sigma weighted by opacity, so that invisible gaussians do not count. Axis: a
+    gaussian's frequency is the mean, max or min of 1 / sigma.
 
-    Gaussians do not count that have a number that is not finite, or a sigma or its inverse that
-    single precision cannot hold; where none counts, all values are nan.
+    Gaussians with a value that is not finite, or with a sigma or inverse that overflows single
+    precision, are left out; if none remains, all values are nan.
     """
     count = len(rows["opacity_logits"])
     together = TOGETHER.of(device)

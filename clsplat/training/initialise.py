@@ -1,4 +1,4 @@
-"""What a training starts from."""
+"""The initial gaussians and colour transforms of a training."""
 
 import os
 from collections.abc import Iterable
@@ -15,14 +15,14 @@ from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
 from clsplat.schedule import schedule_of
 
-FEWEST = 2  # gaussians: the distance between them sizes what grows
+FEWEST_GAUSSIANS = 2  # their distance gives new gaussians a size
 
 
 def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
-    """Gaussians on the sparse points, on random points within their bounds, or from a PLY file.
+    """Gaussians at the sparse points, at random points within their bounds, or from a PLY file.
 
-    With spheres where the options want them. Raises InputError for fewer gaussians allowed than
-    given, or a file that cannot be used.
+    They have spheres if the options request it. Raises InputError where they are more than the
+    options allow, or where the file cannot be used.
     """
     if options.init == "sfm":
         gaussians = Gaussians.from_points(scene.points, scene.colours, options.sh_degree)
@@ -30,24 +30,25 @@ def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
         rng = np.random.default_rng([options.seed, 0])
         low, high = np.percentile(scene.points, (1, 99), axis=0)
         points = rng.uniform(low, high, scene.points.shape)
-        colours = rng.integers(0, 256, scene.points.shape)
+        colours = rng.integers(0, 256, scene.points.shape).astype(np.uint8)
         gaussians = Gaussians.from_points(points, colours, options.sh_degree)
     else:
         if not os.path.exists(options.init):
             raise InputError(
-                f"{options.init}: no such file; --init wants sfm, random or a PLY file")
+                f"{options.init}: no such file; --init expects sfm, random or a PLY file")
         if os.path.isdir(options.init):
-            raise InputError(f"{options.init}: a folder; --init wants sfm, random or a PLY file, "
+            raise InputError(f"{options.init}: a folder; --init expects sfm, random or a PLY file, "
                              "such as the point_cloud.ply of a run")
-        given = read_ply(options.init, scene.offset).scaled(1 / scene.unit)
-        if given.count < FEWEST:
-            raise InputError(f"{options.init}: has {given.count} gaussians, and a training starts "
-                             f"from at least {FEWEST}; give another PLY to --init, or leave it out")
-        gaussians = given.with_sh_degree(options.sh_degree)
+        gaussians = read_ply(options.init, scene.offset).scaled(1 / scene.unit)
+        if gaussians.count < FEWEST_GAUSSIANS:
+            raise InputError(
+                f"{options.init}: has {gaussians.count} gaussians, and a training starts from at "
+                f"least {FEWEST_GAUSSIANS}; give another PLY to --init, or leave it out")
+        gaussians = gaussians.with_sh_degree(options.sh_degree)
     constrained = options.sphere and "spheres" in schedule_of(options.schedule).parts
     if constrained and "anchors" not in gaussians.rows:
         gaussians = with_spheres(gaussians, options.sphere_neighbours)
-    if not constrained:  # what spheres a file has hold nothing back
+    if not constrained:  # drop the spheres of a file
         gaussians = Gaussians({field.name: gaussians.rows[field.name] for field in LEARNED},
                               gaussians.sh_degree)
     if options.max_gaussians and gaussians.count > options.max_gaussians:
@@ -57,8 +58,10 @@ def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
 
 
 def initial_exposures(scene: Scene, views: Iterable[View]) -> NDArray[np.float64] | None:
-    """[V, 3, 4]: the colour transforms that a block's `views` start from, the identity for one that
-    has none; None where the scene is no block, or brings none."""
+    """The colour transforms [V, 3, 4] of a block's views, from the coarse run; None without them.
+
+    A view that has none gets the identity.
+    """
     if not scene.exposures:
         return None
     return np.array([scene.exposures.get(view.name, IDENTITY) for view in views])

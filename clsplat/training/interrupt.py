@@ -1,4 +1,4 @@
-"""Ctrl-C, and SIGTERM of a scheduler: a step that was cut in half must not reach the checkpoint."""
+"""Handles Ctrl-C and a scheduler's SIGTERM, so that no half step reaches the checkpoint."""
 
 import signal
 import threading
@@ -6,20 +6,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-SIGNALS = ("SIGINT", "SIGTERM", "SIGBREAK")  # Windows has the last, for Ctrl-Break
+SIGNALS = ("SIGINT", "SIGTERM", "SIGBREAK")  # the last is Windows's, for Ctrl-Break
 
 
 class Interrupts:
-    """A handler of signals that counts them, and raises KeyboardInterrupt unless it is told to
-    wait.
+    """A signal handler that counts signals, and raises KeyboardInterrupt unless told to wait.
 
-    An exception that C code turned into another one, or swallowed, is still counted: who ends a
-    command asks `number`.
+    The count remains where C code replaces or swallows the exception, so the end of a command
+    checks `number`.
 
     Attributes
     ----------
     count : signals so far.
-    number : the first signal's number, or 0.
+    number : number of the first signal, or 0.
     """
 
     def __init__(self) -> None:
@@ -34,7 +33,7 @@ class Interrupts:
 
     @contextmanager
     def waiting(self) -> Iterator[Callable[[], bool]]:
-        """While the block runs, the first signal is noted only; yields whether there was one."""
+        """Only count the first signal during the block; yields a function that tells of it."""
         self._waits = True
         try:
             yield lambda: self.count > 0
@@ -44,9 +43,9 @@ class Interrupts:
 
 @contextmanager
 def handled_interrupts() -> Iterator[Interrupts]:
-    """Handle the signals that end a command, one that is ignored left aside, until the block ends.
+    """Handle the signals that end a command during the block, except ignored ones.
 
-    Outside the main thread Python delivers no signals, and nothing changes.
+    Outside the main thread this does nothing, as Python delivers no signals there.
     """
     handler, before = Interrupts(), {}
     if threading.current_thread() is threading.main_thread():
@@ -62,8 +61,10 @@ def handled_interrupts() -> Iterator[Interrupts]:
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Yields a function that tells whether Ctrl-C was pressed since; the second one raises
-    KeyboardInterrupt at once."""
+    """Defer the first Ctrl-C to the end of the block; the second raises KeyboardInterrupt at once.
+
+    Yields a function that tells whether Ctrl-C was pressed.
+    """
     handler = signal.getsignal(signal.SIGINT)
     if isinstance(handler, Interrupts):
         with handler.waiting() as interrupted:
@@ -74,6 +75,6 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
 
 
 def was_interrupted(error: BaseException) -> bool:
-    """Whether an exception comes of Ctrl-C, also where C code made another one of it."""
+    """Whether Ctrl-C caused an exception, even if C code replaced the KeyboardInterrupt."""
     return isinstance(error, KeyboardInterrupt) or bool(
         getattr(signal.getsignal(signal.SIGINT), "count", 0))

@@ -1,7 +1,7 @@
-"""The training loop: steps, growth, evaluations, checkpoints; it can be stopped anywhere.
+"""The training loop: steps, growth, evaluations and checkpoints; it can be stopped anywhere.
 
-Randomness is counter-based (seed and iteration), so a checkpoint needs no generator state and a
-resumed run ends in the same bytes as one that was never stopped.
+Random numbers depend only on the seed and the iteration, so a checkpoint needs no generator state
+and a resumed run ends in the same bytes as one that was never stopped.
 """
 
 import dataclasses
@@ -16,8 +16,10 @@ from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
+from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
+from clsplat.schedule import Plan
 from clsplat.training.checkpoint import Checkpoint, saved_gaussians
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
@@ -30,6 +32,7 @@ from clsplat.training.progress import WARNING, SilentProgress
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
 from clsplat.training.scene_checks import find_warnings
 from clsplat.training.session import Session
+from clsplat.training.step import Measured
 
 
 def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -39,34 +42,34 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     Parameters
     ----------
     scene : as it was read.
-    options : as they were given.
-    device : that trains.
+    options : as the user gave them.
+    device : of the training.
     run : an empty folder.
-    progress : told of steps, messages and phases; None: nobody is.
-    callbacks : functions that see every record, and may raise StopTraining.
+    progress : receives steps, messages and phases; None: only warnings are shown.
+    callbacks : called with every record; may raise StopTraining.
 
     Raises
     ------
-    Interrupted : with the state saved, on Ctrl-C, and where a callback stops it.
+    Interrupted : on Ctrl-C, or where an option or a callback stops it; the state is saved.
     """
     training = Training(scene, options, device, run, progress, callbacks=callbacks)
     session = training.session
     with training.resumable():
-        found = find_warnings(session.scene, session.train_views,
-                              session.model.rows["opacity_logits"].download())
+        warnings = find_warnings(session.scene, session.train_views,
+                                 session.model.rows["opacity_logits"].download())
         run.write_options({"scene": scene.path, **dataclasses.asdict(options),
                            "fingerprint": fingerprint(scene), "opencl_device": device.name,
                            "kernel_form": device.form, "extent": scene.extent,
                            "offset": scene.offset.tolist(),
                            "decisions": session.decisions.values})
         training.recorded = True
-        training.begin(found)
+        training.begin(warnings)
         training.run_to_end()
 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
            progress: SilentProgress | None = None, callbacks: Iterable[Callback] = ()) -> None:
-    """Go on from the run's checkpoint, as if it had never stopped; arguments as of `train`."""
+    """Resume a run from its checkpoint, as if it had never stopped; arguments as for `train`."""
     record = run.read_options()
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "
@@ -97,17 +100,19 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
 
 
 class Training:
-    """Runs a Session to its end; each of its members does one thing besides.
+    """Runs a session to its end.
 
     Parameters
     ----------
-    scene, options, device, run, progress, callbacks : as of `train`.
-    gaussians : where a resumed run goes on; None: begin as the options say.
+    scene, options, device, run, progress, callbacks : as for `train`.
+    gaussians : those of a resumed run; None: the initial ones.
 
     Attributes
     ----------
-    session : what is trained.
-    recorded : whether the run folder holds this run.
+    session : the state of the training; it takes the steps.
+    clock, recorder, evaluator, checkpoint : measure, report, evaluate and save it.
+    deadline : adapts the number of steps to a time budget; None without one.
+    recorded : whether the run folder contains this run.
     """
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -118,7 +123,7 @@ class Training:
         self.run = run
         self.progress = progress = SilentProgress() if progress is None else progress
         note = size_note(scene.views, options)
-        if note and not (options.coarse or scene.region):  # a city says it once, for all
+        if note and not (options.coarse or scene.region):  # a city shows it once
             progress.message(note)
         self.clock = Clock(device)
         self.session = Session.build(scene, options, device, progress, gaussians)
@@ -127,11 +132,11 @@ class Training:
         self.deadline = Deadline(self.session, self.clock) if options.time_budget else None
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
-        self._measured = None  # by the latest step
+        self._measured: list[Measured] = []  # by the latest step
         progress.phase("compiling kernels")  # of the first step
 
     def begin(self, warnings: Iterable[str]) -> None:
-        """Write the first records of a run that starts, with texts for the user."""
+        """Write the first records of a new run, and show its warnings."""
         session = self.session
         self.clock.restart()
         self.recorder.log("plan", reasons=session.decisions.reasons,
@@ -141,11 +146,10 @@ class Training:
             self.progress.message(f"{WARNING}{text}")
 
     def run_to_end(self) -> None:
-        """Take steps until done, `stop_at` or Ctrl-C, which waits for its step; then save the
-        state.
+        """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
 
-        What cannot be made again comes first: the checkpoint, then the finished model, then the
-        final evaluation, and the report last, which costs nothing else when it fails.
+        What cannot be made again is written first: the checkpoint, the finished model, the final
+        evaluation, and last the report, whose failure does no harm.
         """
         self.clock.restart()
         if self.deadline:
@@ -166,8 +170,10 @@ class Training:
 
     @contextmanager
     def resumable(self) -> Iterator[None]:
-        """What interrupts the block, wherever it is, tells how to go on from the last checkpoint,
-        once the run is recorded; photos that were still to be read are not."""
+        """Turn an interrupt in the block into one that tells how to resume, if the run is recorded.
+
+        At the end of the block no more photos are read.
+        """
         try:
             yield
         except (Exception, KeyboardInterrupt) as error:
@@ -179,21 +185,21 @@ class Training:
             self.session.photos.close()
 
     def stopped(self) -> Interrupted:
-        """The Interrupted of a run that can go on."""
+        """The Interrupted of a run that can be resumed."""
         return Interrupted(f"stopped after step {self.session.iteration}; go on with: clsplat "
                            f"train --resume -o {shlex.quote(str(self.run.path))}", self.stops())
 
     def finished(self) -> bool:
-        """Whether all steps are taken, or all time is spent."""
+        """Whether all steps are taken, or the time is over."""
         return self.session.iteration >= self.session.options.iterations
 
     def stops(self) -> bool:
-        """Whether an option or a callback wants no more steps in this process."""
+        """Whether an option or a callback stops this process."""
         return (0 < self.session.options.stop_at <= self.session.iteration
                 or self.recorder.stop)
 
     def take_step(self) -> None:
-        """One step with all that follows it."""
+        """Take one step with all that follows it."""
         session, deadline = self.session, self.deadline
         step, iteration = session.step, session.iteration + 1
         plan = session.schedule.plan(iteration)
@@ -221,30 +227,34 @@ class Training:
             deadline.estimate()
         if self.finished():
             self._end_well()
-        elif self._evaluates():  # the last one comes once the model is saved
+        elif self._evaluates():  # the last evaluation follows the saved model
             self.evaluator.evaluate()
             if deadline:
                 deadline.budget.evaluation_seconds = self.evaluator.latest_seconds
         self.recorder.stepped(self._measured, frequency)
 
     def view_of(self, number: int) -> int:
-        """Index of the number-th view (from 1) that is trained on: shuffled epochs, each view once
-        an epoch. A step takes the next options.batch of them."""
+        """Index of the number-th view (from 1) that is trained on.
+
+        Epochs are shuffled and contain each view once; a step takes the next options.batch views.
+        """
         count = len(self.session.train_views)
         epoch, place = divmod(number - 1, count)
         return int(epoch_order(self.session.options.seed, epoch, count)[place])
 
-    def _samples(self, plan):
-        """The samples of the next step; begins to read what follows each."""
+    def _samples(self, plan: Plan) -> Iterator[TrainingSample]:
+        """The samples of the next step; begins to read the photo that follows each."""
         taken = self.session.iteration * self.session.options.batch
         for number in range(taken + 1, taken + 1 + self.session.options.batch):
             sample = self.session.sample(self.view_of(number), number, plan)
             self.session.expect(self.view_of(number + 1), number + 1, plan)
             yield sample
 
-    def _observe(self):
-        """Show the schedule the scene frequency where it looks, log what it decides; returns the
-        frequency, where it was measured."""
+    def _observe(self) -> dict[str, float] | None:
+        """Pass the scene frequency to the schedule if that is due, and log what it decides.
+
+        Returns the frequency, if it was measured.
+        """
         session, decision = self.session, None
         observes = self._due(session.schedule.observe_every)
         if not (observes or self._due(LOG_EVERY)):
@@ -256,7 +266,8 @@ class Training:
             self.recorder.log("level", **decision)
         return frequency
 
-    def _evaluates(self):
+    def _evaluates(self) -> bool:
+        """Whether an evaluation follows the latest step, other than the last."""
         options, deadline = self.session.options, self.deadline
         if self.session.iteration in options.eval_at:
             return True
@@ -264,8 +275,8 @@ class Training:
             return deadline.budget.evaluates(self.clock.elapsed())
         return self.evaluator.is_due()
 
-    def _end_well(self):
-        """Take back a model that had no time to recover."""
+    def _end_well(self) -> None:
+        """Return to an earlier model if the last one had no time to recover."""
         since = self.deadline.rolled_back() if self.deadline else None
         if since is not None:
             self.recorder.log("restored", since=since)
@@ -273,11 +284,11 @@ class Training:
                 f"the time ended {self.session.iteration - since} steps after opacities were "
                 "lowered or a level began: the model from before that is kept, it was better")
 
-    def _due(self, every):
+    def _due(self, every: int) -> bool:
         return every > 0 and self.session.iteration % every == 0
 
     def save(self) -> None:
-        """Write the checkpoint, outside of training time; InputError rather than a spoilt one."""
+        """Write the checkpoint, outside of training time; InputError if a value is not finite."""
         with self.clock.paused():
             self.progress.phase("writing the checkpoint")
             if self._measured:

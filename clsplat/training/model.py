@@ -1,4 +1,4 @@
-"""The gaussians in training: device rows that grow and shrink, and everything aligned to them."""
+"""The gaussians in training: rows on the device, and the Adam moments aligned with them."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from clsplat.gaussians import FIELDS, LEARNED, Gaussians
 from clsplat.optimise.adam import DeviceAdam, NumpyAdam
 from clsplat.primitives.gather import gather
 
-GROWTH_ROOM = 1.5  # capacity over need, so that most growth reallocates nothing new
-# share of the device's memory that parameters and moments may take before moments move to the host
-DEVICE_SHARE = 0.5
+GROWTH_ROOM = 1.5  # capacity over need, so that most growth needs no reallocation
+DEVICE_SHARE = 0.5  # of the device's memory; beyond it, the moments are kept on the host
 ENGINES = {"device": DeviceAdam, "numpy": NumpyAdam}
 
 
 class Model:
-    """Rows by field on the device and an Adam engine whose moments follow them.
+    """Rows of gaussians on the device, and an Adam engine whose moments follow them.
 
     Parameters
     ----------
     device : of the training.
-    gaussians : to begin with.
-    engine : where moments are kept, "device" or "numpy"; "auto": on the device, where they fit now.
-    dense : whether Adam moves all rows, or those that a view saw.
+    gaussians : the initial ones.
+    engine : where moments are kept, "device" or "numpy"; "auto": on the device if they fit now.
+    dense : whether Adam updates all rows or only those that a view saw.
 
     Attributes
     ----------
-    count : gaussians.
-    capacity : rows that there is memory for.
+    count : number of gaussians.
+    capacity : number of rows that are allocated.
     adam : the engine.
     """
 
@@ -51,12 +50,12 @@ class Model:
 
     @staticmethod
     def arrays(names: Iterable[str], sh_degree: int, capacity: int) -> dict[str, ArraySpec]:
-        """The arrays of the fields of these names."""
+        """The device arrays of the named fields."""
         shapes = {field.name: field.row_shape(sh_degree) for field in FIELDS}
         return {name: ArraySpec((capacity, *shapes[name])) for name in names}
 
     def adopt(self, gaussians: Gaussians) -> None:
-        """Take rows from the host; moments, if there are any, are not touched."""
+        """Take rows from the host; moments stay as they are."""
         self.count = gaussians.count
         self.capacity = max(self.count, self.capacity)
         self._arrays = {name: self.device.allocate(*spec) for name, spec in self.arrays(
@@ -66,18 +65,18 @@ class Model:
 
     @property
     def rows(self) -> dict[str, Array]:
-        """Field name -> real[count, *row shape]."""
+        """Field name -> real[count, *row shape]; views of the arrays."""
         return {name: array.narrow(self.count) for name, array in self._arrays.items()}
 
     def download(self) -> Gaussians:
-        """The rows on the host."""
+        """Copy the rows to the host."""
         rows = {name: array.download() for name, array in self.rows.items()}
         return Gaussians(rows, self.sh_degree)
 
     def regrow(self, growth: Growth) -> None:
-        """Replace the rows by those that a Growth names; new rows have no moments."""
+        """Replace the rows as a round of growth requires; new rows have no moments."""
         count = len(growth.source)
-        self.device.trim()  # frames of another number of gaussians ask for other sizes
+        self.device.trim()  # frames of another number of gaussians need other sizes
         self.capacity = grown_capacity(self.capacity, count)
         source = self.device.upload(growth.source)
         for name, spec in self.arrays(self._arrays, self.sh_degree, self.capacity).items():
@@ -89,8 +88,13 @@ class Model:
             self._arrays[name].write(values, first)
 
     def limit_opacity(self, logit: float, which: NDArray[np.bool_] | None = None) -> None:
-        """No opacity logit stays above `logit`, of all or of those where `which` bool[N]; their
-        moments are forgotten (Kerbl et al. 2023)."""
+        """Limit opacity logits to `logit` and reset the moments of opacities (Kerbl et al. 2023).
+
+        Parameters
+        ----------
+        logit : the limit.
+        which : [N]; the gaussians to change, None for all.
+        """
         logits = self.rows["opacity_logits"]
         values = logits.download()
         logits.write(np.minimum(values, logit, out=values, where=True if which is None else which))
@@ -98,11 +102,11 @@ class Model:
 
 
 def grown_capacity(capacity: int, count: int) -> int:
-    """Rows that there is memory for, after growth to `count`."""
+    """Number of rows that are allocated after growth to `count`."""
     return int(count * GROWTH_ROOM) if count > capacity else capacity
 
 
 def checkpoint_bytes(model: Model) -> int:
-    """About how many bytes checkpoint and finished model take."""
+    """Approximate size in bytes of checkpoint and finished model."""
     floats = sum(field.width(model.sh_degree) for field in LEARNED)
-    return 4 * 4 * floats * model.count  # parameters, two moments, and the PLY
+    return 4 * 4 * floats * model.count  # parameters, two moments, and the PLY file

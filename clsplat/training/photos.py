@@ -1,10 +1,10 @@
-"""Training photos at one level after another, kept on the device while they fit."""
+"""Training photos at each level, which stay on the device while they fit."""
 
 import functools
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -16,24 +16,24 @@ from clsplat.options import TrainOptions
 from clsplat.scene import View
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
-THREADS = 2  # each may hold a whole photo as floats
+THREADS = 2  # each needs memory for a whole photo as floats
 
 
-@functools.lru_cache(maxsize=2)  # this step's epoch, and the next one's
+@functools.lru_cache(maxsize=2)  # the epoch of this step and of the next
 def epoch_order(seed: int, epoch: int, count: int) -> NDArray[np.int64]:
-    """int[count]: the order of the views in an epoch."""
+    """The order of the views in an epoch, [count]."""
     return np.random.default_rng([seed, 1, epoch]).permutation(count)
 
 
 def decode(view: View) -> NDArray[np.uint8]:
-    """uint8[3, H, W]: the view's photo at its camera's size."""
+    """Read a view's photo [3, H, W] at its camera's size."""
     return np.ascontiguousarray(read_photo(view).transpose(2, 0, 1))
 
 
 def decoded(views: Iterable[View]) -> Iterator[NDArray[np.uint8]]:
-    """Yields `decode` of each view, by a few threads; raises InputError at a damaged photo."""
+    """Yield `decode` of each view, from a few threads; InputError at a damaged photo."""
     with ThreadPoolExecutor(THREADS) as threads:
-        ahead = deque()  # no longer than the threads need: photos are large
+        ahead: deque[Future[NDArray[np.uint8]]] = deque()  # kept short: photos are large
         for view in views:
             ahead.append(threads.submit(decode, view))
             if len(ahead) > 2 * THREADS:
@@ -43,12 +43,14 @@ def decoded(views: Iterable[View]) -> Iterator[NDArray[np.uint8]]:
 
 
 def size_note(views: Sequence[View], options: TrainOptions) -> str | None:
-    """A line for the user where --max-resolution makes photos smaller, or None.
+    """A message for the user if --max-resolution makes photos smaller, or None.
+
+    A reduction by -r is not mentioned.
 
     Parameters
     ----------
     views : as they were read.
-    options : of which -r is no surprise and is not mentioned.
+    options : of the training.
     """
     limited = [view.camera for view in views
                if view.camera.reduced(options.downscale, options.max_resolution).width
@@ -67,30 +69,30 @@ def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
 
 
 def photo_array(view: View) -> ArraySpec:
-    """The array of a view's photo."""
+    """The device array of a view's photo."""
     return ArraySpec((3, view.camera.height, view.camera.width), np.uint8)
 
 
 class Photos:
     """`photos[i]` is view i's photo at the present level, uchar[3, H, W] on the device.
 
-    A level that fits the budget is resampled once, and read ahead by a thread while the level
-    before it trains; past it each photo is decoded anew at each use, one ahead: `expect` says which
-    comes next. All photos are decoded at the start, so that a damaged one is refused before a run
-    begins.
+    The photos of a level that fits the budget are resampled once; a thread reads them while the
+    previous level is trained. At other levels each photo is decoded again at each use, one ahead:
+    `expect` announces the next. All photos are decoded at the start, so that a damaged one is
+    refused before a run begins.
 
     Parameters
     ----------
-    device : where they stay.
-    views : whose cameras have the size of level 1.
-    levels : the factors that will come, in order.
-    budget_bytes : what may stay on the device; None: DEVICE_SHARE of its memory.
+    device : of the photos.
+    views : with cameras of the size of level 1.
+    levels : down-sampling factors in the order in which they will come.
+    budget_bytes : limit for photos on the device; None: DEVICE_SHARE of its memory.
 
     Attributes
     ----------
     level, views : the present level, and the views at it.
     resident : whether the photos of this level stay on the device.
-    read_seconds : that going to this level took.
+    read_seconds : duration of the last change of level.
     """
 
     def __init__(self, device: Device, views: Sequence[View], levels: Sequence[float] = (1.0,),
@@ -99,23 +101,24 @@ class Photos:
         self._budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
                         else budget_bytes)
         self._thread = ThreadPoolExecutor(1)
-        self._ahead = {}
-        self._next = None  # (level, futures of its photos)
-        self.level = None
+        self._ahead: dict[int, Future[NDArray[np.uint8]]] = {}
+        # (level, its photos)
+        self._next: tuple[float, list[Future[NDArray[np.uint8]]]] | None = None
+        self.level = 0.0  # none yet
         if not self._fits(at_level(views, levels[0])):
             for _ in decoded(views):
                 pass
         self.use(levels[0])
 
     def use(self, level: float) -> None:
-        """Go to a level, and begin to read the one that follows it."""
+        """Change the level, and begin to read the next one."""
         if level == self.level:
             return
         begin = time.perf_counter()
         self.level, self.views = level, at_level(self._full, level)
         self.resident = self._fits(self.views)
         self._ahead.clear()
-        self._arrays = []
+        self._arrays: list[Array] = []
         if self.resident:
             expected, self._next = self._next, None
             photos = ((future.result() for future in expected[1])
@@ -127,11 +130,11 @@ class Photos:
             self._next = following[0], [self._thread.submit(decode, view)
                                         for view in at_level(self._full, following[0])]
 
-    def _fits(self, views):
+    def _fits(self, views: Iterable[View]) -> bool:
         return sum(photo_array(v).nbytes(self.device.real) for v in views) <= self._budget
 
     def expect(self, index: int) -> None:
-        """Begin decoding a photo that will be asked for soon."""
+        """Begin to decode a photo that will be used soon."""
         if not self.resident and index not in self._ahead:
             self._ahead[index] = self._thread.submit(decode, self.views[index])
 
@@ -142,5 +145,5 @@ class Photos:
         return self.device.upload(pending.result() if pending else decode(self.views[index]))
 
     def close(self) -> None:
-        """Read nothing more."""
+        """Stop reading ahead."""
         self._thread.shutdown(wait=False, cancel_futures=True)

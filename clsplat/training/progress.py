@@ -1,21 +1,22 @@
-"""What a training tells of its progress to, where nobody wants to know."""
+"""The interface of a progress line, which shows nothing."""
 
 import sys
 from contextlib import suppress
 
-WARNING = "warning: "  # begins a message that is shown nevertheless
+WARNING = "warning: "  # begins a message that is always shown
+
 
 class SilentProgress:
-    """Takes everything that a progress line takes, and shows nothing but warnings."""
+    """Accepts everything that a progress line accepts, and shows only warnings."""
 
-    def __call__(self, **told) -> None:
-        """Numbers of a step."""
+    def __call__(self, **values: object) -> None:
+        """Show values of a step."""
 
     def message(self, text: str) -> None:
-        """A line that stays; a warning goes to standard error, if anybody can still read it."""
+        """Print a line that stays; here only a warning, to standard error if that is open."""
         if text.startswith(WARNING) and sys.stderr is not None:
             with suppress(OSError, ValueError):
                 print(text, file=sys.stderr, flush=True)
 
     def phase(self, text: str) -> None:
-        """What is being done now."""
+        """Show what is being done now."""

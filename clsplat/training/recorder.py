@@ -1,4 +1,4 @@
-"""What a training tells: records of metrics.jsonl, the progress line, the functions of a user."""
+"""Reports a training: to metrics.jsonl, to the progress line, and to the user's callbacks."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -19,12 +19,12 @@ Callback = Callable[[dict[str, Any]], object]  # called with a record
 
 
 class Recorder:
-    """Tells of a Session's steps.
+    """Reports the steps of a session.
 
     Attributes
     ----------
     progress : the progress line.
-    stop : whether a function of the user has raised StopTraining.
+    stop : whether a callback has raised StopTraining.
     """
 
     def __init__(self, session: Session, clock: Clock, run: RunFolder, progress: SilentProgress,
@@ -32,8 +32,8 @@ class Recorder:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
         self._callbacks, self.stop = tuple(callbacks), False
 
-    def _place(self):
-        """What every record says of where the training is."""
+    def _place(self) -> dict[str, Any]:
+        """The keys of every record, which tell where the training is."""
         session, clock = self.session, self.clock
         return {"iteration": session.iteration, "train_seconds": round(clock.trained(), 3),
                 "wall_seconds": round(clock.elapsed(), 3), "level": session.level,
@@ -44,16 +44,16 @@ class Recorder:
         record = {"event": event, **self._place(), "pixel_pairs": self.session.step.pixel_pairs,
                   "kernel_bytes": self.clock.moved(), **values}
         self.run.log(record)
-        if event != "step":  # of which callbacks see each, by `stepped`
+        if event != "step":  # callbacks receive every step from `stepped`
             self._show(record)
 
     def stepped(self, measured: list[Measured], frequency: dict[str, float] | None) -> None:
-        """Tell of a step where that is due; raises InputError where training cannot go on.
+        """Report a step, if a report is due; InputError where training cannot go on.
 
         Parameters
         ----------
-        measured : what the step returned.
-        frequency : scene frequencies, where they were measured.
+        measured : the result of the step.
+        frequency : scene frequencies, if they were measured.
         """
         iteration = self.session.iteration
         if iteration % REPORT_EVERY == 0 or iteration == 1:
@@ -61,31 +61,33 @@ class Recorder:
         if self._callbacks:
             self._show({"event": "step", **self._place(), **self.check(measured)})
 
-    def _show(self, record):
+    def _show(self, record: dict[str, Any]) -> None:
         for function in self._callbacks:
             try:
                 function(record)
             except StopTraining:
                 self.stop = True
 
-    def _report(self, values, frequency):
+    def _report(self, values: dict[str, float], frequency: dict[str, float] | None) -> None:
         session = self.session
         iteration, skipped = session.iteration, session.step.skipped
         memory = session.device.memory_bytes
         self.progress(iteration=iteration, total=session.options.iterations, loss=values["loss"],
                       gaussians=session.model.count, memory_bytes=memory, level=session.level)
         if iteration % LOG_EVERY == 0 or iteration == 1:
-            since, asked = skipped.close()
+            since, requested = skipped.close()
             self.log("step", **values, memory_bytes=memory, peak_bytes=session.device.peak_bytes,
                      skipped_rows=skipped.total, skipped_since=since, frequency=frequency,
                      convergence=session.schedule.latest)
-            if iteration > 1 and since > TOO_MANY * asked:  # one view alone says little
-                raise broken(self.run, f"{since:,} of {asked:,} gradients were not finite in the "
-                             f"{LOG_EVERY} steps to {iteration}")
+            if iteration > 1 and since > TOO_MANY * requested:  # a single view proves little
+                raise broken(self.run, f"{since:,} of {requested:,} gradients were not finite in "
+                             f"the {LOG_EVERY} steps to {iteration}")
 
     def check(self, measured: list[Measured]) -> dict[str, float]:
-        """The numbers of a step, `loss` among them; waits. InputError where one is not finite;
-        gradients that were not are counted, and the first told of."""
+        """The values of a step, such as `loss`; waits. InputError where one is not finite.
+
+        Gradients that are not finite are only counted; the first are reported.
+        """
         step, iteration = self.session.step, self.session.iteration
         values = step.values(measured)
         for name, value in values.items():
@@ -93,7 +95,7 @@ class Recorder:
                 raise broken(self.run, f"the {name} at step {iteration} is {value}")
         if step.skipped.poll():
             self.progress.message(f"step {iteration}: {step.skipped.total:,} gradients were not "
-                                  "finite and were skipped; metrics.jsonl counts on, as "
+                                  "finite and were skipped; metrics.jsonl counts them as "
                                   "skipped_rows")
         return values
 

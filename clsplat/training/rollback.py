@@ -1,5 +1,7 @@
-"""A copy of the model from before its opacities are reset or its level changes, for a time budget
-that ends too soon after it."""
+"""A copy of the model before an opacity reset or a change of level.
+
+A run whose time budget ends too soon after one of them returns to it.
+"""
 
 from collections.abc import Sequence
 
@@ -12,11 +14,11 @@ from clsplat.training.step import Step
 
 
 class Rollback:
-    """Rows and moments of a Step's model, in host memory.
+    """Rows and moments of a model, in host memory.
 
     Attributes
     ----------
-    iteration : steps taken when it was copied.
+    iteration : steps taken before the copy.
     """
 
     def __init__(self, step: Step, iteration: int) -> None:
@@ -25,12 +27,16 @@ class Rollback:
         self._gaussians, self._moments = model.download(), model.adam.download(model.count)
 
     def restore_if_better(self, step: Step, samples: Sequence[tuple[Array, Array]]) -> bool:
-        """Give the copy back to `step` where its loss is smaller; whether it was.
+        """Restore the copy if its loss is smaller than that of the present model.
 
         Parameters
         ----------
-        step : whose model it is compared with.
+        step : has the present model, and receives the copy.
         samples : packed cameras and photos of training views.
+
+        Returns
+        -------
+        Whether the copy was restored.
         """
         now, model = _loss(step, samples), step.model
         step.model = Model(step.device, self._gaussians, step.options.engine,
@@ -44,13 +50,13 @@ class Rollback:
         return True
 
 
-def _loss(step, samples):
-    """The mean loss of some views, without a colour transform."""
-    found = []
+def _loss(step: Step, samples: Sequence[tuple[Array, Array]]) -> float:
+    """The mean image loss of some views, without colour transforms."""
+    losses = []
     for camera, photo in samples:
         _, height, width = photo.shape
         frame = step.renderer.render(step.model.rows, camera, width, height,
                                      step.options.sh_degree)
         sums, _ = image_loss(step.device, frame.image, photo, step.options.ssim_weight)
-        found.append(loss_value(sums, 3 * height * width, step.options.ssim_weight)[0])
-    return float(np.mean(found))
+        losses.append(loss_value(sums, 3 * height * width, step.options.ssim_weight)[0])
+    return float(np.mean(losses))

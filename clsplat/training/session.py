@@ -1,6 +1,6 @@
-"""What a training consists of, built in one place for trainings, estimates and benchmarks.
+"""The state of a training, built in one place for trainings, estimates and benchmarks.
 
-A Session knows no files, no clock, and of progress only what is being done now.
+A session has no files and no clock; of its progress it reports only what is being done now.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from clsplat.training.progress import SilentProgress
 from clsplat.training.source_views import SourceViews
 from clsplat.training.step import Step
 
-SCORING_VIEWS = 10  # by which a schedule may score gaussians before it grows
+SCORING_VIEWS = 10  # for a schedule that scores gaussians
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedScene:
-    """A scene as it is trained on.
+    """A scene that is ready for training.
 
     Attributes
     ----------
-    scene : its photos at the size of training, its unit the scene's extent: steps are the same
-        whatever unit the coordinates have.
-    train_views, test_views : the views trained on, and those held out.
-    decisions : what the scene decides of the options.
+    scene : with photos at the size of training; its unit is its extent, so that steps do not depend
+        on the unit of the coordinates.
+    train_views, test_views : the training views and the held-out views.
+    decisions : decisions about optional parts.
     """
 
     scene: Scene
@@ -52,21 +52,27 @@ class PreparedScene:
 
     @property
     def options(self) -> TrainOptions:
-        """The options, in which nothing is left to decide."""
+        """The options after all decisions."""
         return self.decisions.options
 
     @property
     def near(self) -> float:
-        """The near plane, in units of the scene."""
+        """Distance of the near plane, in units of the scene."""
         return self.scene.near(self.options.near)
 
     @property
     def trains(self) -> Callable[..., NDArray[np.bool_]] | None:
-        """Which gaussians a block of a city trains (`step.Step`); None: all."""
+        """Tells which gaussians a block of a city trains (`step.Step`); None: all."""
         return functools.partial(trainable, self.scene) if self.scene.region else None
 
     def schedule(self, gaussians: Gaussians, options: TrainOptions | None = None) -> Schedule:
-        """A schedule that begins with `gaussians`; options: other than those decided."""
+        """A new schedule.
+
+        Parameters
+        ----------
+        gaussians : the initial ones.
+        options : instead of `self.options`.
+        """
         trains, views, options = self.trains, self.train_views, options or self.options
         count = (int(trains(gaussians.positions, gaussians.log_scales).sum()) if trains
                  else gaussians.count)
@@ -76,13 +82,13 @@ class PreparedScene:
 
 
 def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -> PreparedScene:
-    """Prepare a scene for training; InputError where it cannot be trained on.
+    """Prepare a scene for training; InputError where that is impossible.
 
     Parameters
     ----------
     scene : as it was read.
-    options : as they were given.
-    device : that of the training.
+    options : as the user gave them.
+    device : of the training.
     """
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     if len(scene.views) < 2:
@@ -97,23 +103,23 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
 
 
 class Session:
-    """A training as it stands after `iteration` steps: what steps change, and what they need.
+    """The state of a training after `iteration` steps.
 
     Parameters
     ----------
     prepared : the scene.
     device : of the training.
-    gaussians : to begin with.
-    schedule : decides level and growth; None: who takes the steps does.
-    photos : of the training views; None: all those of the schedule's levels.
-    progress : told what is being done.
+    gaussians : the initial ones.
+    schedule : decides level and growth; None: the caller does, and gives `photos`.
+    photos : of the training views; None: photos at the levels of the schedule.
+    progress : receives what is being done.
 
     Attributes
     ----------
-    step : takes steps; has the model, the exposures and what is kept of gradients.
-    source_views : None where no loss term compares with another view.
-    level : down-sampling factor of the images that are trained on.
-    cameras : packed, of the training views at that level.
+    step : takes steps; has the model, the exposures and the statistics.
+    source_views : None if no loss term compares with another view.
+    level : down-sampling factor of the training images.
+    cameras : packed cameras of the training views at that level.
     options : may be replaced between steps (`lay_over`).
     """
 
@@ -130,13 +136,14 @@ class Session:
         exposures = None
         if options.exposure == "on":
             # blocks that learned their own would not agree
-            given = initial_exposures(self.scene, self.train_views)
-            exposures = Exposures(device, len(self.train_views), initial=given,
-                                  learns=given is None)
+            initial = initial_exposures(self.scene, self.train_views)
+            exposures = Exposures(device, len(self.train_views), initial=initial,
+                                  learns=initial is None)
         self.step = Step(self.renderer, model, self.scene.extent, options, exposures,
                          prepared.trains)
         neighbours = self.decisions.neighbours
-        self.source_views = neighbours and SourceViews(device, neighbours, exposures, options.seed)
+        self.source_views = (SourceViews(device, neighbours, exposures, options.seed)
+                             if neighbours else None)
         self.iteration, self.level = 0, 0.0
         self.photos = photos or Photos(device, self.train_views, schedule.levels)
         self.use_level(self.photos.level)
@@ -145,19 +152,19 @@ class Session:
     def build(cls, scene: Scene, options: TrainOptions, device: Device,
               progress: SilentProgress | None = None,
               gaussians: Gaussians | None = None) -> Session:
-        """Build what a training needs, and read its photos, those held out too.
+        """Build a session, and read all photos, held-out ones too.
 
         Parameters
         ----------
         scene : as it was read.
-        options : as they were given.
+        options : as the user gave them.
         device : of the training.
-        progress : told what is being done.
-        gaussians : where a resumed run goes on; None: begin as the options say.
+        progress : receives what is being done.
+        gaussians : those of a resumed run; None: the initial ones.
 
         Raises
         ------
-        InputError : for a scene, an option or a photo that cannot be trained with.
+        InputError : for a scene, option or photo that cannot be used.
         """
         progress = progress or SilentProgress()
         progress.phase("planning")
@@ -166,7 +173,7 @@ class Session:
         schedule = prepared.schedule(gaussians)
         progress.phase("reading photos")
         for _ in decoded(prepared.test_views):
-            pass  # a damaged one would end the run at its evaluation
+            pass  # a damaged photo would stop the run at its evaluation
         return cls(prepared, device, gaussians, schedule, progress=progress)
 
     @property
@@ -175,7 +182,7 @@ class Session:
         return self.step.model
 
     def use_level(self, level: float) -> bool:
-        """Train on images `level` times smaller from now on; whether that changed anything."""
+        """Train on images `level` times smaller from now on; returns whether that is a change."""
         if level == self.level:
             return False
         self.level = level
@@ -189,42 +196,51 @@ class Session:
         return True
 
     def sample(self, view: int, number: int, plan: Plan) -> TrainingSample:
-        """What a step learns from a view, which is the number-th that is trained on."""
-        drawn, source = self._source(view, number, plan), None
-        if drawn:
-            row, other = drawn
+        """The training sample of a view.
+
+        Parameters
+        ----------
+        view : index of the training view.
+        number : how many views have been trained on, with this one.
+        plan : of the step.
+        """
+        pair, source = self._pair(view, number, plan), None
+        if pair:
+            row, other = pair
             source = SourceView(self.photos[other], self.source_views.geometries,
                                 self.source_views.colours, row)
         return TrainingSample(view, self.cameras[view], self.photos[view], source)
 
     def expect(self, view: int, number: int, plan: Plan) -> None:
-        """Begin to read what `sample` will need."""
+        """Begin to read the photos that `sample` will need; same arguments."""
         if self.photos.resident:
             return
         self.photos.expect(view)
-        drawn = self._source(view, number, plan)
-        if drawn:
-            self.photos.expect(drawn[1])
+        pair = self._pair(view, number, plan)
+        if pair:
+            self.photos.expect(pair[1])
 
-    def _source(self, view, number, plan):
-        wanted = any(term.needs_source for term in self.step.terms_in(plan))
-        return self.source_views.drawn(number, view) if wanted and self.source_views else None
+    def _pair(self, view: int, number: int, plan: Plan) -> tuple[int, int] | None:
+        """(row of a pair, source view) if a term of the loss needs one."""
+        if self.source_views and any(term.needs_source for term in self.step.terms_in(plan)):
+            return self.source_views.drawn(number, view)
+        return None
 
     def recentre(self) -> None:
-        """Let exposures have the mean that they had at the start: once an epoch."""
+        """Restore the initial mean of the exposures; called once an epoch."""
         if self.step.exposures:
             self.step.exposures.recentre()
             if self.source_views:
                 self.source_views.compare_colours()
 
     def scoring_views(self) -> list[tuple[Array, Array]]:
-        """[(packed camera, photo), ...] of some training views, others at each step."""
+        """[(packed camera, photo), ...] of random training views, others at each step."""
         rng = np.random.default_rng([self.options.seed, 3, self.iteration])
         count = len(self.train_views)
         chosen = rng.choice(count, min(SCORING_VIEWS, count), replace=False)
         return [(self.cameras[i], self.photos[i]) for i in chosen]
 
     def lay_over(self, iterations: int) -> None:
-        """Make the whole schedule one of so many steps."""
+        """Fit the whole schedule to a number of steps."""
         self.options = laid_over(self.decisions.options, iterations)
         self.schedule.options = self.step.options = self.options

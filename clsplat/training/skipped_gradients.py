@@ -1,52 +1,52 @@
-"""Gradients that are not finite: the device skips their rows and counts them (cl/project.cl, and
-cl/exposure.cl, whose rows are colour transforms of views).
+"""Counts gradients that are not finite, whose rows the device skips.
 
-The host counts the rows it asked for, so nothing waits for the device but a poll now and then.
+cl/project.cl skips rows of gaussians, cl/exposure.cl colour transforms of views. The host counts
+the rows that it requests, so only an occasional poll waits for the device.
 """
 
 from clsplat.device import Array
 
-# Share of the rows between two records above which training stops. Runs that go well skip none, a
-# few broken gaussians make some in a million. A skipped gaussian stays as it is, and all that it
-# overlaps learns to make up for it: with one in a hundred the result is no longer the scene.
+# Share of the rows between two records above which training stops. Good runs skip none, and a few
+# broken gaussians cause some in a million. A skipped gaussian does not change, and its neighbours
+# learn to compensate: with one in a hundred the result is no longer the scene.
 TOO_MANY = 0.01
 
 
 class SkippedGradients:
-    """Counts them over a run.
+    """Counts skipped rows over a run.
 
     Parameters
     ----------
-    counters : uint[1] each on the device, rows skipped since it was made, modulo 2^32.
+    counters : uint[1] on the device; rows skipped by one kernel, modulo 2^32.
 
     Attributes
     ----------
-    total : rows skipped in the whole run, as of the last `poll`.
-    asked : rows of gradients since the last `close`, to be kept up to date.
+    total : rows skipped in the whole run, at the last `poll`.
+    requested : rows of gradients since the last `close`; the caller keeps it up to date.
     """
 
     def __init__(self, *counters: Array) -> None:
         self._counters = counters
-        self._counted = 0  # by all counters, as of the last look
-        self.total = self.asked = self._closed = 0
+        self._counted = 0  # by all counters at the last poll
+        self.total = self.requested = self._closed = 0
 
     def poll(self) -> bool:
-        """Bring `total` up to date, and whether it has left zero; waits."""
+        """Update `total`, and tell whether these are the first skipped rows; waits."""
         before, counted = self.total, sum(int(counter.last()) for counter in self._counters)
         self.total += (counted - self._counted) % 2**32
         self._counted = counted
         return self.total > before == 0
 
     def close(self) -> tuple[int, int]:
-        """(skipped, asked) since the last `close`, as of the last `poll`."""
-        since = self.total - self._closed, self.asked
-        self._closed, self.asked = self.total, 0
+        """(skipped, requested) rows between the last `close` and the last `poll`."""
+        since = self.total - self._closed, self.requested
+        self._closed, self.requested = self.total, 0
         return since
 
     def state(self) -> dict[str, int]:
-        """What a checkpoint must hold, for JSON, as of the last `poll`."""
-        return {"total": self.total, "closed": self._closed, "asked": self.asked}
+        """State for a checkpoint, at the last `poll`."""
+        return {"total": self.total, "closed": self._closed, "asked": self.requested}
 
     def load(self, state: dict[str, int]) -> None:
-        """Go on from the `state` that a checkpoint held."""
-        self.total, self._closed, self.asked = state["total"], state["closed"], state["asked"]
+        """Restore what `state` returned."""
+        self.total, self._closed, self.requested = state["total"], state["closed"], state["asked"]

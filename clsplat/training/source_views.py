@@ -1,4 +1,4 @@
-"""The source view that each reference view is compared with, where a loss term wants one."""
+"""The source views with which reference views are compared, for loss terms that need one."""
 
 from collections.abc import Sequence
 
@@ -11,20 +11,20 @@ from clsplat.loss.reproject import pack_pairs
 
 
 class SourceViews:
-    """Pairs of a reference and a source view, and on the device what takes one to the other.
+    """Pairs of a reference and a source view, with the transforms between them on the device.
 
     Parameters
     ----------
     device : of the training.
-    neighbours : of each view, the indices of its source views (covisibility/neighbours.py).
+    neighbours : indices of the source views of each view (covisibility/source_views.py).
     exposures : colour transforms of the views, or None.
-    seed : of the drawing.
+    seed : of the random choice of source views.
 
     Attributes
     ----------
     pairs : [(reference view, source view), ...].
-    geometries : real[P, 12], of the level that is used (`loss.reproject.pack_pairs`).
-    colours : real[P, 12], from colours of the source photo to those of the reference photo.
+    geometries : real[P, 12]; between pixels, at the present level (`loss.reproject.pack_pairs`).
+    colours : real[P, 12]; from colours of the source photo to those of the reference photo.
     """
 
     def __init__(self, device: Device, neighbours: Sequence[Sequence[int]],
@@ -38,23 +38,32 @@ class SourceViews:
 
     @staticmethod
     def arrays(neighbours: Sequence[Sequence[int]]) -> dict[str, ArraySpec]:
-        """The arrays of so many source views."""
+        """The device arrays for these neighbours."""
         rows = ArraySpec((sum(map(len, neighbours)), 12))
         return {"geometries": rows, "colours": rows}
 
     def use(self, cameras: Sequence[Camera]) -> None:
-        """From now on the views' cameras are these, those of a level."""
+        """Use the views' cameras at a level from now on."""
         self.geometries = pack_pairs(self.device, [(cameras[i], cameras[j]) for i, j in self.pairs])
 
     def compare_colours(self) -> None:
-        """To be called where exposures were recentred. At every step, it would make it wait."""
+        """Update `colours`; called only after exposures are recentred, because it waits."""
         unchanged = np.tile(np.eye(3, 4).ravel(), (len(self.pairs), 1))
         self.colours = (self.exposures.between(self.pairs) if self.exposures
                         else self.device.upload(unchanged))
 
     def drawn(self, number: int, view: int) -> tuple[int, int] | None:
-        """(row of the pair, source view) for the number-th view trained on, which is `view`; None
-        where it has no source view."""
+        """Choose a source view at random; the choice depends on the seed and `number` only.
+
+        Parameters
+        ----------
+        number : how many views have been trained on, with this one.
+        view : index of the reference view.
+
+        Returns
+        -------
+        (row of the pair, index of the source view), or None for a view without source views.
+        """
         count = len(self.neighbours[view])
         if not count:
             return None

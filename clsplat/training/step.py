@@ -1,4 +1,4 @@
-"""One training step, as the algorithm reads, and what may follow it."""
+"""One training step, written as the algorithm reads, and the growth that may follow it."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -19,35 +19,35 @@ from clsplat.optimise.adam import freeze_rows
 from clsplat.optimise.batch import batch_mean
 from clsplat.optimise.rates import learning_rates
 from clsplat.options import TrainOptions
-from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.pipeline import Gradients, Renderer
 from clsplat.schedule import Plan, Schedule
 from clsplat.training.model import Model
 from clsplat.training.skipped_gradients import SkippedGradients
 
 RESET_OPACITY = 0.01
-Measured = dict[str, Any]  # name of a loss term -> what it measured in a view
+Measured = dict[str, Any]  # name of a loss term -> its measurements in a view
 
 
 class Step:
-    """Takes training steps: gaussians, exposures and what is kept of their gradients.
+    """Takes training steps, which change the gaussians and exposures.
 
     Parameters
     ----------
-    renderer : that of the training.
-    model : the gaussians, which steps change.
-    extent : of the scene, world units.
+    renderer : of the training.
+    model : the gaussians.
+    extent : world units; size of the scene.
     options : with scaled steps.
-    exposures : colour transforms of the views, which steps change; None: no view has one.
-    trains : called with positions and log_scales float32[N, 3], says which gaussians are trained,
-        bool[N]; None: all. It is asked at each growth.
+    exposures : colour transforms of the views; None: views have none.
+    trains : (positions, log_scales) float32[N, 3] -> bool[N], those that are trained; called
+        at each round of growth; None: all are.
 
     Attributes
     ----------
-    terms : of the loss (clsplat/loss/terms.py).
+    terms : terms of the loss (clsplat/loss/terms.py).
     statistics : screen gradients since the last growth or change of level.
-    skipped : count of the gradients that were not finite.
-    frozen : uint[N] on the device, not 0 for gaussians that are not trained; None: all are.
-    pixel_pairs : pairs of gaussian and pixel so far: all pixels of a tile that it meets.
+    skipped : counts gradients that were not finite.
+    frozen : uint[N] on the device; not 0 for gaussians that are not trained; None: all are trained.
+    pixel_pairs : pairs of a gaussian and a pixel so far; a tile counts with all its pixels.
     """
 
     def __init__(self, renderer: Renderer, model: Model, extent: float, options: TrainOptions,
@@ -65,33 +65,40 @@ class Step:
 
     def run(self, iteration: int, plan: Plan,
             samples: Iterable[TrainingSample]) -> list[Measured]:
-        """Step `iteration`, from 1, on the mean loss of options.batch samples.
+        """Take a step on the mean loss of options.batch samples.
+
+        Parameters
+        ----------
+        iteration : number of the step, from 1.
+        plan : the schedule's decisions for it.
+        samples : training views; read one at a time.
 
         Returns
         -------
-        What the terms measured, a dict by their names a sample; still on the device, see `values`.
+        The measurements of each sample, still on the device; see `values`.
         """
         measured: list[Measured] = []
         used, views = self._used(plan.degree), self.options.batch
-        found = (self._gradients_of(plan, sample, measured) for sample in samples)
-        gradients = (next(found) if views == 1 else
-                     batch_mean(self.device, self.model.count, views, found, used))
+        each = (self._gradients_of(plan, sample, measured) for sample in samples)
+        gradients = (next(each) if views == 1 else
+                     batch_mean(self.device, self.model.count, views, each, used))
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
         learned = {field.name: self.model.rows[field.name] for field in LEARNED}
         self.model.adam.step(learned, gradients, iteration, rates, used, self.frozen)
         return measured
 
     def values(self, measured: list[Measured]) -> dict[str, float]:
-        """The numbers that the terms record of what `run` returned; waits."""
+        """The values of the loss terms, from what `run` returned; waits."""
         return {name: value for term in self.terms for name, value in term.values(
-            [found[term.name] for found in measured if term.name in found]).items()}
+            [view[term.name] for view in measured if term.name in view]).items()}
 
     def terms_in(self, plan: Plan) -> list[LossTerm]:
-        """The terms that take part in the steps of a Plan."""
+        """The terms of the loss that a plan uses."""
         return [term for term in self.terms if term.weight(plan)]
 
-    def _gradients_of(self, plan, sample, measured):
-        """The Gradients of one TrainingSample; adds to `measured` and statistics."""
+    def _gradients_of(self, plan: Plan, sample: TrainingSample, measured: list[Measured]
+                      ) -> Gradients:
+        """The gradients of one sample; adds to `measured` and to the statistics."""
         rows, exposures, photo = self.model.rows, self.exposures, sample.photo
         _, height, width = photo.shape
         terms = [term for term in self.terms_in(plan) if sample.source or not term.needs_source]
@@ -99,37 +106,40 @@ class Step:
                                      with_depth=any(term.needs_depth for term in terms))
         self.pixel_pairs += frame.pair_count * self.device.tile**2
         image = exposures.apply(sample.view, frame.image) if exposures else frame.image
-        found, grad = {}, FrameGradient()
-        for term in terms:
-            found[term.name] = term.add_to(grad, frame, image, sample, term.weight(plan))
-        measured.append(found)
+        grad = FrameGradient()
+        measured.append({term.name: term.add_to(grad, frame, image, sample, term.weight(plan))
+                         for term in terms})
         if exposures:
             grad.image, partials = exposures.adjoint(sample.view, frame.image, grad.image)
             exposures.step(sample.view, partials)
         gradients = self.renderer.adjoint(rows, frame, grad.image, grad.depth, grad.transmittance)
-        self.skipped.asked += len(gradients.rows) + bool(exposures)
+        self.skipped.requested += len(gradients.rows) + bool(exposures)
         if self.frozen is not None:
             freeze_rows(self.device, gradients, self.frozen)
         if plan.gathers:
             self.statistics.accumulate(gradients, width, height)
         return gradients
 
-    def _used(self, degree):
-        """Field -> floats of a row that may change: inactive harmonics stay out."""
+    def _used(self, degree: int) -> dict[str, int]:
+        """Field -> floats of a row that are trained: without inactive spherical harmonics."""
         used = {field.name: field.width(self.model.sh_degree) for field in LEARNED}
         return {**used, "sh_rest": 3 * degree * (degree + 2)}
 
     def densify(self, iteration: int, plan: Plan, schedule: Schedule,
                 scoring_views: Callable[[], list[tuple[Array, Array]]]) -> dict[str, int] | None:
-        """Growth and opacity reset after a step; returns what happened, or None.
+        """Do the round of growth and the opacity reset that follow a step.
 
         Parameters
         ----------
-        iteration : of the step before, from 1.
+        iteration : number of the step, from 1.
         plan : of that step.
-        schedule : asked how many gaussians may be added, and how they are chosen.
-        scoring_views : gives packed cameras and photos of some training views, for a schedule that
-            scores gaussians.
+        schedule : decides how many gaussians are added, and how they are selected.
+        scoring_views : returns packed cameras and photos of some training views, for a schedule
+            that scores gaussians.
+
+        Returns
+        -------
+        How many gaussians were cloned, split and pruned; None without growth.
         """
         event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
         if plan.resets_opacity:
@@ -138,12 +148,13 @@ class Step:
         return event
 
     def freeze(self) -> None:
-        """Find anew which gaussians are frozen."""
+        """Determine which gaussians are frozen."""
         if self.trains:
             rows = (self.model.rows[name].download() for name in ("positions", "log_scales"))
             self.frozen = self.device.upload((~self.trains(*rows)).astype(np.uint32))
 
-    def _grow(self, iteration, plan, schedule, scoring_views):
+    def _grow(self, iteration: int, plan: Plan, schedule: Schedule,
+              scoring_views: Callable[[], list[tuple[Array, Array]]]) -> dict[str, int]:
         model, options = self.model, self.options
         rows = {field.name: model.rows[field.name].download() for field in FIELDS
                 if field.name in model.rows and not field.name.startswith("sh_")}
@@ -161,18 +172,21 @@ class Step:
                                    options.ssim_weight, gradient)
             if schedule.spares_half(iteration):
                 prunes = half_of(prunes, scores, rng)
-        gradient = np.where(frozen, -np.inf, gradient)  # what is around a block stays as it is
-        grows = self._chosen(iteration, schedule, gradient, candidates, prunes, scores, rng)
+        gradient = np.where(frozen, -np.inf, gradient)  # frozen ones stay
+        grows = self._selected(iteration, schedule, gradient, candidates, prunes, scores, rng)
         growth = plan_growth(candidates, grows, prunes, rng)
         model.regrow(growth)
         self.freeze()
         self.statistics.clear(model.count)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 
-    def _chosen(self, iteration, schedule, gradient, candidates, prunes, scores, rng):
-        """bool[N]: which gaussians are cloned or split; each adds one.
+    def _selected(self, iteration: int, schedule: Schedule, gradient: NDArray[np.floating],
+                  candidates: Candidates, prunes: NDArray[np.bool_],
+                  scores: NDArray[np.floating] | None, rng: np.random.Generator
+                  ) -> NDArray[np.bool_]:
+        """The gaussians [N] that are cloned or split, each of which adds one.
 
-        gradient: -inf where none may grow; the schedule is asked about the others only.
+        `gradient` is -inf for frozen gaussians, which the schedule does not count.
         """
         threshold, limit = self.options.grow_threshold, self.options.max_gaussians
         counted = ~prunes & (gradient != -np.inf)
@@ -187,6 +201,6 @@ class Step:
                             room, rng)
         if schedule.selection == "highest":
             return highest(np.where(prunes, 0, gradient), room)
-        if room is not None:  # of what would go for its size, a split leaves two
+        if room is not None:  # a split replaces a gaussian that is too large by two
             room -= int((prunes & (gradient >= threshold)).sum())
         return above_threshold(gradient, threshold, room)

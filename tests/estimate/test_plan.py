@@ -320,11 +320,11 @@ def test_the_command_says_it_all(monkeypatch, item_device):
                       "auto")
     assert result.exit_code == 0, result.output
     lines = [line.split() for line in result.stdout.splitlines()]
-    assert result.stderr.startswith("reading the scene\nplanning: looking at the photos\n")
+    assert result.stderr.startswith("reading the scene\nplanning: inspecting the photos\n")
     assert result.stdout.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
     assert " ".join(line[0] for line in lines[1:]) == (
         "levels sh antialiased exposure reproject engine photos memory time")
-    assert "exposure      off: asked for\n" in result.output
+    assert "exposure      off: requested\n" in result.output
     assert "sh degree     3: 99% of the points are seen from within 7" in result.output
     assert "for 60 steps: a step takes " in result.output
 
@@ -338,7 +338,7 @@ def test_what_cannot_begin_is_one_line(monkeypatch, words, complaint):
     result = clsplat_("plan", *words)
     assert result.exit_code == 2 and complaint in result.stderr
     said = [line for line in result.stderr.splitlines() if line not in (
-        "reading the scene", "planning: looking at the photos")]
+        "reading the scene", "planning: inspecting the photos")]
     assert len(said) == 1 and said[0].startswith("error: ")
 
 

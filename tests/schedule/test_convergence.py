@@ -5,19 +5,19 @@ import pytest
 
 from clsplat.schedule.convergence import MEDIAN_OF, SLOPE_SHARE, WINDOW, judge
 
-LOOK = 100
+SPACING = 100
 TESTS = ("robust", "paper", "release")
 RATE = 1e-4  # of robust: share of the frequency a step
 HITS = 5  # in a row, as the release has it
 
 
-def sampled(values, first=0, spacing=LOOK):
+def sampled(values, first=0, spacing=SPACING):
     return [(first + spacing * number, float(value)) for number, value in enumerate(values)]
 
 
 def fires(test, values, hits, rate=RATE, inverse_distance=1.0):
     """The iteration at which so many verdicts in a row agree, or None."""
-    samples, run = sampled(values, LOOK), 0
+    samples, run = sampled(values, SPACING), 0
     for end in range(1, len(samples) + 1):
         converged = judge(test, samples[:end], rate, inverse_distance).converged
         run = run + 1 if converged else 0
@@ -28,7 +28,7 @@ def fires(test, values, hits, rate=RATE, inverse_distance=1.0):
 
 def saturating(tau, until=20_000, noise=0.0, seed=0):
     """10 (1 - exp(-t / tau)) at t = 100, 200, ..., with noise, a share of the final value."""
-    t = np.arange(LOOK, until + 1, LOOK)
+    t = np.arange(SPACING, until + 1, SPACING)
     rng = np.random.default_rng(seed)
     return 10 * (1 - np.exp(-t / tau)) + 10 * noise * rng.normal(size=len(t))
 
@@ -47,7 +47,7 @@ def test_too_few_samples_decide_nothing(test, least):
 @pytest.mark.parametrize("test", TESTS)
 def test_a_sample_that_is_not_finite_counts_as_none(test):
     values = list(saturating(700, 1500))
-    samples = sampled(values, LOOK)
+    samples = sampled(values, SPACING)
     spoilt = [(50, np.nan), *samples[:9], (950, np.inf), *samples[9:], (1601, np.nan)]
     clean = judge(test, samples, RATE, 0.01)
     assert clean.slope is not None
@@ -74,7 +74,7 @@ def test_the_window_fits_exact_parabolas(a, b):
     x = np.arange(-4, WINDOW)
     slope = 2 * a * (WINDOW - 1) + b
     verdict = judge("release", sampled(a * x**2 + b * x + 7), RATE, 1.0)
-    assert verdict.slope == pytest.approx(slope / LOOK)
+    assert verdict.slope == pytest.approx(slope / SPACING)
 
 
 def test_the_paper_looks_at_the_last_difference_only():
@@ -100,7 +100,7 @@ def test_the_unit_of_length_does_not_matter(unit):
 
 def test_robust_is_relative_to_the_frequency():
     for size in (0.01, 1.0, 500.0):
-        slow, fast = (size * np.exp(rate * LOOK * np.arange(6)) for rate in (0.8e-4, 1.2e-4))
+        slow, fast = (size * np.exp(rate * SPACING * np.arange(6)) for rate in (0.8e-4, 1.2e-4))
         assert judge("robust", sampled(slow), RATE, 1e9).converged
         assert not judge("robust", sampled(fast), RATE, 1e9).converged
 
@@ -151,7 +151,7 @@ def test_release_needs_the_curvature_flat_too():
 def test_a_step_among_the_differences_decides_nothing(place, jump):
     """A prune or a burst moves every later sample: one difference of the three."""
     for rate, converged in ((0.0, True), (5 * RATE, False)):
-        values = 10 * (1 + rate * LOOK * np.arange(9))
+        values = 10 * (1 + rate * SPACING * np.arange(9))
         values[-place:] += jump
         assert judge("robust", sampled(values), RATE, 1.0).converged is converged
 
@@ -181,7 +181,7 @@ def test_robust_always_fires(tau, noise):
 @pytest.mark.parametrize("tau", [300, 1000, 3000])
 def test_robust_does_not_fire_while_much_is_to_come(tau):
     """Without noise, not before the curve grows by less than RATE of itself a step."""
-    t = np.arange(LOOK, 20_000, LOOK)
+    t = np.arange(SPACING, 20_000, SPACING)
     relative = np.exp(-t / tau) / tau / (1 - np.exp(-t / tau))
     due = t[np.argmax(relative < RATE)]
-    assert due <= fires("robust", saturating(tau), hits=1) <= due + MEDIAN_OF * LOOK
+    assert due <= fires("robust", saturating(tau), hits=1) <= due + MEDIAN_OF * SPACING

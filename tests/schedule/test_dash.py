@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.options import TrainOptions
 from clsplat.schedule import SceneFacts, registry, scaled_steps
-from clsplat.schedule.dash import Dash, held_spectrum
+from clsplat.schedule.dash import Dash, cumulative_spectrum
 
 OPTIONS = scaled_steps(TrainOptions(iterations=30000, schedule="dash", reset_every=3000))
 SIZE, START = (192, 160), 1000
@@ -54,31 +54,31 @@ def test_it_is_known_by_name_and_grows_the_highest():
 def test_a_centred_window_of_the_spectrum(width, height):
     photo = a_photo(width, height)
     whole = np.fft.fftshift(np.abs(np.fft.fft2(photo.astype(float))), axes=(1, 2))
-    held = held_spectrum(photo)
+    spectrum = cumulative_spectrum(photo)
     y, x = np.indices((height, width))
     reach = np.maximum(np.abs(x - width // 2) / (width / 2), np.abs(y - height // 2) / (height / 2))
     for k in (0, 1, 42, 85, 100, 300, 512, 1000, 1024):
         expected = whole[:, reach <= k / 1024 + 1e-12].sum()
-        assert abs(held[k] - expected) < 1e-4 * held[-1], f"{k} / 1024"
+        assert abs(spectrum[k] - expected) < 1e-4 * spectrum[-1], f"{k} / 1024"
 
 
 # --- resolution
 
 def sampled(photos):
     """The resolution curve by bisection on every window, as published: factors and starts."""
-    helds = [held_spectrum(photo) for photo in photos]
+    spectra = [cumulative_spectrum(photo) for photo in photos]
     grid = np.arange(1025) / 1024
 
-    def factor_at(held, value):
+    def factor_at(spectrum, value):
         low, high = 1.0, 1e4
         for _ in range(64):
             middle = (low + high) / 2
             low, high = (middle, high) if np.interp(
-                1 / middle, grid, held) > value else (low, middle)
+                1 / middle, grid, spectrum) > value else (low, middle)
         return low
 
-    r0 = min(min(8, factor_at(held, held[-1] / 4)) for held in helds)
-    mean = np.mean(helds, axis=0)
+    r0 = min(min(8, factor_at(spectrum, spectrum[-1] / 4)) for spectrum in spectra)
+    mean = np.mean(spectra, axis=0)
     energy = np.linspace(np.interp(1 / r0, grid, mean), mean[-1], 32)
     factors = [r0, *(factor_at(mean, e) for e in energy[1:31]), 1.0]
     starts = np.log(energy / energy[0]) / np.log(energy[31] / energy[0])

@@ -55,7 +55,7 @@ def test_a_schedule_in_one_file(clsplat, tmp_path):
     assert {r["level"] for r in records if r["event"] == "eval"} == {1.0, 2.0}
     done = clsplat("train", CITY, "--half-share", "0.25", "-o", "third")
     assert done.returncode == 2 and done.stderr == (
-        "error: --half-share: means nothing to --schedule sig; leave it out, or use --schedule "
+        "error: --half-share: has no effect with --schedule sig; leave it out, or use --schedule "
         "halves\n")
     (tmp_path / "others-1.dist-info" / "entry_points.txt").write_text("")
     gone = clsplat("eval", "run", "--no-images")

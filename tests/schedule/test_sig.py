@@ -10,10 +10,10 @@ from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 from clsplat.schedule import scaled_steps, schedule_of
 from clsplat.schedule.sig import (
-    EVERY,
     GROWS_SHARE,
     LEVELS,
-    LOOK,
+    OBSERVE_STEPS,
+    ROUND_STEPS,
     SMALLEST_SIDE,
     TILE,
     Sig,
@@ -120,7 +120,7 @@ def test_without_deadlines_nothing_ends_what_does_not_converge(preset):
 def test_so_many_hits_in_a_row_are_wanted():
     ends = [decisions(drive(sig(convergence_hits=hits, level_share=0.9)))[0][0]
             for hits in (1, 2, 4)]
-    assert np.diff(ends).tolist() == [LOOK, 2 * LOOK]
+    assert np.diff(ends).tolist() == [OBSERVE_STEPS, 2 * OBSERVE_STEPS]
 
 
 def test_a_miss_between_hits_counts_them_anew():
@@ -186,8 +186,9 @@ def test_the_frequency_asked_for_decides(name):
 
 
 def test_looks_are_closer_where_levels_are_short():
-    assert sig(iterations=300).observe_every < sig(iterations=3000).observe_every <= LOOK
-    assert sig(iterations=300_000).observe_every == LOOK and sig(iterations=1).observe_every == 1
+    assert sig(iterations=300).observe_every < sig(iterations=3000).observe_every <= OBSERVE_STEPS
+    assert sig(iterations=300_000).observe_every == OBSERVE_STEPS
+    assert sig(iterations=1).observe_every == 1
 
 
 # --- growth
@@ -202,7 +203,8 @@ def test_growth_comes_in_rounds(iterations, count, frequency):
         of_level = rounds(taken, level)
         first = next(i for i, plan, _ in taken if plan.level == level)
         assert len(of_level) <= count
-        assert len(set(np.diff(of_level))) <= 1 and max(np.diff(of_level), default=1) <= EVERY[1]
+        spacings = set(np.diff(of_level))
+        assert len(spacings) <= 1 and max(spacings, default=1) <= ROUND_STEPS[1]
         allotment = steps if level == 1 else schedule.options.level_share * iterations / 2
         assert all(first < i <= first + GROWS_SHARE * allotment for i in of_level)
         last = [i for i, plan, _ in taken if plan.level == level and plan.gathers][-1]
@@ -223,8 +225,8 @@ def test_a_level_settles_before_its_first_round():
     schedule = sig(iterations=100_000, levels=(2.0, 1.0))
     taken = drive(schedule, rising)
     first = next(i for i, plan, _ in taken if plan.level == 1.0)
-    assert rounds(taken, 2.0)[0] == 1 + 500 + EVERY[1]
-    assert rounds(taken, 1.0)[0] == first + 500 + EVERY[1]
+    assert rounds(taken, 2.0)[0] == 1 + 500 + ROUND_STEPS[1]
+    assert rounds(taken, 1.0)[0] == first + 500 + ROUND_STEPS[1]
 
 
 def test_a_model_grows_no_larger_than_its_pixels_can_tell_apart():

@@ -205,7 +205,7 @@ def test_overwriting_waits_until_all_is_in_order(healthy, finished):
      ("--levels 4", "12 x 9 pixels", "tile of 16", "use smaller factors")),
     (("--levels", "2"), ("--levels 2", "end at 1", "4,2,1")),
     (("--schedule", "constant", "--levels", "2", "--levels", "1"),
-     ("--levels", "means nothing to --schedule constant", "leave it out")),
+     ("--levels", "has no effect with --schedule constant", "leave it out")),
     (("--time-budget", "10m"), ("--time-budget", "-n", "leave one of them out")),
 ])
 def test_options_that_cannot_be_met(tmp_path, healthy, finished, words, naming):

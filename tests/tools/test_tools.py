@@ -123,7 +123,7 @@ def test_a_failed_run_leaves_the_others_and_is_told_at_the_end(tmp_path, trainin
     ([str(CITY / "nothing")], "no such scene"),
     ([str(CITY), str(CITY)], "would hold two runs"),
     ([str(CITY), "--also", "sig"], "expects a name, a colon and flags"),
-    ([str(CITY), "--", "--schedule", "sig", "--rounds", "5"], "means nothing to"),
+    ([str(CITY), "--", "--schedule", "sig", "--rounds", "5"], "has no effect with"),
 ])
 def test_what_cannot_be_is_refused_before_any_training(tmp_path, trainings, words, complaint):
     matrix.main([str(tmp_path), str(CITY), "-n", "200", "--seeds", "1", "--eval-at", "50",

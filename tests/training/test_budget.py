@@ -12,11 +12,11 @@ from clsplat.options import resolve
 from clsplat.schedule import SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.plan import Plan
 from clsplat.training.budget import (
-    RECOVERY,
+    GROWTH_RECOVERY,
+    MOST_OVERHEAD,
     REPORT_SECONDS,
-    SETTLING,
-    SPARE,
-    TOO_LITTLE,
+    RESERVE_SHARE,
+    RESET_RECOVERY,
     TimeBudget,
 )
 from clsplat.training.deadline import Deadline
@@ -216,8 +216,9 @@ def test_a_run_never_ends_just_after_an_upheaval(step, seconds, options):
     training.budget.change_seconds = clock.change  # the first level's photos were read, too
     assert training.run() < 1.1 * seconds
     since = {name: training.session.iteration - at for name, at in training.upheavals.items() if at}
-    assert since.get("lowered", RECOVERY) >= 0.8 * RECOVERY
-    assert min(since.get(name, SETTLING) for name in ("level", "grown")) >= 0.8 * SETTLING
+    assert since.get("lowered", RESET_RECOVERY) >= 0.8 * RESET_RECOVERY
+    assert 0.8 * GROWTH_RECOVERY <= min(
+        since.get(name, GROWTH_RECOVERY) for name in ("level", "grown"))
 
 
 def plan_of(**changes):
@@ -226,8 +227,8 @@ def plan_of(**changes):
 
 
 @pytest.mark.parametrize("left, grows, lowers, stays", [
-    (RECOVERY, True, True, False), (RECOVERY - 1, True, False, False),
-    (SETTLING, True, False, False), (SETTLING - 1, False, False, True)])
+    (RESET_RECOVERY, True, True, False), (RESET_RECOVERY - 1, True, False, False),
+    (GROWTH_RECOVERY, True, False, False), (GROWTH_RECOVERY - 1, False, False, True)])
 def test_what_needs_time_begins_only_while_there_is_time(left, grows, lowers, stays):
     made = budget()
     plan = made.allowed(plan_of(), 2.0, left)
@@ -251,10 +252,10 @@ def test_the_first_estimates_of_a_level_are_careful():
 
 def test_evaluations_of_a_budget_are_paid_for():
     made = TimeBudget(100.0, 1.0, 0.0, 0, evaluations=8)
-    assert made.reserve(0) == pytest.approx(8 + REPORT_SECONDS + 100 * SPARE)
+    assert made.reserve(0) == pytest.approx(8 + REPORT_SECONDS + 100 * RESERVE_SHARE)
     due = [second for second in range(100) if made.evaluates(second)]
     assert due == [13, 25, 38, 50, 63, 75, 88]
-    assert made.reserve(0) == pytest.approx(1 + REPORT_SECONDS + 100 * SPARE)
+    assert made.reserve(0) == pytest.approx(1 + REPORT_SECONDS + 100 * RESERVE_SHARE)
     slow = TimeBudget(100.0, 4.0, 0.0, 0, evaluations=8)  # a tenth of the time: two
     assert [second for second in range(100) if slow.evaluates(second)] == [50]
     late = TimeBudget(100.0, 1.0, 0.0, 0, evaluations=8)
@@ -263,7 +264,7 @@ def test_evaluations_of_a_budget_are_paid_for():
 
 # --- the arithmetic
 
-LEFT = 100 - 2 - REPORT_SECONDS - 100 * SPARE  # seconds for steps
+LEFT = 100 - 2 - REPORT_SECONDS - 100 * RESERVE_SHARE  # seconds for steps
 
 
 def budget(seconds=100.0, evaluation=2.0, saved=0.0):
@@ -328,11 +329,11 @@ def test_too_little_is_refused_and_the_cure_is_one(evaluation, saved):
     with pytest.raises(InputError) as caught:
         TimeBudget(1.0, evaluation, 0.3, saved)
     said = str(caught.value)
-    needed = evaluation + saved / 100e6 + REPORT_SECONDS + 0.3 + SPARE
+    needed = evaluation + saved / 100e6 + REPORT_SECONDS + 0.3 + RESERVE_SHARE
     assert said.startswith("--time-budget 1s: ") and "\n" not in said
     assert f"evaluating and saving once take {needed:.1f} s" in said
     least = float(re.search(r"give at least (\d+)s$", said)[1])
     made = TimeBudget(least, evaluation, 0.3, saved)
-    assert made.reserve(saved) <= TOO_LITTLE * least
+    assert made.reserve(saved) <= MOST_OVERHEAD * least
     with pytest.raises(InputError):
         TimeBudget(0.85 * least - 1, evaluation, 0.3, saved)

@@ -81,7 +81,7 @@ def test_what_is_asked_for_is_not_measured(city, drift, answer):
     seen = drift(1.0)
     result = found(city, exposure=answer)
     assert (result.options.exposure, seen) == (answer, [])
-    assert result.reasons["exposure"] == f"{answer}: asked for"
+    assert result.reasons["exposure"] == f"{answer}: requested"
 
 
 def test_few_small_photos_stand_for_all(city, drift):
@@ -111,7 +111,7 @@ def test_adjacent_photos_are_not_looked_for(city, drift, monkeypatch, options):
     monkeypatch.delattr(decisions, "choose_source_views")
     result = found(city, **options)
     assert (result.options.reproject, result.neighbours) == ("off", None)
-    assert result.reasons["reproject"] == "off: not asked for"
+    assert result.reasons["reproject"] == "off: not requested"
 
 
 def test_photos_that_share_nothing(city, drift):
@@ -151,7 +151,7 @@ def test_points_that_no_two_views_see_leave_the_highest_degree(drift):
     scene = circle(0, 1)
     alone = replace(scene, observations=scene.observations[:1])
     result = found(alone, sh_degree="auto")
-    assert result.options.sh_degree == 3 and "nothing is known" in result.reasons["sh_degree"]
+    assert result.options.sh_degree == 3 and "angles are unknown" in result.reasons["sh_degree"]
 
 
 @pytest.mark.slow
@@ -167,7 +167,7 @@ def test_flights_and_walks_keep_all_harmonics(name, drift):
 def test_all_harmonics_are_the_default(city, drift):
     drift(0.0)
     result = found(city)
-    assert result.options.sh_degree == 3 and not result.parts["sh_degree"].asked
+    assert result.options.sh_degree == 3 and not result.parts["sh_degree"].requested
     assert result.reasons["sh_degree"] == "3: all, the default"
 
 
@@ -175,9 +175,9 @@ def test_all_harmonics_are_the_default(city, drift):
 def test_a_degree_that_is_asked_for_is_used(city, drift, degree):
     drift(0.0)
     result = found(city, sh_degree=degree)
-    assert result.options.sh_degree == degree and result.parts["sh_degree"].asked
-    assert result.reasons["sh_degree"] == f"{degree}: asked for"
-    assert not found(city, sh_degree="auto").parts["sh_degree"].asked
+    assert result.options.sh_degree == degree and result.parts["sh_degree"].requested
+    assert result.reasons["sh_degree"] == f"{degree}: requested"
+    assert not found(city, sh_degree="auto").parts["sh_degree"].requested
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2])
@@ -221,7 +221,7 @@ def test_scales_are_told(drift):
     scene = replace(scene, views=(near, away))
     result = found(scene)
     assert result.reasons["antialiased"] == (
-        "off: not asked for; nine points in ten are seen at scales within a factor of 4.0")
+        "off: not requested; nine points in ten are seen at scales within a factor of 4.0")
     assert found(scene, antialiased=True).values["antialiased"] == "on"
 
 
@@ -234,7 +234,7 @@ def test_levels_are_named(city, drift):
     assert result.reasons["levels"] == (
         "3 2 1: 106 x 80 to 320 x 240 pixels; sides below 64 are left out")
     assert found(large, levels=(4.0, 1.0)).reasons["levels"] == (
-        "4 1: asked for; 80 x 60 to 320 x 240 pixels")
+        "4 1: requested; 80 x 60 to 320 x 240 pixels")
     assert found(large, schedule="constant").values["levels"] == (1.0,)
 
 
@@ -253,5 +253,5 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift):
     assert result.options.engine == "numpy" == result.values["engine"]
     assert "take up to 67 MiB of the device's 132" in result.reasons["engine"]
     assert engine(1.98 * needed, sh_degree=2).options.engine == "device"
-    assert engine(1.0, engine="device").reasons["engine"] == "device: asked for"
+    assert engine(1.0, engine="device").reasons["engine"] == "device: requested"
     assert find_decisions(city, city.views, options).options.engine == "auto"

@@ -39,12 +39,12 @@ def test_counting():
     told = []
     for rows, asked in ((0, 50), (3, 50), (4, 20)):
         counter.add(rows)
-        counts.asked += asked
+        counts.requested += asked
         told.append(counts.poll())
     assert told == [False, True, False] and counts.total == 7
     assert counts.close() == (7, 120) and counts.close() == (0, 0)
     counter.add(5)
-    counts.asked += 9
+    counts.requested += 9
     assert not counts.poll() and counts.total == 12 and counts.close() == (5, 9)
 
 

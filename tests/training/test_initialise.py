@@ -81,7 +81,7 @@ def test_spheres_of_a_file_are_kept_where_the_training_has_spheres(scene, tmp_pa
 
 
 def test_what_cannot_begin(scene, tmp_path):
-    with pytest.raises(InputError, match="nowhere.ply: no such file; --init wants"):
+    with pytest.raises(InputError, match="nowhere.ply: no such file; --init expects"):
         initial_gaussians(scene, TrainOptions(init=str(tmp_path / "nowhere.ply")))
     with pytest.raises(InputError, match=f"--max-gaussians 499: .*{COUNT}; allow at least"):
         initial_gaussians(scene, TrainOptions(max_gaussians=COUNT - 1))
@@ -107,5 +107,5 @@ def test_a_file_of_too_few_gaussians_is_blamed(scene, tmp_path, count):
 
 
 def test_a_folder_to_start_from_is_called_one(scene, tmp_path):
-    with pytest.raises(InputError, match="a folder; --init wants"):
+    with pytest.raises(InputError, match="a folder; --init expects"):
         initial_gaussians(scene, TrainOptions(init=str(tmp_path)))

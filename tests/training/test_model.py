@@ -268,7 +268,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
     expected = np.zeros(count)
     expected[seen] = 4
     assert np.array_equal(step.statistics.seen_count.download(), expected)  # by every view
-    assert step.skipped.asked == 4 * len(seen)
+    assert step.skipped.requested == 4 * len(seen)
 
 
 # --- a round of growth, from statistics to rows
