@@ -39,12 +39,12 @@ def run() -> None:
         _flush()
 
 
-def _end(number, frame):
+def _end(number: int, frame: object) -> None:
     os.write(2, b"interrupted: give the same command again\n")
     os._exit(128 + number)
 
 
-def _flush():
+def _flush() -> None:
     """Python flushes standard output when it ends, and complains where nobody reads it."""
     try:
         sys.stdout.flush()

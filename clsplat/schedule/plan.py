@@ -102,12 +102,12 @@ class Schedule:
 
     @classmethod
     def grows_until(cls, options: TrainOptions) -> int:
-        """The value of `densify_until` if that is auto: half of the run."""
+        """The value of `densify_until` if the options leave it at auto: half of the run."""
         return options.iterations // 2
 
     @classmethod
     def grows_every(cls, options: TrainOptions) -> int:
-        """The value of `densify_every` if that is auto; 0 if `plan` decides."""
+        """The value of `densify_every` if the options leave it at auto; 0 if `plan` decides."""
         return STEPS_A_ROUND
 
     @classmethod

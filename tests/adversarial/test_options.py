@@ -103,8 +103,8 @@ def test_a_run_of_large_numbers_is_read_by_eval(run, given):
     ({"batch": 99_999_999_999}, "option 'batch' expects at most 1,024, got 99999999999"),
     ({"iterations": 10**9}, "option 'iterations' expects at most 10,000,000"),
     ({"steps_scale": 1e308}, "option 'steps-scale' expects at most 10000, got 1e+308"),
-    ({"iterations": 10**6, "steps_scale": 100.0}, "--steps-scale 100: makes 1,000,000 steps more "
-                                                  "than 10,000,000; give a smaller one"),
+    ({"iterations": 10**6, "steps_scale": 100.0}, "--steps-scale 100: turns 1,000,000 steps into "
+                                                  "more than 10,000,000; give a smaller factor"),
     ({"time_budget": "1e300"}, "option 'time-budget' expects at most a year"),
     ({"init": "a\x00b"}, "option 'init' expects text in Unicode"),
     ({"init": "\udcff.ply"}, "option 'init' expects text in Unicode"),
