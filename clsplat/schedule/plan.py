@@ -128,7 +128,8 @@ class Schedule:
 
     @classmethod
     def options_of_block(cls, options: TrainOptions) -> dict[str, Any]:
-        """{option: value} that differ in a block of a city, which starts from a coarse run."""
+        """{option: value} that differ from `options` in a block of a city, which starts from a
+        coarse run."""
         return {}
 
     def plan(self, iteration: int) -> Plan:
@@ -194,11 +195,11 @@ class Schedule:
         """Restore what `state` returned when the checkpoint was written."""
 
     def degree(self, iteration: int) -> int:
-        """Degree of the spherical harmonics: one more every `sh_every` steps."""
+        """Degree of the spherical harmonics at step `iteration`: one more every `sh_every`."""
         return min(self.options.sh_degree, (iteration - 1) // self.options.sh_every)
 
     def decay(self, iteration: int) -> float:
-        """Progress of the decay of the position learning rate: even over the run."""
+        """Progress of the position rate's decay at step `iteration`: even over the run."""
         return min(1.0, (iteration - 1) / self.options.iterations)
 
 
