@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import UnionType
-from typing import Any, get_args
+from typing import Any, get_args, get_type_hints
 
 from clsplat.errors import InputError
 
@@ -60,7 +60,12 @@ def option(default: Any, group: str, text: str, *, affects: str = "model",
 
 def options_of(kind: type) -> list[Option]:
     """The options among the fields of a dataclass, in order."""
-    return [field for field in dataclasses.fields(kind) if "affects" in field.metadata]
+    options = [field for field in dataclasses.fields(kind) if "affects" in field.metadata]
+    if any(isinstance(option.type, str) for option in options):
+        types = get_type_hints(kind)  # `from __future__ import annotations` leaves their names
+        for option in options:
+            option.type = types[option.name]
+    return options
 
 
 def flag_name(name: str) -> str:
