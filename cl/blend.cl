@@ -25,6 +25,21 @@
 #endif
 #define SUMS (PAIR_SUMS + WITH_DEPTH)
 
+// arguments that both forms have; those of one form alone follow them
+#define BLEND_ARGUMENTS                                                                            \
+    int width, int height, int tiles_x, int first_tile, __global const real *restrict background,  \
+    __global const uint *restrict ranges, __global const uint *restrict sorted_splats,             \
+    __global const real *restrict splats, __global real *restrict image,                           \
+    __global real *restrict transmittance, __global int *restrict last_contributor,                \
+    __global real *restrict depth
+#define BLEND_ADJOINT_ARGUMENTS                                                                    \
+    int width, int height, int tiles_x, int first_tile, __global const uint *restrict ranges,      \
+    __global const uint *restrict sorted_splats, __global const uint *restrict emission_indices,   \
+    __global const real *restrict splats, __global const real *restrict transmittance,             \
+    __global const int *restrict last_contributor, __global const real *restrict grad_image,       \
+    __global const real *restrict grad_depth, __global const real *restrict grad_transmittance,    \
+    __global real *restrict pair_grads
+
 #if FORM_ITEM
 #include "item/blend.cl"
 #else

@@ -40,6 +40,14 @@ inline vreal ssim(vreal x, vreal y, vreal squares, vreal xy, vreal *by_x, vreal 
     return value;
 }
 
+// Declares where the part number INDEX of the launch lies, an int, parts being WIDTH x HEIGHT pixels of a
+// channel: `place` among the channels of the launch, corner x0, y0.
+#define LOCATE_PART(INDEX, WIDTH, HEIGHT)                                                          \
+    const int across = (width + (WIDTH) - 1) / (WIDTH), down = (height + (HEIGHT) - 1) / (HEIGHT); \
+    const int place = (INDEX) / (across * down), channel = first_channel + place;                  \
+    const int x0 = (INDEX) % across * (WIDTH), y0 = (INDEX) / across % down * (HEIGHT);            \
+    const long plane = (long)width * height
+
 #if FORM_ITEM
 #include "item/image_loss.cl"
 #else

@@ -69,6 +69,14 @@ inline real2 reproject_pixel(int x, int y, int width, int height, int neighbour_
     return (real2)(square, 1);
 }
 
+// arguments of `reproject`, which has a form for CPUs and one for GPUs
+#define REPROJECT_ARGUMENTS                                                                        \
+    int width, int height, int neighbour_width, int neighbour_height,                              \
+    __global const real *restrict depth, __global const real *restrict transmittance,              \
+    __global const uchar *restrict photo, __global const uchar *restrict neighbour,                \
+    __global const real *restrict geometries, __global const real *restrict colours, uint pair,    \
+    __global real *restrict grad_depth, __global real *restrict grad_transmittance,                \
+    __global real *restrict partials
 #if FORM_ITEM
 #include "item/reproject.cl"
 #else

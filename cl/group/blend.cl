@@ -6,13 +6,8 @@
 
 // Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth.
 __kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1)))
-void blend(int width, int height, int tiles_x, int first_tile,
-           __global const real *restrict background, __global const uint *restrict ranges,
-           __global const uint *restrict sorted_splats, __global const real *restrict splats,
-           __global real *restrict image, __global real *restrict transmittance,
-           __global int *restrict last_contributor, __global real *restrict depth,
-           __global const uint *restrict bucket_offsets, __global real *restrict checkpoints,
-           __global real *restrict depth_checkpoints)
+void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
+           __global real *restrict checkpoints, __global real *restrict depth_checkpoints)
 {
     __local real4 shape[PIXELS], colour[PIXELS], conic[PIXELS];
     __local int open;
@@ -104,16 +99,8 @@ inline real from_previous_lane(real value)
 #endif
 
 __kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
-void blend_adjoint(int width, int height, int tiles_x, int first_tile,
-                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-                   __global const uint *restrict emission_indices,
-                   __global const real *restrict splats,
-                   __global const real *restrict transmittance,
-                   __global const int *restrict last_contributor,
-                   __global const real *restrict grad_image, __global const real *restrict grad_depth,
-                   __global const real *restrict grad_transmittance,
-                   __global real *restrict pair_grads,
-                   uint tiles, __global const uint *restrict bucket_offsets,
+void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, uint tiles,
+                   __global const uint *restrict bucket_offsets,
                    __global const uint *restrict bucket_tiles, __global const real *restrict image,
                    __global const real *restrict depth, __global const real *restrict checkpoints,
                    __global const real *restrict depth_checkpoints)

@@ -10,11 +10,8 @@ void image_loss(int width, int height, int strip, int first_channel,
                 __global real *restrict maps, __global real *restrict partials)
 {
     __local real xs[WIDE * WIDE], ys[WIDE * WIDE], rows[MEANS][WIDE * TILE], scratch[GROUP];
-    const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
     const int group = get_group_id(0), lane = get_local_id(0);
-    const int place = group / (across * down), channel = first_channel + place;
-    const int x0 = group % across * TILE, y0 = group / across % down * TILE;
-    const long plane = (long)width * height;
+    LOCATE_PART(group, TILE, TILE);
     FOR_GROUP(i, WIDE * WIDE) {
         const int x = x0 - RADIUS + (int)i % WIDE, y = y0 - RADIUS + (int)i / WIDE;
         const bool inside = x >= 0 && y >= 0 && x < width && y < height;
@@ -64,11 +61,8 @@ void image_loss_adjoint(int width, int height, int strip, int first_channel, rea
                         __global const real *restrict maps, __global real *restrict grad_image)
 {
     __local real wide[3][WIDE * WIDE], rows[3][WIDE * TILE];
-    const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
     const int group = get_group_id(0), lane = get_local_id(0);
-    const int place = group / (across * down), channel = first_channel + place;
-    const int x0 = group % across * TILE, y0 = group / across % down * TILE;
-    const long plane = (long)width * height;
+    LOCATE_PART(group, TILE, TILE);
     FOR_GROUP(i, WIDE * WIDE) {
         const int x = x0 - RADIUS + (int)i % WIDE, y = y0 - RADIUS + (int)i / WIDE;
         const bool inside = x >= 0 && y >= 0 && x < width && y < height;

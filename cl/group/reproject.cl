@@ -4,12 +4,7 @@
 DEFINE_LANE_SUM(lane_sum, real2)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void reproject(int width, int height, int neighbour_width, int neighbour_height,
-               __global const real *restrict depth, __global const real *restrict transmittance,
-               __global const uchar *restrict photo, __global const uchar *restrict neighbour,
-               __global const real *restrict geometries, __global const real *restrict colours,
-               uint pair, __global real *restrict grad_depth,
-               __global real *restrict grad_transmittance, __global real *restrict partials)
+void reproject(REPROJECT_ARGUMENTS)
 {
     __local real2 scratch[LANES];
     const int row = get_group_id(0);

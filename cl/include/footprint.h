@@ -25,3 +25,13 @@ inline vreal cut_alpha_slope(vreal raw)
     return select((vreal)1, (vreal)0, TO_MASK(raw > (vreal)ALPHA_MAX));
 #endif
 }
+
+// Declares what the rows of a tile share of a splat, its columns at the pixels x of type real16. In a row
+// at distance dy = y - mean_y the power is power_x + dy (c dy - shear), and nothing is below `cut`.
+#define SPLAT_IN_ROWS(INDEX)                                                                       \
+    __global const real *splat = splats + (ulong)(INDEX) * SPLAT_REALS;                            \
+    const real cut = -0.5 * splat[SPLAT_CUTOFF], opacity = splat[SPLAT_OPACITY];                   \
+    const real a = -0.5 * splat[SPLAT_CONIC], b = splat[SPLAT_CONIC + 1];                          \
+    const real c = -0.5 * splat[SPLAT_CONIC + 2], mean_y = splat[SPLAT_MEAN + 1];                  \
+    const real16 dx = x - splat[SPLAT_MEAN];                                                       \
+    const real16 power_x = a * dx * dx, shear = b * dx

@@ -34,11 +34,7 @@ inline void rows_reached(__global const real *splat, real first_y, int rows, int
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void blend(int width, int height, int tiles_x, int first_tile,
-           __global const real *restrict background, __global const uint *restrict ranges,
-           __global const uint *restrict sorted_splats, __global const real *restrict splats,
-           __global real *restrict image, __global real *restrict transmittance,
-           __global int *restrict last_contributor, __global real *restrict depth)
+void blend(BLEND_ARGUMENTS)
 {
     const int tile = get_global_id(0), place = first_tile + tile;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
@@ -61,12 +57,7 @@ void blend(int width, int height, int tiles_x, int first_tile,
     }
     int open_rows = (1 << rows) - 1;
     for (uint i = begin; i < end && open_rows; i++) {
-        __global const real *splat = splats + (ulong)sorted_splats[i] * SPLAT_REALS;
-        const real cut = -0.5 * splat[SPLAT_CUTOFF], opacity = splat[SPLAT_OPACITY];
-        const real a = -0.5 * splat[SPLAT_CONIC], b = splat[SPLAT_CONIC + 1];
-        const real c = -0.5 * splat[SPLAT_CONIC + 2], mean_y = splat[SPLAT_MEAN + 1];
-        const real16 dx = x - splat[SPLAT_MEAN];
-        const real16 power_x = a * dx * dx, shear = b * dx;
+        SPLAT_IN_ROWS(sorted_splats[i]);
         int r, r_end;
         rows_reached(splat, first_y, rows, &r, &r_end);
         for (; r < r_end; r++) {
@@ -115,15 +106,7 @@ void blend(int width, int height, int tiles_x, int first_tile,
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void blend_adjoint(int width, int height, int tiles_x, int first_tile,
-                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
-                   __global const uint *restrict emission_indices,
-                   __global const real *restrict splats,
-                   __global const real *restrict transmittance,
-                   __global const int *restrict last_contributor,
-                   __global const real *restrict grad_image, __global const real *restrict grad_depth,
-                   __global const real *restrict grad_transmittance,
-                   __global real *restrict pair_grads,
+void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                    __global const real *restrict background)
 {
     const int tile = get_global_id(0), place = first_tile + tile;
@@ -166,12 +149,7 @@ void blend_adjoint(int width, int height, int tiles_x, int first_tile,
                 sum[j] = 0;
             continue;
         }
-        __global const real *splat = splats + (ulong)sorted_splats[i] * SPLAT_REALS;
-        const real cut = -0.5 * splat[SPLAT_CUTOFF], opacity = splat[SPLAT_OPACITY];
-        const real a = -0.5 * splat[SPLAT_CONIC], b = splat[SPLAT_CONIC + 1];
-        const real c = -0.5 * splat[SPLAT_CONIC + 2], mean_y = splat[SPLAT_MEAN + 1];
-        const real16 dx = x - splat[SPLAT_MEAN];
-        const real16 power_x = a * dx * dx, shear = b * dx;
+        SPLAT_IN_ROWS(sorted_splats[i]);
         real16 s_red = 0, s_green = 0, s_blue = 0, s_opacity = 0, s_z = 0;
         real16 s_p = 0, s_y = 0, s_yy = 0; // dx is the same in every row: its products come last
         int r, r_end;

@@ -28,12 +28,8 @@ void contribution(int width, int height, int tiles_x, int first_tile,
         latest[r] = convert_mask16(vload16(0, indices));
     }
     for (int i = begin; i < end; i++) {
-        __global const real *splat = splats + (ulong)sorted_splats[i] * SPLAT_REALS;
-        const real cut = -0.5 * splat[SPLAT_CUTOFF], opacity = splat[SPLAT_OPACITY];
-        const real a = -0.5 * splat[SPLAT_CONIC], b = splat[SPLAT_CONIC + 1];
-        const real c = -0.5 * splat[SPLAT_CONIC + 2], mean_y = splat[SPLAT_MEAN + 1];
-        const real16 dx = x - splat[SPLAT_MEAN];
-        const real16 power_x = a * dx * dx, shear = b * dx, zero = 0;
+        SPLAT_IN_ROWS(sorted_splats[i]);
+        const real16 zero = 0;
         real16 s_pixels = 0, s_weight = 0, s_weighted = 0, s_distance = 0;
         for (int r = 0; r < rows; r++) {
             const real dy = first_y + r - mean_y;

@@ -34,11 +34,8 @@ void image_loss(int width, int height, int strip, int first_channel,
                 __global const real *restrict image, __global const uchar *restrict photo,
                 __global real *restrict maps, __global real *restrict partials)
 {
-    const int across = (width + 15) / 16, down = (height + strip - 1) / strip;
     const int item = get_global_id(0);
-    const int place = item / (across * down), channel = first_channel + place;
-    const int x0 = item % across * 16, y0 = item / across % down * strip;
-    const long plane = (long)width * height;
+    LOCATE_PART(item, 16, strip);
     const int columns = min(16, width - x0), y_end = min(y0 + strip, height);
     const bool interior = x0 >= RADIUS && x0 + 16 + RADIUS <= width;
     real16 ring[TAPS][MEANS];
@@ -127,11 +124,8 @@ void image_loss_adjoint(int width, int height, int strip, int first_channel, rea
                         __global const real *restrict image, __global const uchar *restrict photo,
                         __global const real *restrict maps, __global real *restrict grad_image)
 {
-    const int across = (width + 15) / 16, down = (height + strip - 1) / strip;
     const int item = get_global_id(0);
-    const int place = item / (across * down), channel = first_channel + place;
-    const int x0 = item % across * 16, y0 = item / across % down * strip;
-    const long plane = (long)width * height;
+    LOCATE_PART(item, 16, strip);
     const int columns = min(16, width - x0), y_end = min(y0 + strip, height);
     const bool interior = x0 >= RADIUS && x0 + 16 + RADIUS <= width;
     real16 ring[TAPS][3];

@@ -1,11 +1,6 @@
 // Item form of reproject.cl (see there): a work-item owns a row.
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void reproject(int width, int height, int neighbour_width, int neighbour_height,
-               __global const real *restrict depth, __global const real *restrict transmittance,
-               __global const uchar *restrict photo, __global const uchar *restrict neighbour,
-               __global const real *restrict geometries, __global const real *restrict colours,
-               uint pair, __global real *restrict grad_depth,
-               __global real *restrict grad_transmittance, __global real *restrict partials)
+void reproject(REPROJECT_ARGUMENTS)
 {
     const int row = get_global_id(0);
     real2 sum = (real2)(0);

@@ -47,9 +47,7 @@ class Planned:
 
     Parameters
     ----------
-    scene : as it was read.
-    options : as the user gave them.
-    device : of the training.
+    scene, options, device : see `training.session.prepare`.
     progress : receives what is being done.
 
     Attributes
