@@ -146,7 +146,7 @@ __kernel void project(uint count, uint degree, __global const uint *restrict row
         const real opacity = f.opacity * sqrt(f.area_ratio);
         const real cutoff = 2 * log(ALPHA_STEPS * opacity);
 
-        real3 colour = (real)0.5 + SH_C0 * vload3(row, sh_constant);
+        real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
 #if SH_REST > 0
         if (degree > 0) {
             real basis[SH_SIZE];
@@ -247,7 +247,7 @@ __kernel void project_adjoint(
 
         // colour; where it is not drawn nothing flows
         real3 grad_colour = vload3(0, sum + SUM_COLOUR);
-        real3 colour = (real)0.5 + SH_C0 * vload3(row, sh_constant);
+        real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
 #if SH_REST > 0
         real basis[SH_SIZE], weight[SH_SIZE];
         const real3 offset = vload3(row, positions) - vload3(0, camera + CAMERA_POSITION);
@@ -259,7 +259,7 @@ __kernel void project_adjoint(
         }
 #endif
         grad_colour = select((real3)(0), grad_colour, drawn(colour));
-        const real3 grad_constant = SH_C0 * grad_colour;
+        const real3 grad_constant = (real)SH_C0 * grad_colour;
 #if SH_REST > 0
         if (degree > 0) {
             for (uint k = 0; k < SH_ACTIVE(degree); k++)
