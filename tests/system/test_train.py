@@ -380,7 +380,8 @@ def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, 
     """The clock jumps to the end of the budget two steps after opacities were lowered."""
     steps, taken = Step.densify, []
     monkeypatch.setattr(Step, "densify", lambda *given: (taken.append(1), steps(*given))[1])
-    monkeypatch.setattr(Clock, "elapsed", lambda clock: 0.0 if len(taken) < 52 else 1e6)
+    for seconds in ("elapsed", "trained"):
+        monkeypatch.setattr(Clock, seconds, lambda clock: 0.0 if len(taken) < 52 else 1e6)
     run = trained(tmp_path / "run", city, item_device, time_budget="100s", iterations=30000,
                   eval_at=(50,), **{**STILL, "reset_every": 50})
     assert records(run, "restored")[0]["since"] == 50
