@@ -107,7 +107,8 @@ def test_depth_is_the_distance_of_what_is_seen(item_device):
     assert np.allclose(behind[0, 0], (0.1, 0.2, 0.3))
 
 
-@pytest.mark.parametrize("depth", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow  # double-precision kernels take long to compile
+@pytest.mark.parametrize("depth", [False, True])
 def test_backward_is_the_derivative_of_forward(double_device, depth):
     model = blob(3)  # each covers the whole image, for its border would be a step
     model.rows["log_scales"][:] = np.log((2.0, 1.5, 1.8))

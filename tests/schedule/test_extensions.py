@@ -34,6 +34,7 @@ def clsplat(tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_a_schedule_in_one_file(clsplat, tmp_path):
     done = clsplat("train", CITY, "--schedule", "halves", "-n", "40", "-r", "8", "--densify-every",
                    "5", "-o", "run")
