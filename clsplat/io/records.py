@@ -21,8 +21,8 @@ KEYS = (
         "train_seconds", "wall_seconds", "level", "psnr", "psnr_cc", "ssim", "ssim_cc", "lpips",
         "loss", "l1", "memory_bytes", "peak_bytes", "since", "slope", "threshold", "hits",
         "rounds", "pixel_pairs", "kernel_bytes")),
-    (str, ("event", "scene", "fingerprint", "opencl_device", "kernel_form", "version", "commit",
-           "schedule")),
+    (str, ("event", "scene", "scene_absolute", "fingerprint", "opencl_device", "kernel_form",
+           "version", "commit", "schedule")),
     (dict, ("reasons", "decisions")))
 
 

@@ -127,8 +127,8 @@ def test_near_levels_are_the_full_model_and_far_ones_less(item_device, run, tmp_
 
 def test_a_choice_that_stays_is_not_taken_again(item_device, scene, run, monkeypatch):
     detail = lod.Detail(Run(run), scene.reduced(4), item_device)
-    taken, take = [], Levels.take
-    monkeypatch.setattr(Levels, "take", lambda *a: taken.append(1) or take(*a))
+    taken, take = [], Levels.select
+    monkeypatch.setattr(Levels, "select", lambda *a: taken.append(1) or take(*a))
     near = scene.views[0].camera.reduced(4)
     distance = np.linalg.norm(near.position)  # between this and 31 times as far levels change
     detail.pixels = near.focal[0] / (5 * distance * detail.levels.frequencies[0])

@@ -208,7 +208,7 @@ def test_the_command(folder):
     done = CliRunner().invoke(main, ["compare", str(folder), "--psnr", "27", "--psnr", "40"])
     assert done.exit_code == 0, done.output
     assert "to 27 dB, s  to 40 dB, s" in done.output
-    assert "nothing is recorded of them yet: sig.2" in done.output
+    assert "they have no records yet: sig.2" in done.output
     # what is equal is one line, what matters most comes last
     said = [line for line in done.output.splitlines() if line]
     assert said[0].startswith("What is equal: ") and said[0].endswith("at the end of compare.html")
@@ -279,7 +279,7 @@ def test_where_the_output_goes(folder, tmp_path):
     (tmp_path / "file").write_text("")
     refused(lambda: write_comparison([folder], tmp_path / "file" / "x"), "file", "--output")
     RunFolder.create(tmp_path / "a").write_options({})
-    refused(lambda: write_comparison([tmp_path / "a"]), "none of its runs has metrics")
+    refused(lambda: write_comparison([tmp_path / "a"]), "none of the runs has metrics")
 
 
 @pytest.mark.parametrize("words, complaint", [
