@@ -131,6 +131,13 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     return options
 
 
+def recorded(record: dict[str, Any]) -> TrainOptions:
+    """The options among the values of a run's options.json; InputError for a damaged one."""
+    known = {option.name for option in options_of(TrainOptions)}
+    return resolve({name: checked("options.json", name, value) for name, value in record.items()
+                    if name in known}, {})
+
+
 def serves(known: declared.Option, schedule: str) -> bool:
     """Whether an option has an effect with a schedule."""
     part = known.metadata["part"]

@@ -12,9 +12,9 @@ import click
 
 from clsplat.cli.flags import given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
-from clsplat.config.option import differences, flag_name, options_of
+from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError
-from clsplat.options import RunOptions, TrainOptions, checked, from_toml, resolve
+from clsplat.options import RunOptions, TrainOptions, from_toml, recorded, resolve
 
 LOG_LEVELS = ("debug", "info", "warning", "error")
 FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
@@ -108,9 +108,7 @@ def resumed_options(record: dict[str, Any], flags: dict[str, Any]) -> TrainOptio
 
     --stop-at of the first part does not stop the second. InputError for flags that may not change.
     """
-    known = {option.name for option in options_of(TrainOptions)}
-    options = resolve({name: checked("options.json", name, value) for name, value in record.items()
-                       if name in known}, {})
+    options = recorded(record)
     changed = dataclasses.replace(options, **{"stop_at": RunOptions.stop_at, **flags})
     for name, old, _ in differences(dataclasses.asdict(options), changed):
         raise InputError(f"{flag_name(name)}: cannot change at --resume, the run has {old!r}; "

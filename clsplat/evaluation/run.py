@@ -19,7 +19,7 @@ from clsplat.io.ply import read_ply
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.options import TrainOptions, resolve
+from clsplat.options import TrainOptions, recorded
 from clsplat.scene import Scene
 
 
@@ -90,8 +90,7 @@ class Run:
     @property
     def options(self) -> TrainOptions:
         """The options of the training, with all defaults resolved."""
-        record, known = self.record, TrainOptions.__dataclass_fields__
-        return resolve({key: value for key, value in record.items() if key in known}, {})
+        return recorded(self.record)
 
     @property
     def record(self) -> dict[str, Any]:

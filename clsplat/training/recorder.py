@@ -56,10 +56,13 @@ class Recorder:
         frequency : scene frequencies, if they were measured.
         """
         iteration = self.session.iteration
-        if iteration % REPORT_EVERY == 0 or iteration == 1:
-            self._report(self.check(measured), frequency)
-        if self._callbacks:
-            self._show({"event": "step", **self._place(), **self.check(measured)})
+        reports = iteration % REPORT_EVERY == 0 or iteration == 1
+        if not (reports or self._callbacks):
+            return
+        values = self.check(measured)
+        if reports:
+            self._report(values, frequency)
+        self._show({"event": "step", **self._place(), **values})
 
     def _show(self, record: dict[str, Any]) -> None:
         for function in self._callbacks:
