@@ -189,6 +189,11 @@ class Gaussians:
         rest[:, :shared] = self.sh_rest[:, :shared]
         return Gaussians({**self.rows, "sh_rest": rest}, sh_degree, self.offset)
 
+    def without_spheres(self) -> Gaussians:
+        """The same gaussians without the fields of SPHERE."""
+        rows = {field.name: self.rows[field.name] for field in LEARNED}
+        return Gaussians(rows, self.sh_degree, self.offset)
+
     def located(self, offset: ArrayLike) -> Gaussians:
         """The same local coordinates with another origin, so that the gaussians move.
 

@@ -1,6 +1,5 @@
 """The end of a city: one model of its blocks, its levels of detail, and its scores."""
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from clsplat.report.city import seam_table, share_table
 from clsplat.report.page import embedded
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
+from clsplat.training.loop import run_record
 
 
 def reference_file(against: Path | None) -> Path | None:
@@ -57,11 +57,7 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     merged = merge(city, scene, fill)
     merged.check()
     run, spent = RunFolder(city.path), cost(city)
-    run.write_options({
-        "scene": scene.path, **dataclasses.asdict(options),
-        "fingerprint": city.read()["fingerprint"], "opencl_device": device.name,
-        "kernel_form": device.form, "extent": scene.extent, "offset": scene.offset.tolist(),
-        "blocks": len(merged.shares)})
+    run.write_options({**run_record(scene, options, device), "blocks": len(merged.shares)})
     run.rewind(-1)
     run.log({"event": "merge", **spent, "level": 1.0, "gaussians": merged.gaussians.count,
              **merged.record()})
@@ -76,7 +72,7 @@ def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
     coarse, whole = RunFolder(city.coarse), RunFolder(city.path)
     for factor, path in [*coarse.snapshots(), (1.0, coarse.model_path)]:
         level = COARSE_FACTOR * factor
-        whole.save_snapshot(level, plain(read_ply(path, scene.offset)), scene.offset,
+        whole.save_snapshot(level, read_ply(path, scene.offset).without_spheres(), scene.offset,
                             (f"level {level:g}",))
 
 
@@ -117,7 +113,7 @@ def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device:
 
         reference = read_ply(against or RunFolder(city.coarse).model_path, scene.offset)
         seams = find_seams(device, partition, scene, test or train, options, run.finished_model,
-                           counts, plain(reference), model_of)
+                           counts, reference.without_spheres(), model_of)
         run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
                         "worst_seam_db": seams["worst_seam_db"]})
     write_report(run.folder, embedded(city.picture, "map of the blocks"), share_table(merged),
@@ -137,9 +133,3 @@ def cost(city: CityFolder) -> dict[str, float]:
             for record in RunFolder(path).past_records()[-1:]]
     return {key: round(sum(record.get(key) or 0 for record in last), 3)
             for key in ("iteration", "train_seconds", "wall_seconds")}
-
-
-def plain(gaussians: Gaussians) -> Gaussians:
-    """The gaussians without spheres."""
-    return Gaussians({name: values for name, values in gaussians.rows.items()
-                      if name not in ("anchors", "max_offsets")}, gaussians.sh_degree)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from clsplat.densify.sphere import with_spheres
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import Gaussians
 from clsplat.io.ply import read_ply
 from clsplat.loss.exposure import IDENTITY
 from clsplat.options import TrainOptions
@@ -49,8 +49,7 @@ def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
     if constrained and "anchors" not in gaussians.rows:
         gaussians = with_spheres(gaussians, options.sphere_neighbours)
     if not constrained:  # drop the spheres of a file
-        gaussians = Gaussians({field.name: gaussians.rows[field.name] for field in LEARNED},
-                              gaussians.sh_degree)
+        gaussians = gaussians.without_spheres()
     if options.max_gaussians and gaussians.count > options.max_gaussians:
         raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
                          f"{gaussians.count}; allow at least that many")

@@ -9,6 +9,7 @@ import shlex
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from clsplat.config.option import AUTO
 from clsplat.device import Device
@@ -57,14 +58,18 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     with training.resumable():
         warnings = find_warnings(session.scene, session.train_views,
                                  session.model.rows["opacity_logits"].download())
-        run.write_options({"scene": scene.path, **dataclasses.asdict(options),
-                           "fingerprint": fingerprint(scene), "opencl_device": device.name,
-                           "kernel_form": device.form, "extent": scene.extent,
-                           "offset": scene.offset.tolist(),
+        run.write_options({**run_record(scene, options, device),
                            "decisions": session.decisions.values})
         training.recorded = True
         training.begin(warnings)
         training.run_to_end()
+
+
+def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str, Any]:
+    """The options of a run and what it was trained on, for its options.json."""
+    return {"scene": scene.path, **dataclasses.asdict(options), "fingerprint": fingerprint(scene),
+            "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
+            "offset": scene.offset.tolist()}
 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,

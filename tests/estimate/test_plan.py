@@ -188,13 +188,13 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
 
 def measured_peak(device, monkeypatch):
     """A list whose last element is the most that was allocated on a device so far."""
-    allocate, peaks = device._allocate, [0]
+    allocate, peaks = device._new, [0]
 
     def noting(*arguments):
         array = allocate(*arguments)
         peaks.append(max(peaks[-1], device.memory_bytes + array.nbytes))
         return array
-    monkeypatch.setattr(device, "_allocate", noting)
+    monkeypatch.setattr(device, "_new", noting)
     return peaks
 
 
