@@ -1,18 +1,24 @@
-// Pairs of tile and splat. Splats stay in the order of the gaussians' rows, where reading and writing
-// them is cheap; `order`, uint[V], lists them front to back, and pairs are emitted in that order. So a
-// stable sort of the pairs by tile leaves every tile's pairs in depth order, and a splat's pairs are
-// contiguous in the order of emission.
+// Pairs of tile and splat, sorted by tile and then front to back, ties by row.
 //
-// Only tiles [first_tile, end_tile), numbered row by row, are inspected: all of a frame, or a band of
-// it (clsplat/rendering/bands.py). Within a band tiles are numbered from its first.
+// Splats stay in the order of the gaussians' rows, where reading and writing them is cheap. A splat's
+// pairs have consecutive emission indices, in the order of its tiles: offsets[v] is the first, counts[v]
+// their number. ranges: uint[tiles, 2], where the pairs of each tile begin and end in sorted_splats and
+// emission_indices, uint[P]. Only tiles [first_tile, end_tile), numbered row by row, are inspected: all of
+// a frame, or a band of it (clsplat/rendering/bands.py). Within a band tiles are numbered from its first.
 //
-// counts: uint[V], tiles the v-th splat from the front touches; offsets: their exclusive scan;
-// pair_tiles, pair_splats: uint[P] in the order of emission; a pair's place there is its emission
-// index. One writer each: deterministic.
+// Three steps: count_pairs counts the pairs of each splat and tile; place_pairs finds where each tile's
+// pairs and each chunk's emission indices begin; emit_pairs writes them. The item form emits in depth
+// order (sort.cl), each work-item into its own part of each tile's range. The group form emits in any order, and
+// sort_tiles sorts each tile's pairs by a unique key, (depth, emission index). So both have one order,
+// whatever the order of the atomics.
+//
+// P is an upper bound that the host expects. Where there are more pairs, the frame FAILS (counts.h): it
+// has no pairs, and no visible gaussians from then on.
 #include "real.h"
 #include "each.h"
 #include "splat.h"
 #include "tiles.h"
+#include "counts.h"
 
 // Rows of tiles [*begin, *end) in which the ellipse can reach the band.
 inline void band_rows(Ellipse e, int tiles_x, int first_tile, int end_tile, int *begin, int *end)
@@ -30,30 +36,34 @@ inline void band_tiles(Ellipse e, int row, int tiles_x, int first_tile, int end_
     *end = min(row * tiles_x + *end, end_tile);
 }
 
-__kernel void count_pairs(uint count, int tiles_x, int first_tile, int end_tile,
-                          __global const uint *restrict order, __global const real *restrict splats,
-                          __global uint *restrict counts)
+// Note the number of pairs, by one work-item. Whether the frame has failed, now or before.
+inline bool set_pairs(__global uint *counts, ulong number, uint room)
 {
-    FOR_EACH(v, count) {
-        const Ellipse e = ellipse_of(splats + (ulong)order[v] * SPLAT_REALS);
-        int row, row_end, tile, tile_end;
-        uint touched = 0;
-        band_rows(e, tiles_x, first_tile, end_tile, &row, &row_end);
-        for (; row < row_end; row++) {
-            band_tiles(e, row, tiles_x, first_tile, end_tile, &tile, &tile_end);
-            touched += max(0, tile_end - tile);
-        }
-        counts[v] = touched;
-    }
+    if (number > room)
+        note_failure(counts, COUNT_NEEDED_PAIRS, (uint)min(number, (ulong)UINT_MAX));
+    const bool failed = counts[COUNT_FAILED];
+    const uint pairs = failed ? 0 : (uint)number;
+    counts[COUNT_PAIRS] = pairs;
+    counts[COUNT_MOST_PAIRS] = max(counts[COUNT_MOST_PAIRS], (uint)min(number, (ulong)UINT_MAX));
+    if (failed)
+        counts[COUNT_VISIBLE] = 0;
+    add_long(counts + COUNT_SUM_PAIRS, pairs);
+    return failed;
 }
+
+#if FORM_ITEM
+#include "item/bin.cl"
+#else
+#include "group/bin.cl"
+#endif
 
 // How many splats begin to touch tiles at each tile, less those that end there: the pairs of each
 // tile are the running sums, in uint arithmetic. steps: uint[tiles + 1], zero before. Integer sums:
 // the order of the atomics does not matter.
-__kernel void count_tiles(uint count, int tiles_x, int tiles_y,
+__kernel void count_tiles(int tiles_x, int tiles_y, __global const uint *restrict counts,
                           __global const real *restrict splats, __global uint *restrict steps)
 {
-    FOR_EACH(i, count) {
+    FOR_EACH(i, counts[COUNT_VISIBLE]) {
         const Ellipse e = ellipse_of(splats + i * SPLAT_REALS);
         int row, row_end, column, column_end;
         tile_rows(e, tiles_y, &row, &row_end);
@@ -64,71 +74,5 @@ __kernel void count_tiles(uint count, int tiles_x, int tiles_y,
                 atomic_dec(&steps[row * tiles_x + column_end]);
             }
         }
-    }
-}
-
-__kernel void emit_pairs(uint count, int tiles_x, int first_tile, int end_tile,
-                         __global const uint *restrict order, __global const real *restrict splats,
-                         __global uint *restrict counts, __global const uint *restrict offsets,
-                         __global uint *restrict pair_tiles, __global uint *restrict pair_splats)
-{
-    FOR_EACH(v, count) {
-        const Ellipse e = ellipse_of(splats + (ulong)order[v] * SPLAT_REALS);
-        uint index = offsets[v];
-        const uint end = index + counts[v];
-        int row, row_end, tile, tile_end;
-        band_rows(e, tiles_x, first_tile, end_tile, &row, &row_end);
-        for (; row < row_end; row++) {
-            band_tiles(e, row, tiles_x, first_tile, end_tile, &tile, &tile_end);
-            for (; tile < tile_end && index < end; tile++, index++) {
-                pair_tiles[index] = tile - first_tile;
-                pair_splats[index] = order[v];
-            }
-        }
-        // should a compiler ever round the two walks differently: no index stays unwritten, and
-        // only those emitted are summed
-        counts[v] = index - offsets[v];
-        for (; index < end; index++) {
-            pair_tiles[index] = end_tile - first_tile;
-            pair_splats[index] = order[v];
-        }
-    }
-}
-
-// After the sort: where each tile's pairs begin and end (ranges: uint[tiles, 2], zero before), and
-// the splat of each sorted pair.
-__kernel void find_ranges(uint count, uint tiles, __global const uint *restrict sorted_tiles,
-                          __global const uint *restrict emission_indices,
-                          __global const uint *restrict pair_splats, __global uint *restrict ranges,
-                          __global uint *restrict sorted_splats)
-{
-    FOR_EACH(i, count) {
-        const uint tile = sorted_tiles[i];
-        sorted_splats[i] = pair_splats[emission_indices[i]];
-        if (tile >= tiles)
-            continue;
-        if (i == 0 || sorted_tiles[i - 1] != tile)
-            ranges[2 * tile] = i;
-        if (i == count - 1 || sorted_tiles[i + 1] != tile)
-            ranges[2 * tile + 1] = i + 1;
-    }
-}
-
-// Buckets of BUCKET consecutive pairs of one tile, for the group form's adjoint.
-__kernel void count_buckets(uint tiles, __global const uint *restrict ranges,
-                            __global uint *restrict counts)
-{
-    FOR_EACH(tile, tiles)
-        counts[tile] = (ranges[2 * tile + 1] - ranges[2 * tile] + BUCKET - 1) / BUCKET;
-}
-
-// bucket_tiles: uint[B]; entries past the last bucket keep the value `tiles` they were filled with.
-__kernel void fill_buckets(uint tiles, __global const uint *restrict counts,
-                           __global const uint *restrict offsets,
-                           __global uint *restrict bucket_tiles)
-{
-    FOR_EACH(tile, tiles) {
-        for (uint i = 0; i < counts[tile]; i++)
-            bucket_tiles[offsets[tile] + i] = tile;
     }
 }

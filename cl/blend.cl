@@ -11,14 +11,15 @@
 // WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by the
 // final transmittance, so that a loss may read their ratio; otherwise these arrays are not touched.
 //
-// sum_pairs adds up each splat's gradients over its pairs, in the order of emission: totals[order[v],
-// :] from the rows of `pair_grads` that begin at offsets[v]. carried: continue from what earlier bands
+// sum_pairs adds up each splat's gradients over its pairs, in the order of emission: totals[v, :] from the
+// rows of `pair_grads` that begin at offsets[v]. carried: continue from what earlier bands
 // left in `totals`; a splat's pairs are emitted in the order of tiles, which is that of bands too: the
 // additions are those of a frame in one piece.
 #include "real.h"
 #include "each.h"
 #include "splat.h"
 #include "footprint.h"
+#include "counts.h"
 
 #ifndef WITH_DEPTH
 #error "WITH_DEPTH must be 0 or 1"

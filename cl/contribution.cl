@@ -18,19 +18,18 @@
 #include "group/contribution.cl"
 #endif
 
-// Sums of each splat over its pairs, in the order of emission: totals[order[v]] from the rows of
-// `sums` that begin at offsets[v]. carried: continue from what earlier bands left in `totals`.
+// Sums of each splat over its pairs, in the order of emission: totals[v] from the rows of `sums` that
+// begin at offsets[v]. carried: continue from what earlier bands left in `totals`.
 __kernel void sum_contributions(uint count, uint carried,
-                                __global const uint *restrict order,
-                                __global const uint *restrict counts,
+                                __global const uint *restrict splat_counts,
                                 __global const uint *restrict offsets,
                                 __global const real *restrict sums, __global real *restrict totals)
 {
     FOR_EACH(v, count) {
-        real4 total = carried ? vload4(order[v], totals) : (real4)(0);
-        const ulong begin = offsets[v], end = begin + counts[v];
+        real4 total = carried ? vload4(v, totals) : (real4)(0);
+        const ulong begin = offsets[v], end = begin + splat_counts[v];
         for (ulong i = begin; i < end; i++)
             total += vload4(i, sums);
-        vstore4(total, order[v], totals);
+        vstore4(total, v, totals);
     }
 }

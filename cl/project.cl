@@ -1,150 +1,41 @@
 // Gaussians to splats, and the adjoint. One work-item a gaussian; elementwise, hence deterministic.
 //
-// EWA splatting (Zwicker et al. 2002) with B = J W R and M = B S (2 x 3), covariance M M^T + e I,
-// e the low-pass. Its determinant comes from Lagrange's identity, |m1 x m2|^2 + e(|m1|^2 + |m2|^2)
-// + e^2, which keeps its digits for needles, where A C - B^2 cancels; so does m1 x m2 = (b1 x b2)
-// times two scales each, and K B for the adjoint, K = (M M^T + e I)^-1:
+// The mathematics of the footprint is in projection.h. For the adjoint, with K = (M M^T + e I)^-1,
 // K B = [e b1 + (S^2 b2) x (b1 x b2); e b2 + (b1 x b2) x (S^2 b1)] / det.
 //
 // Parameters are real[N, ...] rows; splats real[V, SPLAT_REALS] and all gradients real[V, ...] are
 // rows of visible gaussians; rows[v], ascending, is the gaussian of splat v.
 #include "real.h"
 #include "each.h"
-#include "camera.h"
-#include "quaternion.h"
+#include "projection.h"
 #include "harmonics.h"
-#include "splat.h"
+#include "counts.h"
 
-#ifndef ANTIALIASED
-#error "ANTIALIASED must be 0 or 1"
-#endif
-#define AREA_RATIO_MIN 2.5e-5 // of sharp to filtered footprint, so that its root has a gradient
-#define GRADIENT_MAX 1e18 // larger counts as not finite: Adam squares it
-
-typedef struct {
-    real3 p; // camera frame
-    real2 ratio; // clamped x/z, y/z
-    real3 r0, r1, r2; // rotation rows of the gaussian
-    real4 q;
-    real q_length;
-    real3 scale;
-    real3 b1, b2; // rows of J W R
-    real3 m1, m2; // rows of J W R S
-    real3 cross_b, cross_m;
-    real xx, xy, yy, det, blur; // covariance, determinant, and what the low-pass added to it
-    real opacity, area_ratio;
-} Footprint;
-
-inline Footprint footprint_of(uint row, __global const real *camera, __global const real *positions,
-                              __global const real *log_scales, __global const real *quaternions,
-                              __global const real *opacity_logits)
-{
-    Footprint f;
-    f.p = to_camera(camera, vload3(row, positions));
-    f.ratio = clamped_ratio(camera, f.p);
-    f.q = unit_quaternion(vload4(row, quaternions), &f.q_length);
-    rotation_rows(f.q, &f.r0, &f.r1, &f.r2);
-    f.scale = exp(vload3(row, log_scales));
-
-    const real2 focal = vload2(0, camera + CAMERA_FOCAL) / f.p.z;
-    __global const real *w = camera + CAMERA_ROTATION;
-    const real3 w3 = vload3(2, w);
-    const real3 a1 = focal.x * (vload3(0, w) - f.ratio.x * w3);
-    const real3 a2 = focal.y * (vload3(1, w) - f.ratio.y * w3);
-    f.b1 = a1.x * f.r0 + a1.y * f.r1 + a1.z * f.r2;
-    f.b2 = a2.x * f.r0 + a2.y * f.r1 + a2.z * f.r2;
-    f.m1 = f.b1 * f.scale;
-    f.m2 = f.b2 * f.scale;
-
-    const real e = camera[CAMERA_LOW_PASS];
-    const real m11 = dot(f.m1, f.m1), m22 = dot(f.m2, f.m2);
-    f.cross_b = cross(f.b1, f.b2);
-    f.cross_m = f.cross_b * f.scale.yzx * f.scale.zxy;
-    f.xx = m11 + e;
-    f.xy = dot(f.m1, f.m2);
-    f.yy = m22 + e;
-    f.blur = e * (m11 + m22) + e * e;
-    f.det = dot(f.cross_m, f.cross_m) + f.blur;
-    f.opacity = 1 / (1 + exp(-opacity_logits[row]));
-    f.area_ratio = 1;
-#if ANTIALIASED
-    f.area_ratio = max(dot(f.cross_m, f.cross_m) / f.det, (real)AREA_RATIO_MIN);
-#endif
-    return f;
-}
-
-inline real2 mean_pixel(__global const real *camera, real3 p)
-{
-    return vload2(0, camera + CAMERA_FOCAL) * p.xy / p.z + vload2(0, camera + CAMERA_CENTRE);
-}
-
-// Channels of a colour that are drawn; others are black and have no gradient: negative ones, and
-// those so bright (or not finite) that they would overflow the gradients of all gaussians behind.
-#define COLOUR_MAX 1e6
-#define drawn(COLOUR) (((COLOUR) > (real3)(0)) & ((COLOUR) < (real3)(COLOUR_MAX)))
-
-inline bool meets_image(__global const real *camera, real2 mean, real2 extent)
-{
-    const real2 size = vload2(0, camera + CAMERA_SIZE);
-    return mean.x + extent.x > 0 && mean.y + extent.y > 0 && mean.x - extent.x < size.x &&
-           mean.y - extent.y < size.y;
-}
-
-// At least the footprint's extent, from the largest scale alone: most gaussians are outside the
-// image, and this says so without their rotation. The rows of J W have length focal/z sqrt(1 + r^2).
-inline real2 largest_extent(__global const real *camera, real3 p, real3 log_scale)
-{
-    const real scale = exp(max(log_scale.x, max(log_scale.y, log_scale.z)));
-    const real2 ratio = clamped_ratio(camera, p);
-    const real2 reach = vload2(0, camera + CAMERA_FOCAL) / p.z * scale;
-    const real cutoff = 2.003 * log((real)ALPHA_STEPS); // of an opacity of 1, and a hair more
-    return sqrt(cutoff * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS]));
-}
-
-// Depth keys uint[N] (positive floats order as their bits) and flags uint[N]: 1 where the
-// footprint at its cutoff meets the image. Comparisons are written to fail for NaN.
-__kernel void cull(uint count, __global const real *restrict camera,
-                   __global const real *restrict positions, __global const real *restrict log_scales,
-                   __global const real *restrict quaternions,
-                   __global const real *restrict opacity_logits, __global uint *restrict depth_keys,
-                   __global uint *restrict flags)
-{
-    FOR_EACH(row, count) {
-        flags[row] = 0;
-        const real3 p = to_camera(camera, vload3(row, positions));
-        if (!(p.z > camera[CAMERA_NEAR]))
-            continue;
-        const real2 mean = mean_pixel(camera, p);
-        if (!meets_image(camera, mean, largest_extent(camera, p, vload3(row, log_scales))))
-            continue;
-        const Footprint f =
-            footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
-        const real opacity = f.opacity * sqrt(f.area_ratio);
-        const real cutoff = 2 * log(ALPHA_STEPS * opacity);
-        const real2 extent = sqrt(cutoff * (real2)(f.xx, f.yy));
-        // a footprint past the float range has no usable conic
-        const bool finite = isfinite(f.det) && f.det > 0 && isfinite(extent.x) &&
-                            isfinite(extent.y) && isfinite(p.z) && f.q_length > 0;
-        if (cutoff > 0 && finite && meets_image(camera, mean, extent)) {
-            flags[row] = 1;
-            depth_keys[row] = as_uint((float)p.z);
-        }
-    }
-}
-
-__kernel void project(uint count, uint degree, __global const uint *restrict rows,
-                      __global const real *restrict camera, __global const real *restrict positions,
+// depth_keys: uint[V], which sort splats front to back (positive floats order as their bits). A gaussian that
+// `cull` saw but that cannot be drawn, as its parameters have changed since, becomes a splat without tiles.
+__kernel void project(uint degree, __global const uint *restrict counts,
+                      __global const uint *restrict rows, __global const real *restrict camera,
+                      __global const real *restrict positions,
                       __global const real *restrict sh_constant, __global const real *restrict sh_rest,
                       __global const real *restrict opacity_logits,
                       __global const real *restrict log_scales,
-                      __global const real *restrict quaternions, __global real *restrict splats)
+                      __global const real *restrict quaternions, __global real *restrict splats,
+                      __global uint *restrict depth_keys)
 {
-    FOR_EACH(v, count) {
+    FOR_EACH(v, counts[COUNT_VISIBLE]) {
         const uint row = rows[v];
         const Footprint f =
             footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
-        const real opacity = f.opacity * sqrt(f.area_ratio);
-        const real cutoff = 2 * log(ALPHA_STEPS * opacity);
+        __global real *splat = splats + v * SPLAT_REALS;
+        real cutoff;
+        real2 extent;
+        if (!(drawable(f, &cutoff, &extent) && f.p.z > camera[CAMERA_NEAR])) {
+            vstore4((real4)(0), 0, splat);
+            vstore4((real4)(1, 0, 1, -TILE), 1, splat); // an ellipse without rows
+            vstore4((real4)(0, 0, 0, camera[CAMERA_NEAR]), 2, splat);
+            depth_keys[v] = 0;
+            continue;
+        }
 
         real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
 #if SH_REST > 0
@@ -156,12 +47,12 @@ __kernel void project(uint count, uint degree, __global const uint *restrict row
                 colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
         }
 #endif
-        const real2 mean = mean_pixel(camera, f.p);
-        __global real *splat = splats + (ulong)v * SPLAT_REALS;
-        vstore4((real4)(mean, opacity, cutoff), 0, splat);
-        vstore4((real4)((real3)(f.yy, -f.xy, f.xx) / f.det, sqrt(cutoff * f.yy)), 1, splat);
+        const real opacity = f.opacity * sqrt(f.area_ratio);
+        vstore4((real4)(mean_pixel(camera, f.p), opacity, cutoff), 0, splat);
+        vstore4((real4)((real3)(f.yy, -f.xy, f.xx) / f.det, extent.y), 1, splat);
         colour = select((real3)(0), colour, drawn(colour));
         vstore4((real4)(colour, f.p.z), 2, splat);
+        depth_keys[v] = as_uint((float)f.p.z);
     }
 }
 
@@ -169,7 +60,7 @@ __kernel void project(uint count, uint degree, __global const uint *restrict row
 // grad_means gets the pixel gradient of the mean, for densification. Where any gradient or the
 // colour is not finite the row is left alone: active[v] is NO_ROW and `skipped` counts it.
 __kernel void project_adjoint(
-    uint count, uint degree, uint sum_count, __global const uint *restrict rows,
+    uint degree, uint sum_count, __global const uint *restrict counts, __global const uint *restrict rows,
     __global const real *restrict camera, __global const real *restrict positions,
     __global const real *restrict sh_constant, __global const real *restrict sh_rest,
     __global const real *restrict opacity_logits, __global const real *restrict log_scales,
@@ -180,7 +71,7 @@ __kernel void project_adjoint(
     __global real *restrict grad_means, __global uint *restrict active,
     __global uint *restrict skipped)
 {
-    FOR_EACH(v, count) {
+    FOR_EACH(v, counts[COUNT_VISIBLE]) {
         const uint row = rows[v];
         __global const real *sum = sums + (ulong)v * sum_count;
         const Footprint f =

@@ -38,9 +38,23 @@ LOG_BETA1: Final = math.log(1 - ONE_MINUS_BETA1)
 LOG_BETA2: Final = math.log(1 - ONE_MINUS_BETA2)
 ADAM_EPSILON: Final = 1e-15  # Kerbl et al. (2023)
 
+# numbers of a frame that stay on the device (cl/include/counts.h)
+COUNT_VISIBLE: Final = 0  # gaussians that the view sees
+COUNT_PAIRS: Final = 1  # of tile and splat, in the band at hand
+COUNT_BUCKETS: Final = 2  # of pairs, in the group form
+COUNT_FAILED: Final = 3  # 1 from the first frame for which an array was too small
+COUNT_NEEDED_VISIBLE: Final = 4  # what that frame would have needed, or 0
+COUNT_NEEDED_PAIRS: Final = 5
+COUNT_MOST_VISIBLE: Final = 6  # the largest numbers of any frame
+COUNT_MOST_PAIRS: Final = 7
+COUNT_DONE: Final = 8  # units of work that were done (clsplat/training/replay.py)
+COUNT_SUM_VISIBLE: Final = 10  # sums over the frames, in two words each
+COUNT_SUM_PAIRS: Final = 12
+FRAME_COUNTS: Final = 14
+
 # how kernels are cut
 LANES: Final = 256  # of a sum, in whatever groups: the order of additions; no group is larger
-PER_ITEM: Final = 8  # values of a chunk that a work-item of the group form scans or sorts
+PER_ITEM: Final = 8  # elements of a chunk that a work-item of the group form lists or sorts
 BUCKET: Final = 32  # pairs a bucket of the group form's blend adjoint
 EXPOSURE_BLOCK: Final = 2048  # pixels that a partial sum of the exposure's gradient covers
 

@@ -99,7 +99,7 @@ inline real from_previous_lane(real value)
 #endif
 
 __kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
-void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, uint tiles,
+void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts,
                    __global const uint *restrict bucket_offsets,
                    __global const uint *restrict bucket_tiles, __global const real *restrict image,
                    __global const real *restrict depth, __global const real *restrict checkpoints,
@@ -110,9 +110,10 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, uint tiles,
     __local int lasts[PIXELS];
     __local real2 passed[2][BUCKET];
     __local int newest;
-    const uint bucket = get_group_id(0), tile = bucket_tiles[bucket];
-    if (tile >= tiles) // the launch is an upper bound; the whole group leaves together
+    const uint bucket = get_group_id(0);
+    if (bucket >= counts[COUNT_BUCKETS]) // the launch is an upper bound; the whole group leaves
         return;
+    const uint tile = bucket_tiles[bucket];
     const int lane = get_local_id(0), place = first_tile + tile;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const long plane = (long)width * height;
@@ -214,18 +215,16 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, uint tiles,
 }
 
 // An element is a splat's column.
-__kernel void sum_pairs(uint count, uint carried, __global const uint *restrict order,
-                        __global const uint *restrict counts,
+__kernel void sum_pairs(uint carried, __global const uint *restrict counts,
+                        __global const uint *restrict splat_counts,
                         __global const uint *restrict offsets,
-                        __global const real *restrict pair_grads,
-                        __global real *restrict totals)
+                        __global const real *restrict pair_grads, __global real *restrict totals)
 {
-    FOR_EACH(i, (ulong)count * SUMS) {
-        const ulong v = i / SUMS, begin = offsets[v], end = begin + counts[v];
-        __global real *own = totals + (ulong)order[v] * SUMS + i % SUMS;
-        real total = carried ? *own : 0;
+    FOR_EACH(i, (ulong)counts[COUNT_VISIBLE] * SUMS) {
+        const ulong v = i / SUMS, begin = offsets[v], end = begin + splat_counts[v];
+        real total = carried ? totals[i] : 0;
         for (ulong index = begin; index < end; index++)
             total += pair_grads[index * SUMS + i % SUMS];
-        *own = total;
+        totals[i] = total;
     }
 }

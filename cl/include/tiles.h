@@ -1,5 +1,7 @@
 // Which tiles a splat touches: the exact ellipse at its opacity-aware cutoff, by rows of tiles.
-// Count and emit both walk this, so that they cannot disagree on the rule.
+// Count and emit both walk this, so that they cannot disagree on the rule; nor on a bit of it, as
+// no compiler may contract operations in one of them only.
+#pragma OPENCL FP_CONTRACT OFF
 
 typedef struct {
     real mean_x, mean_y, shear, half_width, extent_y;

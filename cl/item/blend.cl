@@ -197,19 +197,18 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
 
 // An element is a splat; eight columns are one vector, or Intel's compiler would sum every column over
 // several pairs at a time, in another order.
-__kernel void sum_pairs(uint count, uint carried, __global const uint *restrict order,
-                        __global const uint *restrict counts,
+__kernel void sum_pairs(uint carried, __global const uint *restrict counts,
+                        __global const uint *restrict splat_counts,
                         __global const uint *restrict offsets,
-                        __global const real *restrict pair_grads,
-                        __global real *restrict totals)
+                        __global const real *restrict pair_grads, __global real *restrict totals)
 {
-    FOR_EACH(v, count) {
-        __global real *own = totals + (ulong)order[v] * SUMS;
+    FOR_EACH(v, counts[COUNT_VISIBLE]) {
+        __global real *own = totals + v * SUMS;
         real8 total = carried ? vload8(0, own) : (real8)(0);
         real rest[SUMS - 8];
         for (int j = 0; j < SUMS - 8; j++)
             rest[j] = carried ? own[8 + j] : 0;
-        const ulong begin = (ulong)offsets[v] * SUMS, end = begin + (ulong)counts[v] * SUMS;
+        const ulong begin = (ulong)offsets[v] * SUMS, end = begin + (ulong)splat_counts[v] * SUMS;
         for (ulong i = begin; i < end; i += SUMS) {
             total += vload8(0, pair_grads + i);
             for (int j = 0; j < SUMS - 8; j++)

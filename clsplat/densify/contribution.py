@@ -15,7 +15,7 @@ CONTRIBUTION = Kernel(
     weights=("real", "H", "W"), sums=("real", "P", COLUMNS))
 SUM = Kernel(
     "contribution.cl", "sum_contributions", each("count"), count="uint", carried="uint",
-    order=("uint", "V"), counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
+    splat_counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
     totals=("real", "V", COLUMNS))
 
 
@@ -53,6 +53,6 @@ def _add_band(device: Device, frame: Frame, pairs: Pairs, weights: Array, totals
     carried = totals is not None
     if totals is None:
         totals = device.empty((len(splats), COLUMNS))
-    device.launch(SUM, count=len(splats), carried=carried, order=pairs.order, counts=pairs.counts,
+    device.launch(SUM, count=len(splats), carried=carried, splat_counts=pairs.splat_counts,
                   offsets=pairs.offsets, sums=sums, totals=totals)
     return totals

@@ -1,19 +1,13 @@
-"""Rows by index, and the rows whose flag is set (cl/gather.cl)."""
+"""Rows by index, and their inverse (cl/gather.cl)."""
 
 import math
 
-import numpy as np
-
 from clsplat.device import Array, Device, Kernel, each
-from clsplat.primitives.scan import exclusive_scan
 
 GATHER = Kernel("gather.cl", "gather", each("count width"), count="uint", width="uint",
                 indices=("uint", "N"), rows=("real", "M", "W"), result=("real", "N", "W"))
 SCATTER = Kernel("gather.cl", "scatter", each("count width"), count="uint", width="uint",
                  indices=("uint", "N"), values=("real", "N", "W"), rows=("real", "M", "W"))
-COMPACT = Kernel("gather.cl", "compact", each("count"), count="uint", flags=("uint", "N"),
-                 offsets=("uint", "N"), keys=("uint", "N"), kept_keys=("uint", "N"),
-                 kept=("uint", "N"))
 
 
 def gather(device: Device, rows: Array, indices: Array, result: Array | None = None) -> Array:
@@ -46,17 +40,3 @@ def scatter(device: Device, values: Array, indices: Array, rows: Array) -> None:
 
 def _width(rows: Array) -> int:
     return math.prod(rows.shape[1:])
-
-
-def compact(device: Device, flags: Array, keys: Array) -> tuple[Array, Array]:
-    """Keys and row numbers of the rows whose flag is 1, in order: uint[K] each.
-
-    Waits for the device: all later sizes depend on the number of these rows.
-    """
-    count = len(flags)
-    offsets, totals = exclusive_scan(device, flags)
-    kept_keys, kept = (device.empty(count, np.uint32) for _ in range(2))
-    device.launch(COMPACT, count=count, flags=flags, offsets=offsets, keys=keys,
-                  kept_keys=kept_keys, kept=kept)
-    total = int(totals.last())
-    return kept_keys.narrow(total), kept.narrow(total)

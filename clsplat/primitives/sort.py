@@ -2,50 +2,48 @@
 
 import numpy as np
 
-from clsplat.device import Array, Device, Forms, Kernel, groups, items
-from clsplat.primitives.scan import chunk_size, exclusive_scan
+from clsplat.constants import FRAME_COUNTS
+from clsplat.device import Array, Device, Kernel, each
 
-_CHUNKS = Forms(item=items("chunks"), group=groups("chunks", "SCAN_GROUP"))
-_SIZES = dict(count="uint", chunk="uint", chunks="uint", shift="uint")
-COUNT = Kernel("sort.cl", "sort_count", _CHUNKS, **_SIZES, keys=("uint", "N"), table=("uint", "T"))
-SCATTER = Kernel("sort.cl", "sort_scatter", _CHUNKS, **_SIZES, first="uint", keys=("uint", "N"),
-                 values=("uint", "N"), table=("uint", "T"), sorted_keys=("uint", "N"),
-                 sorted_values=("uint", "N"))
+COUNT = Kernel("sort.cl", "sort_count", each("parts"), parts="uint", shift="uint",
+               counts=("uint", FRAME_COUNTS), keys=("uint", "R"), table=("uint", "C", "D"))
+SCATTER = Kernel("sort.cl", "sort_scatter", each("parts"), parts="uint", shift="uint", first="uint",
+                 counts=("uint", FRAME_COUNTS), keys=("uint", "R"), values=("uint", "R"),
+                 table=("uint", "C", "D"), sorted_keys=("uint", "R"), sorted_values=("uint", "R"))
 
-# Bits a pass: counters fit a CPU's cache in the item form, local memory in the group form
-MAX_DIGIT_BITS = Forms(item=13, group=8)
-
-
-def digits(device: Device, bits: int) -> tuple[int, int]:
-    """The number of passes of a sort by `bits` bits, and the bits of each pass."""
-    passes = max(1, -(-bits // MAX_DIGIT_BITS.of(device)))
-    return passes, -(-bits // passes)
+DIGIT_BITS = 11  # of a pass: its counters fit a CPU's cache
+KEY_BITS = 32
+PARTS_A_CORE = 2
+MOST_PARTS = 32  # each work-item reads the counters of all
 
 
-def stable_sort(device: Device, keys: Array, bits: int = 32) -> tuple[Array, Array]:
-    """Sort uint[N] keys, and keep the order of equal keys.
+def parts_of(device: Device) -> int:
+    """The number of parts of the keys, each of which a work-item walks."""
+    return min(MOST_PARTS, PARTS_A_CORE * device.compute_units)
+
+
+def stable_sort(device: Device, keys: Array, counts: Array) -> tuple[Array, Array]:
+    """Sort the first counts[COUNT_VISIBLE] of uint[R] keys, and keep the order of equal keys.
 
     Parameters
     ----------
-    bits : the number of significant bits of the keys; the higher bits must be zero.
+    device : the device of the arrays.
+    keys : uint[R].
+    counts : uint[FRAME_COUNTS].
 
     Returns
     -------
-    The sorted keys and the permutation, both uint[N]: sorted[i] = keys[permutation[i]].
+    The sorted keys and the permutation, both uint[R]: sorted[i] = keys[permutation[i]].
     """
-    count = len(keys)
-    passes, digit_bits = digits(device, bits)
-    chunk = chunk_size(device, count)
-    chunks = max(1, -(-count // chunk))
-    defines = (("DIGIT_BITS", digit_bits),)
+    parts, room = parts_of(device), len(keys)
+    table = device.empty((parts, 1 << DIGIT_BITS), np.uint32)
     values = keys  # any array of the right size: the first pass does not read it
-    table = device.empty(chunks << digit_bits, np.uint32)
-    for index in range(passes):
-        sorted_keys, sorted_values = (device.empty(count, np.uint32) for _ in range(2))
-        sizes = dict(count=count, chunk=chunk, chunks=chunks, shift=index * digit_bits)
-        device.launch(COUNT, defines, **sizes, keys=keys, table=table)
-        places, _ = exclusive_scan(device, table)
-        device.launch(SCATTER, defines, **sizes, first=int(index == 0), keys=keys, values=values,
-                      table=places, sorted_keys=sorted_keys, sorted_values=sorted_values)
+    for shift in range(0, KEY_BITS, DIGIT_BITS):
+        sorted_keys, sorted_values = (device.empty(room, np.uint32) for _ in range(2))
+        sizes = dict(parts=parts, shift=shift, counts=counts, keys=keys, table=table)
+        defines = (("DIGIT_BITS", DIGIT_BITS),)
+        device.launch(COUNT, defines, **sizes)
+        device.launch(SCATTER, defines, **sizes, first=int(shift == 0), values=values,
+                      sorted_keys=sorted_keys, sorted_values=sorted_values)
         keys, values = sorted_keys, sorted_values
     return keys, values

@@ -1,34 +1,57 @@
 """Pairs of tile and splat, sorted by tile and then by depth (cl/bin.cl)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import BUCKET, SPLAT_REALS
-from clsplat.device import Array, Device, Forms, Kernel, each
+from clsplat.constants import (
+    BUCKET,
+    COUNT_NEEDED_PAIRS,
+    COUNT_PAIRS,
+    COUNT_VISIBLE,
+    FRAME_COUNTS,
+    SPLAT_REALS,
+)
+from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.errors import DeviceError
-from clsplat.primitives.scan import exclusive_scan
-from clsplat.primitives.sort import stable_sort
+from clsplat.primitives.sort import parts_of
 
 PAIR_LIMIT = 2**31 - 1  # blending indexes pairs by int
+ANY_NUMBER = 2**32 - 1
 HAS_BUCKETS = Forms(item=False, group=True)  # whether the blend adjoint runs over buckets of pairs
+NEEDS_ORDER = Forms(item=True, group=False)  # whether pairs are emitted front to back
 
 _BAND = dict(tiles_x="int", first_tile="int", end_tile="int")
-COUNT = Kernel("bin.cl", "count_pairs", each("count"), count="uint", **_BAND, order=("uint", "V"),
-               splats=("real", "V", SPLAT_REALS), counts=("uint", "V"))
-COUNT_TILES = Kernel("bin.cl", "count_tiles", each("count"), count="uint", tiles_x="int",
-                     tiles_y="int", splats=("real", "V", SPLAT_REALS), steps=("uint", "S"))
-EMIT = Kernel("bin.cl", "emit_pairs", each("count"), count="uint", **_BAND, order=("uint", "V"),
-              splats=("real", "V", SPLAT_REALS), counts=("uint", "V"), offsets=("uint", "V"),
-              pair_tiles=("uint", "P"), pair_splats=("uint", "P"))
-RANGES = Kernel("bin.cl", "find_ranges", each("count"), count="uint", tiles="uint",
-                sorted_tiles=("uint", "P"), emission_indices=("uint", "P"),
-                pair_splats=("uint", "P"), ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
-COUNT_BUCKETS = Kernel("bin.cl", "count_buckets", each("tiles"), tiles="uint",
-                       ranges=("uint", "T", 2), counts=("uint", "T"))
-FILL_BUCKETS = Kernel("bin.cl", "fill_buckets", each("tiles"), tiles="uint", counts=("uint", "T"),
-                      offsets=("uint", "T"), bucket_tiles=("uint", "B"))
+_COUNTS = dict(counts=("uint", FRAME_COUNTS))
+_SPLATS = dict(splats=("real", "V", SPLAT_REALS))
+_RANGES = dict(ranges=("uint", "T", 2))
+_PARTS: dict[str, Any] = dict(parts="uint", table=("uint", "C", "T"), totals=("uint", "C"))
+_ORDERED: dict[str, Any] = dict(order=("uint", "V"), **_PARTS)
+_STEPS = dict(steps=("uint", "S"))
+COUNT = Kernel("bin.cl", "count_pairs",
+               Forms(item=items("parts", **_ORDERED),
+                     group=groups("V/SCAN_GROUP", "SCAN_GROUP", **_STEPS, totals=("uint", "C"))),
+               **_BAND, **_COUNTS, **_SPLATS, splat_counts=("uint", "V"))
+PLACE = Kernel("bin.cl", "place_pairs",
+               Forms(item=items("1", **_PARTS),
+                     group=groups("2", "SCAN_GROUP", chunks="uint", **_STEPS, totals=("uint", "C"),
+                                  first_indices=("uint", "C"), bucket_offsets=("uint", "T"))),
+               tiles="uint", room="uint", **_COUNTS, **_RANGES)
+EMIT = Kernel("bin.cl", "emit_pairs",
+              Forms(item=items("parts", **_ORDERED, sorted_splats=("uint", "P"),
+                               emission_indices=("uint", "P")),
+                    group=groups("V/SCAN_GROUP", "SCAN_GROUP", **_RANGES, **_STEPS,
+                                 first_indices=("uint", "C"), pair_splats=("uint", "P"),
+                                 keys=("ulong", 2, "P"))),
+              **_BAND, **_COUNTS, **_SPLATS, splat_counts=("uint", "V"), offsets=("uint", "V"))
+SORT = Kernel("bin.cl", "sort_tiles", groups("T", "SCAN_GROUP"), room="uint", **_RANGES,
+              pair_splats=("uint", "P"), bucket_offsets=("uint", "T"), keys=("ulong", 2, "P"),
+              sorted_splats=("uint", "P"), emission_indices=("uint", "P"),
+              bucket_tiles=("uint", "B"))
+COUNT_TILES = Kernel("bin.cl", "count_tiles", each("V"), tiles_x="int", tiles_y="int", **_COUNTS,
+                     **_SPLATS, **_STEPS)
 
 
 class TooManyPairs(DeviceError):
@@ -43,20 +66,19 @@ class Pairs:
     ----------
     tiles_x : columns of tiles of the image.
     tiles : range of the T tiles, numbered row by row.
-    order : uint[V], the splats front to back.
-    counts, offsets : uint[V], in that order: how many pairs a splat has, and the emission index of
-        its first.
+    counts : uint[FRAME_COUNTS], of the frame (clsplat/constants.py).
+    splat_counts, offsets : uint[V], how many pairs a splat has, and the emission index of its first.
     ranges : uint[T, 2], where the pairs of each tile begin and end in the two arrays that follow.
     sorted_splats : uint[P], the splat of each pair, sorted by tile and then by depth.
-    emission_indices : uint[P], the index that each of these pairs had when it was emitted.
+    emission_indices : uint[P], the index that each of these pairs has among those of its splat.
     bucket_offsets : uint[T], the first bucket of each tile; in the group form only.
-    bucket_tiles : uint[B], the tile of each bucket; B is an upper bound, unused entries are T.
+    bucket_tiles : uint[B], the tile of each bucket; B is an upper bound.
     """
 
     tiles_x: int
     tiles: range
-    order: Array
     counts: Array
+    splat_counts: Array
     offsets: Array
     ranges: Array
     sorted_splats: Array
@@ -66,7 +88,7 @@ class Pairs:
 
     @property
     def count(self) -> int:
-        """How many pairs there are."""
+        """How many pairs there are, or where only the device knows that, how many there may be."""
         return len(self.sorted_splats)
 
 
@@ -75,69 +97,93 @@ def tile_grid(device: Device, width: int, height: int) -> tuple[int, int]:
     return -(-width // device.tile), -(-height // device.tile)
 
 
-def bin_splats(device: Device, splats: Array, order: Array, width: int, height: int,
-               band: range | None = None, limit: int = PAIR_LIMIT) -> Pairs:
-    """Find which splats touch which tiles; waits for the device once, for the number of pairs.
+def bin_splats(device: Device, splats: Array, counts: Array, order: Array | None, width: int,
+               height: int, band: range | None = None, limit: int = PAIR_LIMIT,
+               room: int | None = None) -> Pairs:
+    """Find which splats touch which tiles.
 
     Parameters
     ----------
     device : the device of the arrays.
-    splats : real[V, 12] (cl/include/splat.h).
-    order : uint[V], the splats front to back.
+    splats : real[V, 12] (cl/include/splat.h), of which the first counts[COUNT_VISIBLE] exist.
+    counts : uint[FRAME_COUNTS], of the frame.
+    order : uint[V], the splats front to back, where NEEDS_ORDER.
     width, height : size of the image, pixels.
     band : range of tiles, numbered row by row; None: all tiles.
     limit : the largest number of pairs.
+    room : the number of pairs for which there is room; a frame with more fails
+        (cl/include/counts.h). None: waits for the device, for the number of pairs.
 
     Raises
     ------
     TooManyPairs : if there are more pairs than the limit.
     """
-    count = len(splats)
     tiles_x, tiles_y = tile_grid(device, width, height)
     band = range(tiles_x * tiles_y) if band is None else band
-    tiles = len(band)
-    shape = dict(tiles_x=tiles_x, first_tile=band.start, end_tile=band.stop, order=order)
-    counts = device.empty(count, np.uint32)
-    device.launch(COUNT, count=count, **shape, splats=splats, counts=counts)
-    offsets, totals = exclusive_scan(device, counts)
-    pair_count = int(totals.last())
-    limit = min(limit, PAIR_LIMIT)
-    if pair_count > limit:
-        raise TooManyPairs(f"{pair_count} pairs of tile and splat in one {width} x {height} image, "
-                           f"more than {limit}: use smaller images (-r)")
-    pair_tiles, pair_splats = (device.empty(pair_count, np.uint32) for _ in range(2))
-    device.launch(EMIT, count=count, **shape, splats=splats, counts=counts, offsets=offsets,
-                  pair_tiles=pair_tiles, pair_splats=pair_splats)
-    # `tiles` itself is a key too: what emit_pairs writes where it has no pair to emit
-    sorted_tiles, emission_indices = stable_sort(device, pair_tiles, bits=tiles.bit_length())
+    tiles, number = len(band), len(splats)
+    splat_counts, offsets = (device.empty(number, np.uint32) for _ in range(2))
     ranges = device.empty((tiles, 2), np.uint32)
-    ranges.fill(0)
-    sorted_splats = device.empty(pair_count, np.uint32)
-    device.launch(RANGES, count=pair_count, tiles=tiles, sorted_tiles=sorted_tiles,
-                  emission_indices=emission_indices, pair_splats=pair_splats, ranges=ranges,
-                  sorted_splats=sorted_splats)
-    pairs = Pairs(tiles_x, band, order, counts, offsets, ranges, sorted_splats, emission_indices)
+    shared: dict[str, Any] = dict(
+        tiles_x=tiles_x, first_tile=band.start, end_tile=band.stop, counts=counts, splats=splats,
+        splat_counts=splat_counts, ranges=ranges, **_scratch(device, number, tiles, order))
+    _launch(device, COUNT, **shared)
+    _launch(device, PLACE, **shared, tiles=tiles, room=ANY_NUMBER if room is None else room)
+    if room is None:
+        room = _number_of_pairs(counts, number, min(limit, PAIR_LIMIT), width, height)
+    sorted_splats, emission_indices = (device.empty(room, np.uint32) for _ in range(2))
+    pairs = Pairs(tiles_x, band, counts, splat_counts, offsets, ranges, sorted_splats,
+                  emission_indices)
+    shared |= dict(offsets=offsets, sorted_splats=sorted_splats, emission_indices=emission_indices)
     if HAS_BUCKETS.of(device):
-        _add_buckets(device, pairs, tiles)
+        # every tile wastes less than one bucket
+        pairs.bucket_tiles = device.empty(room // BUCKET + tiles, np.uint32)
+        pairs.bucket_offsets = shared["bucket_offsets"]
+        shared |= dict(pair_splats=device.empty(room, np.uint32),
+                       keys=device.empty((2, room), np.uint64), bucket_tiles=pairs.bucket_tiles)
+    _launch(device, EMIT, **shared)
+    if not NEEDS_ORDER.of(device):
+        _launch(device, SORT, **shared, room=room)
     return pairs
 
 
-def count_tiles(device: Device, splats: Array, width: int, height: int) -> NDArray[np.int64]:
+def count_tiles(device: Device, splats: Array, counts: Array, width: int, height: int
+                ) -> NDArray[np.int64]:
     """How many pairs each tile has, int64[T], tiles numbered row by row; waits for the device."""
     tiles_x, tiles_y = tile_grid(device, width, height)
     steps = device.empty(tiles_x * tiles_y + 1, np.uint32)
     steps.fill(0)
-    device.launch(COUNT_TILES, count=len(splats), tiles_x=tiles_x, tiles_y=tiles_y, splats=splats,
+    device.launch(COUNT_TILES, tiles_x=tiles_x, tiles_y=tiles_y, counts=counts, splats=splats,
                   steps=steps)
     return np.cumsum(steps.download(), dtype=np.uint32)[:-1].astype(np.int64)
 
 
-def _add_buckets(device: Device, pairs: Pairs, tiles: int) -> None:
-    counts = device.empty(tiles, np.uint32)
-    device.launch(COUNT_BUCKETS, tiles=tiles, ranges=pairs.ranges, counts=counts)
-    pairs.bucket_offsets, _ = exclusive_scan(device, counts)
-    # every tile wastes less than one bucket: an upper bound needs no wait
-    pairs.bucket_tiles = device.empty(pairs.count // BUCKET + tiles, np.uint32)
-    pairs.bucket_tiles.fill(tiles)
-    device.launch(FILL_BUCKETS, tiles=tiles, counts=counts, offsets=pairs.bucket_offsets,
-                  bucket_tiles=pairs.bucket_tiles)
+def _scratch(device: Device, splats: int, tiles: int, order: Array | None) -> dict[str, Any]:
+    """What counting leaves for emission."""
+    if NEEDS_ORDER.of(device):
+        parts = parts_of(device)
+        return dict(order=order, parts=parts, table=device.empty((parts, tiles), np.uint32),
+                    totals=device.empty(parts, np.uint32))
+    chunks = -(-splats // device.scan_group)
+    steps = device.empty(tiles + 1, np.uint32)
+    steps.fill(0)
+    return dict(steps=steps, chunks=chunks, totals=device.empty(chunks, np.uint32),
+                first_indices=device.empty(chunks, np.uint32),
+                bucket_offsets=device.empty(tiles, np.uint32))
+
+
+def _launch(device: Device, kernel: Kernel, **values: Any) -> None:
+    """Launch a kernel with those of the values that its form on the device has."""
+    device.launch(kernel, **{name: values.get(name) for name in kernel.names})
+
+
+def _number_of_pairs(counts: Array, visible: int, limit: int, width: int, height: int) -> int:
+    """The number of pairs; waits. TooManyPairs above the limit, after which `counts` is as before."""
+    read = counts.download()
+    needed = int(max(read[COUNT_PAIRS], read[COUNT_NEEDED_PAIRS]))
+    if needed > limit:
+        read[:] = 0
+        read[COUNT_VISIBLE] = visible
+        counts.write(read)
+        raise TooManyPairs(f"{needed} pairs of tile and splat in one {width} x {height} image, "
+                           f"more than {limit}: use smaller images (-r)")
+    return needed

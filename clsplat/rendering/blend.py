@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clsplat.constants import PAIR_SUMS, SPLAT_REALS
+from clsplat.constants import FRAME_COUNTS, PAIR_SUMS, SPLAT_REALS
 from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.rendering.bin import Pairs
 
@@ -26,14 +26,14 @@ BLEND = Kernel(
 ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
     Forms(item=items("T", **_BACKGROUND),
-          group=groups("B", "BUCKET", tiles="uint", bucket_offsets=("uint", "T"),
+          group=groups("B", "BUCKET", counts=("uint", FRAME_COUNTS), bucket_offsets=("uint", "T"),
                        bucket_tiles=("uint", "B"), **_IMAGE, **_DEPTH, **_CHECKPOINTS)),
     **_SIZE, **_LISTS, emission_indices=("uint", "P"), **_SPLATS, **_ENDS,
     grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"),
     grad_transmittance=("real", "D", "E"), pair_grads=("real", "P", "S"))
 SUM_PAIRS = Kernel(
-    "blend.cl", "sum_pairs", Forms(item=each("count"), group=each("count S")), count="uint",
-    carried="uint", order=("uint", "V"), counts=("uint", "V"), offsets=("uint", "V"),
+    "blend.cl", "sum_pairs", Forms(item=each("V"), group=each("V S")), carried="uint",
+    counts=("uint", FRAME_COUNTS), splat_counts=("uint", "V"), offsets=("uint", "V"),
     pair_grads=("real", "P", "S"), totals=("real", "V", "S"))
 
 
@@ -124,13 +124,13 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
                   depth=blended.depth, last_contributor=blended.last_contributor,
                   grad_image=grad_image, grad_depth=grad_depth,
                   grad_transmittance=grad_transmittance, pair_grads=pair_grads,
-                  tiles=len(pairs.ranges), bucket_offsets=pairs.bucket_offsets,
+                  counts=pairs.counts, bucket_offsets=pairs.bucket_offsets,
                   bucket_tiles=pairs.bucket_tiles,
                   checkpoints=blended.checkpoints, depth_checkpoints=blended.depth_checkpoints)
     carried = splat_grads is not None
     if splat_grads is None:
         splat_grads = device.empty((len(splats), columns))
-    device.launch(SUM_PAIRS, defines, count=len(splats), carried=carried, order=pairs.order,
-                  counts=pairs.counts, offsets=pairs.offsets, pair_grads=pair_grads,
+    device.launch(SUM_PAIRS, defines, carried=carried, counts=pairs.counts,
+                  splat_counts=pairs.splat_counts, offsets=pairs.offsets, pair_grads=pair_grads,
                   totals=splat_grads)
     return splat_grads

@@ -7,12 +7,31 @@ import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.device import Array, ArraySpec, Device
-from clsplat.primitives.gather import compact
+from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bands import choose_bands, pair_limit
-from clsplat.rendering.bin import Pairs, TooManyPairs, bin_splats, count_tiles
+from clsplat.rendering.bin import NEEDS_ORDER, Pairs, TooManyPairs, bin_splats, count_tiles
 from clsplat.rendering.blend import Blended, Defines, blend, blend_adjoint, blend_defines
-from clsplat.rendering.project import Rows, cull, pack_camera, project, project_adjoint
+from clsplat.rendering.cull import cull
+from clsplat.rendering.project import Rows, pack_camera, project, project_adjoint
+
+Bands = tuple[range | None, ...]  # ranges of tiles; None is all tiles
+
+
+@dataclass(frozen=True)
+class Room:
+    """The sizes of a frame's arrays, where only the device knows how much of them is used.
+
+    Attributes
+    ----------
+    visible : gaussians that a view may see.
+    pairs : pairs of tile and splat that a band may have.
+    bands : of the frame.
+    """
+
+    visible: int
+    pairs: int
+    bands: Bands = (None,)
 
 
 @dataclass(eq=False)
@@ -23,24 +42,27 @@ class Frame:
     ----------
     camera : real[27], packed.
     sh_degree : of the spherical harmonics that were used.
+    counts : uint[FRAME_COUNTS], the numbers of the frame (clsplat/constants.py).
     visible : uint[V], rows of the gaussians that the camera sees, ascending.
     splats : real[V, 12], in the order of `visible` (cl/include/splat.h).
-    order : uint[V], the splats front to back.
+    order : uint[V], the splats front to back; in the item form only.
     pairs : of a frame in one band; those of several bands are not kept.
-    bands : ranges of tiles; None is all tiles.
-    pair_count : pairs of tile and splat in all bands.
+    bands : the ranges of tiles that are blended one after the other.
+    room : None, or the sizes of the arrays, which then may be larger than V and the number of
+        pairs.
     blended : the image, and its depth and transmittance.
     with_depth : whether there is a depth channel.
     """
 
     camera: Array
     sh_degree: int
+    counts: Array
     visible: Array
     splats: Array
-    order: Array
+    order: Array | None
     pairs: Pairs | None
-    bands: tuple[range | None, ...]
-    pair_count: int
+    bands: Bands
+    room: Room | None
     blended: Blended
     with_depth: bool
 
@@ -58,7 +80,8 @@ class Frame:
         """The Pairs of one of `bands`: kept, or computed again."""
         width, height = self.size
         return self.pairs or bin_splats(
-            self.splats.device, self.splats, self.order, width, height, band)
+            self.splats.device, self.splats, self.counts, self.order, width, height, band,
+            room=self.room and self.room.pairs)
 
 
 @dataclass(eq=False)
@@ -71,12 +94,14 @@ class Gradients:
     means : real[V, 2], by the mean of the splat, pixels; None for a mean of several views.
     rows : uint[V], the row of each gaussian, or NO_ROW where the gradient is not finite.
     visible : uint[V], the row of each gaussian, whatever its gradient.
+    counts : uint[FRAME_COUNTS]; only the first counts[COUNT_VISIBLE] of the V exist.
     """
 
     fields: dict[str, Array]
     means: Array | None
     rows: Array
     visible: Array
+    counts: Array
 
 
 class Renderer:
@@ -117,7 +142,8 @@ class Renderer:
         return pack_camera(self.device, camera, self.near)
 
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
-               with_depth: bool = False) -> Frame:
+               with_depth: bool = False, room: Room | None = None, counts: Array | None = None
+               ) -> Frame:
         """Render gaussians from a camera.
 
         Parameters
@@ -127,46 +153,51 @@ class Renderer:
         width, height : size of the image, pixels.
         sh_degree : of the spherical harmonics that are used, at most the stored ones.
         with_depth : whether the frame gets a depth channel.
+        room : sizes of the frame's arrays, so that nothing waits for the device; a frame for which
+            they are too small fails (cl/include/counts.h). None: exact sizes; waits twice.
+        counts : uint[FRAME_COUNTS], for a frame with a room; its sums and its failure go on.
         """
         device = self.device
-        flags, depth_keys = cull(device, rows, camera, self._project_defines)
-        visible_keys, visible = compact(device, flags, depth_keys)
-        _, order = stable_sort(device, visible_keys)
-        splats = project(device, rows, visible, camera, sh_degree, self._project_defines)
-        limit = self.pair_limit
-        if limit is None:
-            limit = pair_limit(device, width, height, with_depth)
-        pairs: Pairs | None = None
-        bands: tuple[range | None, ...] = (None,)
-        try:
-            pairs = bin_splats(device, splats, order, width, height, limit=limit)
-            pair_count = pairs.count
-        except TooManyPairs:
-            counts = count_tiles(device, splats, width, height)
-            bands, pair_count = choose_bands(counts, limit), int(counts.sum())
+        counts = new_counts(device) if counts is None else counts
+        visible = self._visible(rows, camera, counts, room)
+        splats, depth_keys = project(device, rows, visible, counts, camera, sh_degree,
+                                     self._project_defines)
+        order = stable_sort(device, depth_keys, counts)[1] if NEEDS_ORDER.of(device) else None
+        pairs, bands = None, room.bands if room else (None,)
+        if bands == (None,):
+            limit = self.pair_limit
+            if limit is None:
+                limit = pair_limit(device, width, height, with_depth)
+            try:
+                pairs = bin_splats(device, splats, counts, order, width, height, limit=limit,
+                                   room=room and room.pairs)
+            except TooManyPairs:
+                bands = choose_bands(count_tiles(device, splats, counts, width, height), limit)
         blended = None
         for band in bands:
             blended = blend(
-                device, splats, pairs or bin_splats(device, splats, order, width, height, band),
+                device, splats,
+                pairs or bin_splats(device, splats, counts, order, width, height, band,
+                                    room=room and room.pairs),
                 width, height, self.background, self._blend_defines(with_depth), blended)
         assert blended is not None  # an image has at least one band
-        return Frame(camera, sh_degree, visible, splats, order, pairs, bands, pair_count, blended,
+        return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
                      with_depth)
 
     def count(self, rows: Rows, camera: Array, width: int, height: int) -> tuple[int, int]:
         """How many splats and pairs `render` would have; neither sorts nor blends."""
-        device = self.device
-        visible = self._visible(rows, camera)
-        splats = project(device, rows, visible, camera, 0, self._project_defines)
-        return len(visible), int(count_tiles(device, splats, width, height).sum())
+        device, counts = self.device, new_counts(self.device)
+        visible = self._visible(rows, camera, counts)
+        splats, _ = project(device, rows, visible, counts, camera, 0, self._project_defines)
+        return len(visible), int(count_tiles(device, splats, counts, width, height).sum())
 
     def count_splats(self, rows: Rows, camera: Array) -> int:
         """How many splats `render` would have."""
-        return len(self._visible(rows, camera))
+        return len(self._visible(rows, camera, new_counts(self.device)))
 
-    def _visible(self, rows: Rows, camera: Array) -> Array:
-        flags, depth_keys = cull(self.device, rows, camera, self._project_defines)
-        return compact(self.device, flags, depth_keys)[1]
+    def _visible(self, rows: Rows, camera: Array, counts: Array, room: Room | None = None) -> Array:
+        flags, totals = cull(self.device, rows, camera, self._project_defines)
+        return compact(self.device, flags, counts, room and room.visible, totals)
 
     def adjoint(self, rows: Rows, frame: Frame, grad_image: Array,
                 grad_depth: Array | None = None,
@@ -191,9 +222,9 @@ class Renderer:
             splat_grads = self._add_band(frame, frame.pairs_of(band), grads, splat_grads)
         assert splat_grads is not None  # an image has at least one band
         fields, means, active = project_adjoint(
-            device, rows, frame.visible, frame.camera, frame.sh_degree, self._project_defines,
-            splat_grads, self.skipped)
-        return Gradients(fields, means, active, frame.visible)
+            device, rows, frame.visible, frame.counts, frame.camera, frame.sh_degree,
+            self._project_defines, splat_grads, self.skipped)
+        return Gradients(fields, means, active, frame.visible, frame.counts)
 
     def _add_band(self, frame: Frame, pairs: Pairs, grads: tuple[Array, Array, Array],
                   splat_grads: Array | None) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.constants import CAMERA_REALS, SPLAT_REALS
+from clsplat.constants import CAMERA_REALS, FRAME_COUNTS, SPLAT_REALS
 from clsplat.device import Array, ArraySpec, Device, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.rendering.blend import Defines
@@ -20,14 +20,11 @@ _PARAMETERS = dict(opacity_logits=("real", "N"), log_scales=("real", "N", 3),
                    quaternions=("real", "N", 4))
 _COLOURS = dict(sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3))
 _PLACES = dict(camera=("real", CAMERA_REALS), positions=("real", "N", 3))
-CULL = Kernel("project.cl", "cull", each("count"), count="uint", **_PLACES,
-              log_scales=("real", "N", 3), quaternions=("real", "N", 4),
-              opacity_logits=("real", "N"), depth_keys=("uint", "N"), flags=("uint", "N"))
-PROJECT = Kernel("project.cl", "project", each("count"), count="uint", degree="uint",
-                 rows=("uint", "V"), **_PLACES, **_COLOURS, **_PARAMETERS,
-                 splats=("real", "V", SPLAT_REALS))
-ADJOINT = Kernel("project.cl", "project_adjoint", each("count"), count="uint", degree="uint",
-                 sum_count="uint", rows=("uint", "V"), **_PLACES, **_COLOURS, **_PARAMETERS,
+PROJECT = Kernel("project.cl", "project", each("V"), degree="uint",
+                 counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS,
+                 **_PARAMETERS, splats=("real", "V", SPLAT_REALS), depth_keys=("uint", "V"))
+ADJOINT = Kernel("project.cl", "project_adjoint", each("V"), degree="uint", sum_count="uint",
+                 counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS, **_PARAMETERS,
                  sums=("real", "V", "S"),
                  grad_positions=("real", "V", 3), grad_sh_constant=("real", "V", 3),
                  grad_sh_rest=("real", "V", "K", 3), grad_opacity_logits=("real", "V"),
@@ -56,38 +53,39 @@ def clamped_ratios(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.floa
     return smallest, largest
 
 
-def cull(device: Device, rows: Rows, camera: Array, defines: Defines) -> tuple[Array, Array]:
-    """Find the gaussians that a packed camera sees.
+def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: Array,
+            sh_degree: int, defines: Defines) -> tuple[Array, Array]:
+    """The splats of gaussians.
+
+    Parameters
+    ----------
+    device : the device of the arrays.
+    rows : field name -> real[N, *row shape].
+    visible : uint[V], the gaussians, of which the first counts[COUNT_VISIBLE] exist.
+    counts : uint[FRAME_COUNTS], of the frame.
+    camera : real[27], packed.
+    sh_degree : of the spherical harmonics that are used.
+    defines : the build-time choices of the renderer.
 
     Returns
     -------
-    uint[N], 1 for those that the image shows, and uint[N], keys that sort them front to back.
+    real[V, 12] (cl/include/splat.h), and uint[V], keys that sort them front to back.
     """
-    count = len(rows["positions"])
-    flags, depth_keys = (device.empty(count, np.uint32) for _ in range(2))
-    device.launch(CULL, defines, count=count, camera=camera, positions=rows["positions"],
-                  log_scales=rows["log_scales"], quaternions=rows["quaternions"],
-                  opacity_logits=rows["opacity_logits"], depth_keys=depth_keys, flags=flags)
-    return flags, depth_keys
-
-
-def project(device: Device, rows: Rows, visible: Array, camera: Array, sh_degree: int,
-            defines: Defines) -> Array:
-    """The splats real[V, 12] (cl/include/splat.h) of the gaussians `visible` uint[V]."""
     splats = device.empty((len(visible), SPLAT_REALS))
-    device.launch(PROJECT, defines, count=len(visible), degree=sh_degree, rows=visible,
-                  camera=camera, splats=splats, **_learned(rows))
-    return splats
+    depth_keys = device.empty(len(visible), np.uint32)
+    device.launch(PROJECT, defines, degree=sh_degree, counts=counts, rows=visible, camera=camera,
+                  splats=splats, depth_keys=depth_keys, **_learned(rows))
+    return splats, depth_keys
 
 
-def project_adjoint(device: Device, rows: Rows, visible: Array, camera: Array, sh_degree: int,
-                    defines: Defines, splat_grads: Array, skipped: Array
+def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, camera: Array,
+                    sh_degree: int, defines: Defines, splat_grads: Array, skipped: Array
                     ) -> tuple[dict[str, Array], Array, Array]:
     """Gradients by the gaussians from gradients by their splats.
 
     Parameters
     ----------
-    device, rows, visible, camera, sh_degree, defines : as they were for `project`.
+    device, rows, visible, counts, camera, sh_degree, defines : as they were for `project`.
     splat_grads : real[V, 9 or 10], of `blend_adjoint`.
     skipped : uint[1], to which the number of gradients that are not finite is added.
 
@@ -99,9 +97,8 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, camera: Array, s
     count = len(visible)
     gradients = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED}
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
-    device.launch(ADJOINT, defines, count=count, degree=sh_degree,
-                  sum_count=splat_grads.shape[1], rows=visible, camera=camera, **_learned(rows),
-                  sums=splat_grads,
+    device.launch(ADJOINT, defines, degree=sh_degree, sum_count=splat_grads.shape[1],
+                  counts=counts, rows=visible, camera=camera, **_learned(rows), sums=splat_grads,
                   **{f"grad_{name}": g for name, g in gradients.items()},
                   grad_means=grad_means, active=active, skipped=skipped)
     return gradients, grad_means, active
