@@ -51,11 +51,3 @@ __kernel void invert_rows(uint count, __global const uint *restrict visible,
     FOR_EACH(i, count)
         places[visible[i]] = rows[i] == NO_ROW ? STAYS : i;
 }
-
-// rows[i] becomes NO_ROW, of a gradient that nothing follows, where frozen[visible[i]] is not 0.
-__kernel void freeze_rows(uint count, __global const uint *restrict visible,
-                          __global const uint *restrict frozen, __global uint *restrict rows)
-{
-    FOR_EACH(i, count)
-        rows[i] = frozen[visible[i]] ? NO_ROW : rows[i];
-}

@@ -57,10 +57,16 @@ __kernel void project(uint degree, __global const uint *restrict counts,
 }
 
 // From the pair sums of each splat (sums: real[V, S], see splat.h) to gradients of the parameters.
-// grad_means gets the pixel gradient of the mean, for densification. Where any gradient or the
-// colour is not finite the row is left alone: active[v] is NO_ROW and `skipped` counts it.
+// grad_means gets the pixel gradient of the mean. Where any gradient or the colour is not finite the row
+// is left alone: active[v] is NO_ROW and `skipped` counts it. So it is, uncounted, where frozen[row]
+// is not 0 (WITH_FROZEN).
+//
+// WITH_STATISTICS: what densification wants to know of each gaussian, summed over views: the norm of
+// the screen gradient of its mean in NDC units (pixel gradient x W/2, H/2; Kerbl et al. 2023), and how
+// many views saw it. Without these two choices the arrays are not touched.
 __kernel void project_adjoint(
-    uint degree, uint sum_count, __global const uint *restrict counts, __global const uint *restrict rows,
+    uint degree, uint sum_count, real half_width, real half_height, __global uint *restrict counts,
+    __global const uint *restrict rows,
     __global const real *restrict camera, __global const real *restrict positions,
     __global const real *restrict sh_constant, __global const real *restrict sh_rest,
     __global const real *restrict opacity_logits, __global const real *restrict log_scales,
@@ -69,8 +75,13 @@ __kernel void project_adjoint(
     __global real *restrict grad_sh_rest, __global real *restrict grad_opacity_logits,
     __global real *restrict grad_log_scales, __global real *restrict grad_quaternions,
     __global real *restrict grad_means, __global uint *restrict active,
-    __global uint *restrict skipped)
+    __global uint *restrict skipped, __global const uint *restrict frozen,
+    __global real *restrict grad_norm_sum, __global uint *restrict seen_count)
 {
+    if (get_global_id(0) == 0 && !counts[COUNT_FAILED]) {
+        add_long(counts + COUNT_SUM_VISIBLE, counts[COUNT_VISIBLE]);
+        counts[COUNT_DONE]++;
+    }
     FOR_EACH(v, counts[COUNT_VISIBLE]) {
         const uint row = rows[v];
         __global const real *sum = sums + (ulong)v * sum_count;
@@ -172,8 +183,19 @@ __kernel void project_adjoint(
         const bool finite = size.x + size.y + size.z + fabs(grad_logit) +
                                     dot(fabs(grad_quaternion), (real4)(1)) < (real)GRADIENT_MAX &&
                             isfinite(colour.x + colour.y + colour.z);
-        active[v] = finite ? row : NO_ROW;
         if (!finite)
             atomic_inc(skipped);
+#if WITH_FROZEN
+        const bool moves = finite && !frozen[row];
+#else
+        const bool moves = finite;
+#endif
+        active[v] = moves ? row : NO_ROW;
+#if WITH_STATISTICS
+        if (moves) {
+            grad_norm_sum[row] += length(grad_mean * (real2)(half_width, half_height));
+            seen_count[row] += 1;
+        }
+#endif
     }
 }

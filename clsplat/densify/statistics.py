@@ -1,16 +1,9 @@
-"""Screen gradients and visibility of each gaussian, summed over views (cl/statistics.cl)."""
+"""Screen gradients and visibility of each gaussian, summed over views (cl/project.cl)."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.device import Array, ArraySpec, Device, Kernel, each
-from clsplat.rendering.pipeline import Gradients
-
-ACCUMULATE = Kernel("statistics.cl", "accumulate", each("count"), count="uint",
-                    half_width="real", half_height="real", rows=("uint", "V"),
-                    grad_means=("real", "V", 2), grad_norm_sum=("real", "N"),
-                    seen_count=("uint", "N"))
-
+from clsplat.device import Array, ArraySpec, Device
 
 class Statistics:
     """Sums over the views since the last `clear`.
@@ -38,12 +31,10 @@ class Statistics:
         for name, spec in self.arrays(count).items():
             setattr(self, name, self.device.zeros(*spec))
 
-    def accumulate(self, gradients: Gradients, width: int, height: int) -> None:
-        """Add the gradients of one view, whose image has this size in pixels."""
-        self.device.launch(
-            ACCUMULATE, count=len(gradients.rows), half_width=width / 2, half_height=height / 2,
-            rows=gradients.rows, grad_means=gradients.means, grad_norm_sum=self.grad_norm_sum,
-            seen_count=self.seen_count)
+    @property
+    def sums(self) -> tuple[Array, Array]:
+        """Both arrays, for `Renderer.adjoint`, which adds a view."""
+        return self.grad_norm_sum, self.seen_count
 
     def mean_gradient(self) -> NDArray[np.floating]:
         """float[N]: the mean screen gradient over the views that saw each gaussian; waits."""

@@ -37,14 +37,15 @@ class Array:
 
     Attributes
     ----------
-    buffer : a Buffer or PooledBuffer of pyopencl, whose type stubs take no PooledBuffer for copies.
+    buffer : a Buffer of pyopencl.
+    block : the Block of a short-lived array (arena.py), which lives as long as the array.
     """
 
-    __slots__ = ("device", "buffer", "shape", "dtype", "nbytes", "__weakref__")
+    __slots__ = ("device", "buffer", "block", "shape", "dtype", "nbytes", "__weakref__")
 
-    def __init__(self, device: Device, buffer: Any, shape: tuple[int, ...],
-                 dtype: DTypeLike) -> None:
-        self.device, self.buffer, self.shape = device, buffer, shape
+    def __init__(self, device: Device, buffer: Any, shape: tuple[int, ...], dtype: DTypeLike,
+                 block: Any = None) -> None:
+        self.device, self.buffer, self.shape, self.block = device, buffer, shape, block
         self.dtype: np.dtype[Any] = np.dtype(dtype)
         self.nbytes = math.prod(shape) * self.dtype.itemsize
 
@@ -55,18 +56,20 @@ class Array:
         """The first `rows` rows: the same memory, no copy."""
         if rows > self.shape[0]:
             raise ShapeError(f"cannot narrow {self.shape} to {rows} rows")
-        return Array(self.device, self.buffer, (rows, *self.shape[1:]), self.dtype)
+        return Array(self.device, self.buffer, (rows, *self.shape[1:]), self.dtype,
+                     self.block)
 
     def reshaped(self, *shape: int) -> Array:
         """The same memory under another shape of equal size."""
         if math.prod(shape) != math.prod(self.shape):
             raise ShapeError(f"cannot reshape {self.shape} to {shape}")
-        return Array(self.device, self.buffer, shape, self.dtype)
+        return Array(self.device, self.buffer, shape, self.dtype, self.block)
 
     def download(self) -> NDArray[Any]:
         """A numpy copy; waits for everything queued before."""
         host = np.empty(self.shape, self.dtype)
         if host.size:
+            self.device.note_wait()
             cl.enqueue_copy(self.device.queue, host, self.buffer)
         return host
 
@@ -74,6 +77,7 @@ class Array:
         """The last element, as a numpy scalar; waits like `download`."""
         host = np.empty(1, self.dtype)
         end = self.nbytes - self.dtype.itemsize
+        self.device.note_wait()
         cl.enqueue_copy(self.device.queue, host, self.buffer, src_offset=end)
         return host[0]
 
@@ -84,11 +88,11 @@ class Array:
             raise ShapeError(f"cannot write {values.shape} at row {first_row} of {self.shape}")
         if values.size:
             stride = math.prod(self.shape[1:]) * self.dtype.itemsize
+            self.device.note_wait()
             cl.enqueue_copy(self.device.queue, self.buffer, values, dst_offset=first_row * stride,
                             is_blocking=True)
 
     def fill(self, value: float = 0) -> None:
         """Set every element to `value`."""
         if self.nbytes:
-            cl.enqueue_fill_buffer(
-                self.device.queue, self.buffer, self.dtype.type(value), 0, self.nbytes)
+            self.device.fill(self, value)

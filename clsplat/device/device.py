@@ -17,8 +17,10 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from clsplat.constants import LANES
 from clsplat.device import binaries
+from clsplat.device.arena import Arena, Block
 from clsplat.device.array import Array
 from clsplat.device.capabilities import probe_capabilities
+from clsplat.device.graph import Graph, Input
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Kernel
 from clsplat.device.runtimes import ignore_file_limits
 from clsplat.device.source import define_options, kernel_source
@@ -50,6 +52,9 @@ class Device:
     peak_bytes : the largest value that `memory_bytes` had whenever it was read or grew.
     build_seconds : time spent on compiling so far.
     kernel_bytes : bytes of the arrays passed to kernels so far, counted at each launch.
+    launches : kernels and fills that were enqueued so far.
+    waits : how often the host waited for the device so far.
+    allocations : buffers that were created so far.
     """
 
     def __init__(self, handle: Handle, precision: str = "float", form: str = "auto",
@@ -70,15 +75,16 @@ class Device:
         # a group owns a 16 x 16 tile, or 8 x 8 where groups are small; the item form's rows are 16
         self.tile = 16 if self.form == "item" or handle.max_work_group_size >= 256 else 8
         self.scan_group = min(LANES, 1 << handle.max_work_group_size.bit_length() - 1)
-        # sizes change from view to view: coarse bins (two an octave) are reused, fine ones pile up
-        self._pool = cl.tools.MemoryPool(
-            cl.tools.ImmediateAllocator(self.queue), leading_bits_in_bin_id=1)
+        self._immediate = cl.tools.ImmediateAllocator(self.queue)  # fails now, not at a launch
+        self._pool = Arena(self._new_block)
         self._persistent = LiveBytes()
         self.peak_bytes = 0
         self._kernels: dict[tuple[Kernel, Defines, int, int], cl.Kernel] = {}
         self._programs: dict[tuple[str, Defines], binaries.Build] = {}
         self.build_seconds = 0.0
         self.kernel_bytes = 0
+        self.launches = self.waits = self.allocations = 0
+        self._recording: Graph | None = None
         self._profile: list[tuple[str, cl.Event]] | None = None
         self._dtypes = {**SCALARS, "real": self.real.type}
         self._base_options = [
@@ -92,24 +98,26 @@ class Device:
 
     @property
     def memory_bytes(self) -> int:
-        """Device memory that persistent arrays and the pool of temporary ones use now."""
+        """Device memory that persistent arrays and the blocks of short-lived ones use now."""
         used: int = self._pool.managed_bytes + self._persistent.nbytes
         self.peak_bytes = max(self.peak_bytes, used)
         return used
 
     def empty(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
-        """An uninitialised temporary Array from the pool; dtype None is the device's real type."""
+        """An uninitialised short-lived Array; dtype None is the device's real type."""
         return self._new(shape, dtype, self._pool.allocate)
 
+    def result(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
+        """As `empty`, for what is read after a recording, whose memory no other launch may use."""
+        return self.empty(shape, dtype) if self._recording is None else self.allocate(shape, dtype)
+
     def trim(self) -> None:
-        """Give back the memory that the pool keeps for arrays of sizes that are in use no longer.
-        """
+        """Give back the memory that is kept for short-lived arrays and not in use."""
         self._pool.free_held()
 
     def allocate(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
-        """An uninitialised persistent Array: of its exact size, and not from the pool."""
-        array = self._new(
-            shape, dtype, lambda size: cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size))
+        """An uninitialised persistent Array, of its exact size."""
+        array = self._new(shape, dtype, self._new_buffer)
         self._persistent.add(array)
         self.peak_bytes = max(self.peak_bytes, self.memory_bytes)
         return array
@@ -121,12 +129,23 @@ class Device:
         size = max(math.prod(shape) * dtype.itemsize, SMALLEST_BYTES)
         self.check_size(size)
         try:
-            return Array(self, allocate(size), shape, dtype)
+            memory = allocate(size)
+            if isinstance(memory, Block):
+                return Array(self, memory.buffer, shape, dtype, memory)
+            return Array(self, memory, shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(
                 f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
                 f"({self.memory_bytes >> 20} MiB in use): use --max-gaussians or -r ({error})"
             ) from None
+
+    def _new_buffer(self, size: int) -> cl.Buffer:
+        self.allocations += 1
+        return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+
+    def _new_block(self, size: int) -> Any:
+        self.allocations += 1
+        return self._immediate(size)
 
     def check_size(self, size: int) -> None:
         """Raise DeviceError for an array of `size` bytes, more than one buffer may have."""
@@ -149,8 +168,17 @@ class Device:
             dtype = self.real if values.dtype.kind == "f" else values.dtype
         array = self.allocate(values.shape, dtype)
         if values.size:
+            self.note_wait()
             cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values, dtype))
         return array
+
+    def fill(self, array: Array, value: float) -> None:
+        """Set every element of an array to `value`."""
+        arguments = [array.buffer, array.dtype.type(value), 0, array.nbytes]
+        cl.enqueue_fill_buffer(self.queue, *arguments)
+        self.launches += 1
+        if self._recording is not None:
+            self._recording.add("fill", None, 0, 0, arguments, 0)
 
     # --- launching
 
@@ -168,8 +196,36 @@ class Device:
         self.kernel_bytes += call.nbytes
         built = self._build(kernel, defines)
         event = built(self.queue, (call.items,), (call.group,), *call.arguments)
+        self.launches += 1
         if self._profile is not None:
             self._profile.append((kernel.function, event))
+        if self._recording is not None:
+            self._recording.add(kernel.function, built, call.items, call.group, call.arguments,
+                                call.nbytes)
+
+    @contextmanager
+    def record(self, **inputs: Input) -> Iterator[Graph]:
+        """Record all launches of the block, which run as well, for `Graph.replay`.
+
+        Short-lived arrays of the block are only valid while a replay runs, except those of
+        `result`, which live as long as the Array or the graph's `result`. The host must not wait
+        for the device in the block.
+
+        Parameters
+        ----------
+        inputs : arrays and numbers that a replay may replace.
+        """
+        graph = self._recording = Graph(self, inputs)
+        try:
+            yield graph
+        finally:
+            self._recording = None
+
+    def note_wait(self) -> None:
+        """Count that the host waits; RuntimeError while launches are recorded."""
+        if self._recording is not None:
+            raise RuntimeError("a recording must not wait for the device")
+        self.waits += 1
 
     def _build(self, kernel: Kernel, defines: Defines) -> cl.Kernel:
         """The compiled kernel of this device's form and sizes, compiled once."""
@@ -202,6 +258,7 @@ class Device:
 
     def finish(self) -> None:
         """Wait for everything queued."""
+        self.note_wait()
         self.queue.finish()
 
     @contextmanager

@@ -32,21 +32,6 @@ INVERT = Kernel("adam.cl", "invert_rows", each("count"), count="uint", visible=(
                 rows=("uint", "V"), places=("uint", "N"))
 FREEZE_PLACES = Kernel("adam.cl", "freeze_places", each("count"), count="uint",
                        frozen=("uint", "N"), places=("uint", "N"))
-FREEZE_ROWS = Kernel("adam.cl", "freeze_rows", each("count"), count="uint", visible=("uint", "V"),
-                     frozen=("uint", "N"), rows=("uint", "V"))
-
-
-def freeze_rows(device: Device, gradients: Gradients, frozen: Array) -> None:
-    """Remove the rows of frozen gaussians from gradients, so that no optimiser updates them.
-
-    Parameters
-    ----------
-    device : the device of the gradients.
-    gradients : of a view; changed in place.
-    frozen : uint[N], not 0 for frozen gaussians.
-    """
-    device.launch(FREEZE_ROWS, count=len(gradients.rows), visible=gradients.visible, frozen=frozen,
-                  rows=gradients.rows)
 
 
 def corrections(step: int) -> tuple[float, float]:
@@ -93,7 +78,7 @@ class DeviceAdam:
         Parameters
         ----------
         rows : field name -> real[N, *row shape], the parameters.
-        gradients : of a view or a batch, without the rows of frozen gaussians (`freeze_rows`).
+        gradients : of a view or a batch, without the rows of frozen gaussians.
         step : number of the step, from 1.
         rates : field name -> learning rate.
         used : field name -> how many floats of a row may change, from the first.

@@ -13,7 +13,7 @@ ADD = Kernel("reduce.cl", "add_to", each("count"), count="uint", values=("real",
 def sum_columns(device: Device, rows: Array) -> Array:
     """Sums real[W] of the columns of real[N, W], bitwise the same every time."""
     count, width = rows.shape
-    totals = device.empty(width)
+    totals = device.result(width)
     device.launch(SUM_COLUMNS, count=count, width=width, rows=rows, totals=totals)
     return totals
 

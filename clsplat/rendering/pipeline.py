@@ -201,7 +201,8 @@ class Renderer:
 
     def adjoint(self, rows: Rows, frame: Frame, grad_image: Array,
                 grad_depth: Array | None = None,
-                grad_transmittance: Array | None = None) -> Gradients:
+                grad_transmittance: Array | None = None, frozen: Array | None = None,
+                statistics: tuple[Array, Array] | None = None) -> Gradients:
         """Gradients by the gaussians from gradients by a frame (backward pass).
 
         Parameters
@@ -210,6 +211,7 @@ class Renderer:
         frame : what `render` returned.
         grad_image : real[3, H, W].
         grad_depth, grad_transmittance : real[H, W], for a frame with depth; None: zero.
+        frozen, statistics : as for `project_adjoint`.
         """
         device, zero = self.device, self._token
         if frame.with_depth and (grad_depth is None or grad_transmittance is None):
@@ -223,7 +225,7 @@ class Renderer:
         assert splat_grads is not None  # an image has at least one band
         fields, means, active = project_adjoint(
             device, rows, frame.visible, frame.counts, frame.camera, frame.sh_degree,
-            self._project_defines, splat_grads, self.skipped)
+            self._project_defines, splat_grads, self.skipped, frame.size, frozen, statistics)
         return Gradients(fields, means, active, frame.visible, frame.counts)
 
     def _add_band(self, frame: Frame, pairs: Pairs, grads: tuple[Array, Array, Array],

@@ -1,5 +1,6 @@
 """Gaussians to splats, and the adjoint (cl/project.cl)."""
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -24,12 +25,14 @@ PROJECT = Kernel("project.cl", "project", each("V"), degree="uint",
                  counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS,
                  **_PARAMETERS, splats=("real", "V", SPLAT_REALS), depth_keys=("uint", "V"))
 ADJOINT = Kernel("project.cl", "project_adjoint", each("V"), degree="uint", sum_count="uint",
+                 half_width="real", half_height="real",
                  counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS, **_PARAMETERS,
                  sums=("real", "V", "S"),
                  grad_positions=("real", "V", 3), grad_sh_constant=("real", "V", 3),
                  grad_sh_rest=("real", "V", "K", 3), grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
-                 grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1))
+                 grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1),
+                 frozen=("uint", "F"), grad_norm_sum=("real", "G"), seen_count=("uint", "H"))
 CAMERA = ArraySpec((CAMERA_REALS,))
 
 
@@ -79,7 +82,9 @@ def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: A
 
 
 def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, camera: Array,
-                    sh_degree: int, defines: Defines, splat_grads: Array, skipped: Array
+                    sh_degree: int, defines: Defines, splat_grads: Array, skipped: Array,
+                    size: tuple[int, int] = (0, 0), frozen: Array | None = None,
+                    statistics: tuple[Array, Array] | None = None
                     ) -> tuple[dict[str, Array], Array, Array]:
     """Gradients by the gaussians from gradients by their splats.
 
@@ -88,16 +93,26 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
     device, rows, visible, counts, camera, sh_degree, defines : as they were for `project`.
     splat_grads : real[V, 9 or 10], of `blend_adjoint`.
     skipped : uint[1], to which the number of gradients that are not finite is added.
+    size : (width, height) of the image, pixels; for the statistics.
+    frozen : uint[N], not 0 for gaussians whose gradient is left out; None: none is.
+    statistics : real[N] and uint[N], to which the lengths of the screen gradients, in NDC units,
+        and the number of views are added; None: they are not needed.
 
     Returns
     -------
     Field name -> real[V, *row shape]; real[V, 2], by the means in pixels; uint[V], the row of each
-    gradient, or NO_ROW where it is not finite.
+    gradient, or NO_ROW where it is not finite or left out.
     """
+    choices = ("WITH_FROZEN", int(frozen is not None)), ("WITH_STATISTICS",
+                                                         int(statistics is not None))
+    norms, seen = statistics or (splat_grads.reshaped(math.prod(splat_grads.shape)), skipped)
     count = len(visible)
     gradients = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED}
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
-    device.launch(ADJOINT, defines, degree=sh_degree, sum_count=splat_grads.shape[1],
+    device.launch(ADJOINT, (*defines, *choices), degree=sh_degree, sum_count=splat_grads.shape[1],
+                  half_width=size[0] / 2, half_height=size[1] / 2,
+                  frozen=skipped if frozen is None else frozen, grad_norm_sum=norms,
+                  seen_count=seen,
                   counts=counts, rows=visible, camera=camera, **_learned(rows), sums=splat_grads,
                   **{f"grad_{name}": g for name, g in gradients.items()},
                   grad_means=grad_means, active=active, skipped=skipped)

@@ -1,0 +1,64 @@
+"""Memory for short-lived arrays: blocks that are used again instead of given back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+
+class Block:
+    """A block of device memory, which returns to its arena with the last reference to it.
+
+    Attributes
+    ----------
+    buffer : a Buffer of pyopencl. Recorded launches may keep it (graph.py); the block can be taken
+        again all the same.
+    """
+
+    __slots__ = ("buffer", "_free")
+
+    def __init__(self, buffer: Any, free: list[Any]) -> None:
+        self.buffer, self._free = buffer, free
+
+    def __del__(self) -> None:
+        self._free.append(self.buffer)
+
+
+class Arena:
+    """Blocks by size. Commands of a queue run in order, so that a block can be used again at once.
+
+    Parameters
+    ----------
+    allocate : bytes -> a new Buffer.
+
+    Attributes
+    ----------
+    managed_bytes : of all blocks, in use or not.
+    """
+
+    def __init__(self, allocate: Callable[[int], Any]) -> None:
+        self._allocate = allocate
+        self._free: dict[int, list[Any]] = {}
+        self.managed_bytes = 0
+
+    def allocate(self, size: int) -> Block:
+        """A block of at least `size` bytes."""
+        size = block_bytes(size)
+        free = self._free.setdefault(size, [])
+        if free:
+            return Block(free.pop(), free)
+        buffer = self._allocate(size)
+        self.managed_bytes += size
+        return Block(buffer, free)
+
+    def free_held(self) -> None:
+        """Give back the memory of all blocks that are not in use."""
+        for size, free in self._free.items():
+            self.managed_bytes -= size * len(free)
+            free.clear()
+
+
+def block_bytes(size: int) -> int:
+    """The size of a block for `size` bytes: two sizes an octave, as sizes change with the views."""
+    half = 1 << max(0, size.bit_length() - 2)  # half of the leading bit
+    return -(-size // half) * half
