@@ -13,6 +13,7 @@
 #include "real.h"
 #include "each.h"
 #include "vector.h"
+#include "counts.h"
 #define STAYS (NO_ROW - 1)
 
 // `count` neighbouring elements at once; TYPE is real or a vector of it.
@@ -45,9 +46,9 @@ __kernel void freeze_places(uint count, __global const uint *restrict frozen,
 }
 
 // places[visible[i]] = i, or STAYS where rows[i] is NO_ROW; places stays as it is elsewhere.
-__kernel void invert_rows(uint count, __global const uint *restrict visible,
+__kernel void invert_rows(__global const uint *restrict counts, __global const uint *restrict visible,
                           __global const uint *restrict rows, __global uint *restrict places)
 {
-    FOR_EACH(i, count)
+    FOR_EACH(i, counts[COUNT_VISIBLE])
         places[visible[i]] = rows[i] == NO_ROW ? STAYS : i;
 }

@@ -2,11 +2,12 @@
 // brightness and white balance (an affine colour map a photo, as Kerbl et al. 2024 use).
 // transforms: real[V, TRANSFORM_REALS], a row [M | t] in row-major order; images and gradients:
 // real[3, H, W], pixels = H W; partials: real[blocks, TRANSFORM_REALS], sums over EXPOSURE_BLOCK
-// pixels each, added up by reduce.cl (blocks of a fixed size: the same order of additions on any
-// number of cores, and short sums).
+// pixels each (blocks of a fixed size: the same order of additions on any number of cores, and short
+// sums).
 #include "real.h"
 #include "each.h"
 #include "vector.h"
+#include "counts.h"
 
 __kernel void exposure_apply(uint pixels, uint view, __global const real *restrict transforms,
                              __global const real *restrict image, __global real *restrict result)
@@ -52,17 +53,31 @@ DEFINE_PIXELS(pixels1, real, LOAD_ONE, STORE_ONE)
 #include "group/exposure.cl"
 #endif
 
-// One step of Adam (Kingma & Ba 2015) on the row of `view`, by one work-item: twelve numbers that
-// only count if all are finite; else the row stays and `skipped` counts it. The loss has the penalty
-// pull mean((E - I)^2) beside the image's gradient `totals`; the bias corrections go by the row's own
-// steps, from log(beta): in single precision 1 - 0.999^t loses digits. m, v: real[V, TRANSFORM_REALS];
-// counts: uint[V].
-__kernel void exposure_step(uint view, real rate, real pull, __global const real *restrict totals,
-                            __global real *restrict transforms, __global real *restrict m,
-                            __global real *restrict v, __global uint *restrict counts,
-                            __global uint *restrict skipped)
+// One step of Adam (Kingma & Ba 2015) on the row of `view`: twelve numbers that only count if all are
+// finite; else the row stays and `skipped` counts it. The loss has the penalty pull mean((E - I)^2) beside
+// the image's gradient, the sum of `partials`; the bias corrections go by the row's own steps, from
+// log(beta): in single precision 1 - 0.999^t loses digits. m, v: real[V, TRANSFORM_REALS]; steps:
+// uint[V]. One group, in both forms: each of PARTS items adds up every PARTS-th row, and one item the rest. A frame that has failed changes nothing.
+#define PARTS 16
+__kernel __attribute__((reqd_work_group_size(PARTS, 1, 1)))
+void exposure_step(uint view, real rate, real pull, __global const uint *restrict counts,
+                   __global const real *restrict partials, uint blocks,
+                   __global real *restrict transforms, __global real *restrict m,
+                   __global real *restrict v, __global uint *restrict steps,
+                   __global uint *restrict skipped)
 {
-    if (get_global_id(0) > 0)
+    __local real sums[PARTS][TRANSFORM_REALS];
+    const uint part = get_local_id(0);
+    real own[TRANSFORM_REALS];
+    for (int k = 0; k < TRANSFORM_REALS; k++)
+        own[k] = 0;
+    for (uint block = part; block < blocks; block += PARTS)
+        for (int k = 0; k < TRANSFORM_REALS; k++)
+            own[k] += partials[block * TRANSFORM_REALS + k];
+    for (int k = 0; k < TRANSFORM_REALS; k++)
+        sums[part][k] = own[k];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (part > 0 || counts[COUNT_FAILED])
         return;
     transforms += view * TRANSFORM_REALS;
     m += view * TRANSFORM_REALS;
@@ -70,13 +85,15 @@ __kernel void exposure_step(uint view, real rate, real pull, __global const real
     real gradient[TRANSFORM_REALS];
     for (int k = 0; k < TRANSFORM_REALS; k++) {
         const real from_identity = transforms[k] - (k % 5 == 0 ? 1 : 0);
-        gradient[k] = totals[k] + pull * 2 / TRANSFORM_REALS * from_identity;
+        gradient[k] = pull * 2 / TRANSFORM_REALS * from_identity;
+        for (int p = 0; p < PARTS; p++)
+            gradient[k] += sums[p][k];
         if (!isfinite(gradient[k] * gradient[k])) { // an infinite v would never heal
             ++*skipped;
             return;
         }
     }
-    const uint step = ++counts[view];
+    const uint step = ++steps[view];
     const real correction1 = -expm1(step * (real)LOG_BETA1);
     const real correction2 = -expm1(step * (real)LOG_BETA2);
     for (int k = 0; k < TRANSFORM_REALS; k++) {

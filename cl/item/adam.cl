@@ -18,12 +18,12 @@ inline void update_row(uint used, bool has, __global const real *from, ulong to,
     UPDATE(1, real, LOAD_ONE)
 }
 
-__kernel void adam_rows(uint count, uint stride, uint used, real rate, real correction,
+__kernel void adam_rows(uint stride, uint used, real rate, real correction, __global const uint *restrict counts,
                         __global const uint *restrict rows, __global const real *restrict gradient,
                         __global real *restrict parameter, __global real *restrict m,
                         __global real *restrict v)
 {
-    FOR_EACH(i, count) {
+    FOR_EACH(i, counts[COUNT_VISIBLE]) {
         if (rows[i] != NO_ROW)
             update_row(used, true, gradient + i * stride, (ulong)rows[i] * stride, rate, correction,
                        parameter, m, v);
@@ -31,10 +31,13 @@ __kernel void adam_rows(uint count, uint stride, uint used, real rate, real corr
 }
 
 __kernel void adam_all(uint count, uint stride, uint used, real rate, real correction,
+                       __global const uint *restrict counts,
                        __global const uint *restrict places, __global const real *restrict gradient,
                        __global real *restrict parameter, __global real *restrict m,
                        __global real *restrict v)
 {
+    if (counts[COUNT_FAILED])
+        return;
     FOR_EACH(i, count) {
         const uint place = places[i];
         const bool has = place != NO_ROW;

@@ -73,8 +73,8 @@ def pixel_weights(image: NDArray[np.floating], photo: NDArray[np.uint8]) -> NDAr
 def _seen(device: Device, frame: Frame, photo: Array, ssim_weight: float
           ) -> tuple[float, NDArray[np.uint32], dict[str, NDArray[np.float64]]]:
     """A frame's loss, its visible rows uint[V], and the terms float64[V] of this view."""
-    sums, _ = image_loss(device, frame.image, photo, ssim_weight)
-    loss, _, _ = loss_value(sums, math.prod(photo.shape), ssim_weight)
+    partials, _ = image_loss(device, frame.image, photo, ssim_weight)
+    loss, _, _ = loss_value(partials, math.prod(photo.shape), ssim_weight)
     weights = device.upload(pixel_weights(frame.image.download(), photo.download()))
     pixels, weight, weighted, distance = contribution(device, frame, weights).download().T.astype(
         np.float64)

@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import EXPOSURE_BLOCK, TRANSFORM_REALS
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups, items
-from clsplat.primitives.reduce import sum_columns
+from clsplat.constants import EXPOSURE_BLOCK, FRAME_COUNTS, TRANSFORM_REALS
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
 from clsplat.rendering.frame_arrays import FrameArray
 
 IDENTITY = np.eye(3, 4)
-LEARNED = ("transforms", "m", "v", "counts")
+LEARNED = ("transforms", "m", "v", "steps")
 MAX_CONDITION = 1e3  # of a matrix that may be inverted
 
 _VIEW = dict(pixels="uint", view="uint")
@@ -25,9 +24,10 @@ ADJOINT = Kernel(
     Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), **_VIEW, blocks="uint",
     transforms=_ROWS, image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE,
     partials=("real", "P", TRANSFORM_REALS))
-STEP = Kernel("exposure.cl", "exposure_step", items("1"), view="uint", rate="real", pull="real",
-              totals=("real", TRANSFORM_REALS), transforms=_ROWS, m=_ROWS, v=_ROWS,
-              counts=("uint", "V"), skipped=("uint", 1))
+STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
+              pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", TRANSFORM_REALS),
+              blocks="uint", transforms=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"),
+              skipped=("uint", 1))
 
 
 class Exposures:
@@ -45,14 +45,14 @@ class Exposures:
     Attributes
     ----------
     transforms, m, v : real[V, 12], the transforms in row-major order, and their Adam moments.
-    counts : uint[V], steps of each view.
+    steps : uint[V], steps of each view.
     skipped : uint[1], steps that were left out because their gradient was not finite.
     """
 
     transforms: Array
     m: Array
     v: Array
-    counts: Array
+    steps: Array
     skipped: Array
 
     def __init__(self, device: Device, views: int, rate: float = 1e-3, pull: float = 0.01,
@@ -67,8 +67,8 @@ class Exposures:
     @staticmethod
     def arrays(views: int) -> dict[str, ArraySpec]:
         """The arrays of a number of views, by attribute."""
-        rows, counts = ArraySpec((views, TRANSFORM_REALS)), ArraySpec((views,), np.uint32)
-        return {"transforms": rows, "m": rows, "v": rows, "counts": counts,
+        rows, steps = ArraySpec((views, TRANSFORM_REALS)), ArraySpec((views,), np.uint32)
+        return {"transforms": rows, "m": rows, "v": rows, "steps": steps,
                 "skipped": ArraySpec((1,), np.uint32)}
 
     @staticmethod
@@ -101,7 +101,7 @@ class Exposures:
                       image=image, grad=grad, grad_image=grad_image, partials=partials)
         return grad_image, partials
 
-    def step(self, view: int, partials: Array) -> None:
+    def step(self, view: int, partials: Array, counts: Array) -> None:
         """Take one step of Adam on a view's transform; does not wait for the device.
 
         A gradient that is not finite changes nothing, and is counted in `skipped`.
@@ -110,12 +110,13 @@ class Exposures:
         ----------
         view : index of the view.
         partials : real[P, 12], of `adjoint`.
+        counts : uint[FRAME_COUNTS], of the frame; one that has failed changes nothing.
         """
         if self.learns:
             self.device.launch(
-                STEP, view=view, rate=self.rate, pull=self.pull,
-                totals=sum_columns(self.device, partials), transforms=self.transforms, m=self.m,
-                v=self.v, counts=self.counts, skipped=self.skipped)
+                STEP, view=view, rate=self.rate, pull=self.pull, counts=counts, partials=partials,
+                blocks=len(partials), transforms=self.transforms, m=self.m, v=self.v,
+                steps=self.steps, skipped=self.skipped)
 
     def recentre(self) -> None:
         """Shift all transforms equally, so that their mean is again that at the start; waits.

@@ -33,26 +33,28 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
 
     Returns
     -------
-    real[2], the sums of |x - y| and of SSIM over 3 H W values, for `loss_value`; real[3, H, W], the
-    gradient of the loss, which is a mean over these values.
+    real[P, 2], partial sums of |x - y| and of SSIM over 3 H W values, for `loss_value`;
+    real[3, H, W], the gradient of the loss, which is a mean over these values.
     """
     _, height, width = image.shape
     values = 3 * height * width
     channels = CHANNELS.of(device)
     rows = VALUE.units(device, M=3, W=width, H=height, strip=STRIP_ROWS)
     maps = device.empty((channels, 3, height, width))
-    partials, grad_image = device.empty((rows, 2)), device.empty((3, height, width))
+    partials, grad_image = device.result((rows, 2)), device.empty((3, height, width))
     for first_channel in range(0, 3, channels):
         shared = dict(width=width, height=height, strip=STRIP_ROWS,
                       first_channel=first_channel, image=image, photo=photo, maps=maps)
         device.launch(VALUE, **shared, partials=partials)
         device.launch(ADJOINT, **shared, l1_scale=(1 - ssim_weight) / values,
                       ssim_scale=-ssim_weight / values, grad_image=grad_image)
-    return sum_columns(device, partials), grad_image
+    return partials, grad_image
 
 
-def loss_value(sums: Array, values: int, ssim_weight: float) -> tuple[float, float, float]:
-    """(loss, mean |x - y|, mean SSIM) from the sums of `image_loss` over 3 H W values; waits."""
+def loss_value(partials: Array, values: int, ssim_weight: float) -> tuple[float, float, float]:
+    """(loss, mean |x - y|, mean SSIM) from the partial sums of `image_loss` over 3 H W values; waits.
+    """
+    sums = sum_columns(partials.device, partials)
     l1, ssim = (float(v) / values for v in sums.download())
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim
 
@@ -64,11 +66,11 @@ class ImageLoss(LossTerm):
 
     def add_to(self, grad: FrameGradient, frame: Frame, image: Array, sample: TrainingSample,
                weight: float) -> tuple[Array, int]:
-        """As `LossTerm.add_to`; returns the sums of `image_loss`, and the number of values."""
-        sums, grad_image = image_loss(self.device, image, sample.photo, self.options.ssim_weight)
+        """As `LossTerm.add_to`; returns what `loss_value` needs."""
+        partials, grad_image = image_loss(self.device, image, sample.photo, self.options.ssim_weight)
         grad.add(image=grad_image)
         _, height, width = image.shape
-        return sums, 3 * height * width
+        return partials, 3 * height * width
 
     def arrays(self, width: int, height: int, last: str) -> list[FrameArray]:
         """As `LossTerm.arrays`."""
@@ -80,5 +82,6 @@ class ImageLoss(LossTerm):
 
     def values(self, measured: list[tuple[Array, int]]) -> dict[str, float]:
         """The loss, mean |x - y| and mean SSIM, each a mean over the views."""
-        by_view = [loss_value(sums, count, self.options.ssim_weight) for sums, count in measured]
+        by_view = [loss_value(partials, count, self.options.ssim_weight)
+                   for partials, count in measured]
         return dict(zip(("loss", "l1", "ssim"), np.mean(by_view, axis=0).tolist()))

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import ADAM_EPSILON, NO_ROW, ONE_MINUS_BETA1, ONE_MINUS_BETA2
+from clsplat.constants import ADAM_EPSILON, FRAME_COUNTS, NO_ROW, ONE_MINUS_BETA1, ONE_MINUS_BETA2
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import gather, scatter
@@ -22,13 +22,14 @@ from clsplat.rendering.pipeline import Gradients
 
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
 
-_COLUMNS = Forms(item=each("count"), group=each("count used"))
-_ARGUMENTS = dict(count="uint", stride="uint", used="uint", rate="real", correction="real")
+_ARGUMENTS = dict(stride="uint", used="uint", rate="real", correction="real",
+                  counts=("uint", FRAME_COUNTS))
 _MOMENTS = dict(gradient=("real", "V", "W"), parameter=("real", "N", "W"), m=("real", "N", "W"),
                 v=("real", "N", "W"))
-ROWS = Kernel("adam.cl", "adam_rows", _COLUMNS, **_ARGUMENTS, rows=("uint", "V"), **_MOMENTS)
-ALL = Kernel("adam.cl", "adam_all", _COLUMNS, **_ARGUMENTS, places=("uint", "N"), **_MOMENTS)
-INVERT = Kernel("adam.cl", "invert_rows", each("count"), count="uint", visible=("uint", "V"),
+ROWS = Kernel("adam.cl", "adam_rows", Forms(item=each("V"), group=each("V used")), **_ARGUMENTS, rows=("uint", "V"), **_MOMENTS)
+ALL = Kernel("adam.cl", "adam_all", Forms(item=each("count"), group=each("count used")),
+             count="uint", **_ARGUMENTS, places=("uint", "N"), **_MOMENTS)
+INVERT = Kernel("adam.cl", "invert_rows", each("V"), counts=("uint", FRAME_COUNTS), visible=("uint", "V"),
                 rows=("uint", "V"), places=("uint", "N"))
 FREEZE_PLACES = Kernel("adam.cl", "freeze_places", each("count"), count="uint",
                        frozen=("uint", "N"), places=("uint", "N"))
@@ -70,42 +71,53 @@ class DeviceAdam:
         """The arrays that a step allocates for `count` rows, of which the view sees `seen`."""
         return [FrameArray("places", (count,), np.uint32, "adam", "adam")] if dense else []
 
-    def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
-             rates: Mapping[str, float], used: Mapping[str, int],
-             frozen: Array | None = None) -> None:
-        """Update parameters in place.
+    @staticmethod
+    def numbers(step: int, rates: Mapping[str, float]) -> dict[str, float]:
+        """What `apply` needs of a step: its number from 1, and field name -> learning rate."""
+        first, second = corrections(step)
+        return {"correction": second, **{f"rate_{name}": r * first for name, r in rates.items()}}
+
+    def apply(self, rows: Mapping[str, Array], gradients: Gradients, numbers: Mapping[str, float],
+              used: Mapping[str, int], frozen: Array | None = None) -> None:
+        """Update parameters in place, unless the frame of the gradients has failed.
 
         Parameters
         ----------
         rows : field name -> real[N, *row shape], the parameters.
         gradients : of a view or a batch, without the rows of frozen gaussians.
-        step : number of the step, from 1.
-        rates : field name -> learning rate.
+        numbers : of `numbers`.
         used : field name -> how many floats of a row may change, from the first.
         frozen : uint[N], not 0 for rows that keep parameters and moments; None: no row does.
         """
         device, seen, count = self.device, gradients.rows, len(rows["positions"])
-        first, second = corrections(step)
+        counts = gradients.counts
         if self.dense:
             places = device.empty(count, np.uint32)
             if frozen is None:
                 places.fill(NO_ROW)
             else:
                 device.launch(FREEZE_PLACES, count=count, frozen=frozen, places=places)
-            device.launch(INVERT, count=len(seen), visible=gradients.visible, rows=seen,
+            device.launch(INVERT, counts=counts, visible=gradients.visible, rows=seen,
                           places=places)
         for name, parameter in rows.items():
             if not used[name]:
                 continue
             gradient = _flat(gradients.fields[name])
             values = dict(
-                stride=gradient.shape[1], used=used[name], rate=rates[name] * first,
-                correction=second, gradient=gradient, parameter=_flat(parameter),
-                m=_flat(self.m[name].narrow(count)), v=_flat(self.v[name].narrow(count)))
+                stride=gradient.shape[1], used=used[name], rate=numbers[f"rate_{name}"],
+                correction=numbers["correction"], counts=counts, gradient=gradient,
+                parameter=_flat(parameter), m=_flat(self.m[name].narrow(count)),
+                v=_flat(self.v[name].narrow(count)))
             if self.dense:
                 device.launch(ALL, count=count, places=places, **values)
             else:
-                device.launch(ROWS, count=len(seen), rows=seen, **values)
+                device.launch(ROWS, rows=seen, **values)
+
+    def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
+             rates: Mapping[str, float], used: Mapping[str, int],
+             frozen: Array | None = None) -> None:
+        """Take one step, number `step` from 1, with learning rates by field; see `apply`."""
+        self.apply(rows, gradients, self.numbers(step, rates), used, frozen)
 
     def regrow(self, source: Array, kept: int, capacity: int) -> None:
         """Rearrange the moments as growth rearranged the rows.

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.device import Array, ArraySpec, Device
@@ -184,12 +185,21 @@ class Renderer:
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
                      with_depth)
 
-    def count(self, rows: Rows, camera: Array, width: int, height: int) -> tuple[int, int]:
-        """How many splats and pairs `render` would have; neither sorts nor blends."""
+    def measure(self, rows: Rows, camera: Array, width: int, height: int
+                ) -> tuple[int, NDArray[np.int64]]:
+        """How many splats `render` would have, and how many pairs in each tile; waits.
+
+        It neither sorts nor blends.
+        """
         device, counts = self.device, new_counts(self.device)
         visible = self._visible(rows, camera, counts)
         splats, _ = project(device, rows, visible, counts, camera, 0, self._project_defines)
-        return len(visible), int(count_tiles(device, splats, counts, width, height).sum())
+        return len(visible), count_tiles(device, splats, counts, width, height)
+
+    def count(self, rows: Rows, camera: Array, width: int, height: int) -> tuple[int, int]:
+        """How many splats and pairs `render` would have; waits."""
+        visible, tiles = self.measure(rows, camera, width, height)
+        return visible, int(tiles.sum())
 
     def count_splats(self, rows: Rows, camera: Array) -> int:
         """How many splats `render` would have."""

@@ -35,7 +35,7 @@ class Deadline:
             each = time.perf_counter() - begin
         self.budget = TimeBudget(
             seconds_of(options.time_budget), each * len(session.test_views), clock.elapsed(),
-            checkpoint_bytes(session.model), EVALUATIONS if options.eval_every == AUTO else 1)
+            checkpoint_bytes(session.step.count, session.options.sh_degree), EVALUATIONS if options.eval_every == AUTO else 1)
         self.note_change()
 
     def begin(self) -> None:
@@ -49,7 +49,8 @@ class Deadline:
 
     def note_saved(self, seconds: float) -> None:
         """Note the seconds that a checkpoint took."""
-        self.budget.note_saved(checkpoint_bytes(self.session.model), seconds)
+        self.budget.note_saved(checkpoint_bytes(self.session.step.count,
+                                                self.session.options.sh_degree), seconds)
 
     def allowed(self, plan: Plan) -> Plan:
         """The plan of the next step, without what the model could not recover from."""
@@ -58,7 +59,7 @@ class Deadline:
         if not (changes or plan.grows or plan.resets_opacity or budget.last_level is not None):
             return plan
         left = budget.left(plan.level, changes, self.clock.elapsed(),
-                           checkpoint_bytes(session.model))
+                           checkpoint_bytes(session.step.count, session.options.sh_degree))
         plan = budget.allowed(plan, session.level, left)
         if left < FAR_FROM_END and (plan.resets_opacity or plan.level != session.level):
             self.keep()
@@ -81,7 +82,7 @@ class Deadline:
         if budget.last_level is not None:
             ahead = [(budget.last_level, sum(steps for _, steps in ahead))]
         session.lay_over(budget.steps(session.iteration, ahead, self.clock.elapsed(),
-                                      checkpoint_bytes(session.model)))
+                                      checkpoint_bytes(session.step.count, session.options.sh_degree)))
 
     def rolled_back(self) -> int | None:
         """Return to the model before the last opacity reset or change of level, if it was better.

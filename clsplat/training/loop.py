@@ -222,7 +222,7 @@ class Training:
         self.progress.phase(f"training level {plan.level:g}")
         event = step.densify(iteration, plan, session.schedule, session.scoring_views)
         session.iteration = iteration
-        if not session.model.count:
+        if not step.count:
             raise broken(self.run, f"all gaussians were pruned after step {iteration}",
                          "lower --prune-opacity, or allow larger --prune-size or --sphere-reach")
         if event:

@@ -33,6 +33,7 @@ class Model:
     count : number of gaussians.
     capacity : number of rows that are allocated.
     adam : the engine.
+    layout : another object after each change of the arrays or of the number of gaussians.
     """
 
     def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto",
@@ -62,6 +63,7 @@ class Model:
             gaussians.rows, self.sh_degree, self.capacity).items()}
         for name, values in gaussians.rows.items():
             self._arrays[name].write(values)
+        self.layout = object()
 
     @property
     def rows(self) -> dict[str, Array]:
@@ -83,7 +85,7 @@ class Model:
             self._arrays[name] = gather(self.device, self._arrays[name].narrow(self.count), source,
                                         self.device.allocate(*spec))
         self.adam.regrow(source, growth.kept, self.capacity)
-        self.count = count
+        self.count, self.layout = count, object()
         for name, (first, values) in growth.changes.items():
             self._arrays[name].write(values, first)
 
@@ -106,7 +108,7 @@ def grown_capacity(capacity: int, count: int) -> int:
     return int(count * GROWTH_ROOM) if count > capacity else capacity
 
 
-def checkpoint_bytes(model: Model) -> int:
-    """Approximate size in bytes of checkpoint and finished model."""
-    floats = sum(field.width(model.sh_degree) for field in LEARNED)
-    return 4 * 4 * floats * model.count  # parameters, two moments, and the PLY file
+def checkpoint_bytes(count: int, sh_degree: int) -> int:
+    """Approximate size in bytes of checkpoint and finished model, of `count` gaussians."""
+    floats = sum(field.width(sh_degree) for field in LEARNED)
+    return 4 * 4 * floats * count  # parameters, two moments, and the PLY file

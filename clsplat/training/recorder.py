@@ -37,7 +37,7 @@ class Recorder:
         session, clock = self.session, self.clock
         return {"iteration": session.iteration, "train_seconds": round(clock.trained(), 3),
                 "wall_seconds": round(clock.elapsed(), 3), "level": session.level,
-                "gaussians": session.model.count}
+                "gaussians": session.step.count}
 
     def log(self, event: str, **values: Any) -> None:
         """Write one record of metrics.jsonl; its first keys are those of every record."""
@@ -76,7 +76,7 @@ class Recorder:
         iteration, skipped = session.iteration, session.step.skipped
         memory = session.device.memory_bytes
         self.progress(iteration=iteration, total=session.options.iterations, loss=values["loss"],
-                      gaussians=session.model.count, memory_bytes=memory, level=session.level)
+                      gaussians=session.step.count, memory_bytes=memory, level=session.level)
         if iteration % LOG_EVERY == 0 or iteration == 1:
             since, requested = skipped.close()
             self.log("step", **values, memory_bytes=memory, peak_bytes=session.device.peak_bytes,
@@ -96,7 +96,7 @@ class Recorder:
         for name, value in values.items():
             if not np.isfinite(value):
                 raise broken(self.run, f"the {name} at step {iteration} is {value}")
-        if step.skipped.poll():
+        if step.poll_skipped():
             self.progress.message(f"step {iteration}: {step.skipped.total:,} gradients were not "
                                   "finite and were skipped; metrics.jsonl counts them as "
                                   "skipped_rows")

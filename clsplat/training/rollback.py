@@ -57,6 +57,6 @@ def _loss(step: Step, samples: Sequence[tuple[Array, Array]]) -> float:
         _, height, width = photo.shape
         frame = step.renderer.render(step.model.rows, camera, width, height,
                                      step.options.sh_degree)
-        sums, _ = image_loss(step.device, frame.image, photo, step.options.ssim_weight)
-        losses.append(loss_value(sums, 3 * height * width, step.options.ssim_weight)[0])
+        partials, _ = image_loss(step.device, frame.image, photo, step.options.ssim_weight)
+        losses.append(loss_value(partials, 3 * height * width, step.options.ssim_weight)[0])
     return float(np.mean(losses))

@@ -29,7 +29,9 @@ from clsplat.training.photos import Photos, decoded
 from clsplat.training.progress import SilentProgress
 from clsplat.training.source_views import SourceViews
 from clsplat.training.step import Step
+from clsplat.training.units import MOST_PENDING
 
+FEW_PHOTOS = 3  # of steps that may be repeated, where photos do not stay on the device
 SCORING_VIEWS = 10  # for a schedule that scores gaussians
 
 
@@ -178,7 +180,7 @@ class Session:
 
     @property
     def model(self) -> Model:
-        """The gaussians."""
+        """The gaussians, after all steps that were taken; waits for these."""
         return self.step.model
 
     def use_level(self, level: float) -> bool:
@@ -192,7 +194,9 @@ class Session:
         if self.source_views:
             self.source_views.use(cameras)
         self.cameras = [self.renderer.pack(camera) for camera in cameras]
-        self.step.statistics.clear(self.model.count)
+        self.step.begin_level()
+        # pending steps hold their photos, which elsewhere come and go
+        self.step.units.most_pending = MOST_PENDING if self.photos.resident else 1 + FEW_PHOTOS
         return True
 
     def sample(self, view: int, number: int, plan: Plan) -> TrainingSample:

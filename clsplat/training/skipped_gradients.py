@@ -1,7 +1,7 @@
 """Counts gradients that are not finite, whose rows the device skips.
 
-cl/project.cl skips rows of gaussians, cl/exposure.cl colour transforms of views. The host counts
-the rows that it requests, so only an occasional poll waits for the device.
+cl/project.cl skips rows of gaussians, cl/exposure.cl colour transforms of views. Only an occasional
+poll waits for the device.
 """
 
 from clsplat.device import Array
@@ -22,31 +22,39 @@ class SkippedGradients:
     Attributes
     ----------
     total : rows skipped in the whole run, at the last `poll`.
-    requested : rows of gradients since the last `close`; the caller keeps it up to date.
+    requested : rows of gradients in the whole run, at the last `poll`.
     """
 
     def __init__(self, *counters: Array) -> None:
         self._counters = counters
-        self._counted = 0  # by all counters at the last poll
-        self.total = self.requested = self._closed = 0
+        self._counted = self._visible = 0  # by the counters, and requested, at the last poll
+        self.total = self.requested = self._closed = self._closed_requested = 0
 
-    def poll(self) -> bool:
-        """Update `total`, and tell whether these are the first skipped rows; waits."""
+    def poll(self, visible: int) -> bool:
+        """Update the attributes, and tell whether these are the first skipped rows; waits.
+
+        Parameters
+        ----------
+        visible : rows of gradients that this process requested so far.
+        """
         before, counted = self.total, sum(int(counter.last()) for counter in self._counters)
         self.total += (counted - self._counted) % 2**32
-        self._counted = counted
+        self.requested += visible - self._visible
+        self._counted, self._visible = counted, visible
         return self.total > before == 0
 
     def close(self) -> tuple[int, int]:
         """(skipped, requested) rows between the last `close` and the last `poll`."""
-        since = self.total - self._closed, self.requested
-        self._closed, self.requested = self.total, 0
+        since = self.total - self._closed, self.requested - self._closed_requested
+        self._closed, self._closed_requested = self.total, self.requested
         return since
 
     def state(self) -> dict[str, int]:
         """State for a checkpoint, at the last `poll`."""
-        return {"total": self.total, "closed": self._closed, "asked": self.requested}
+        return {"total": self.total, "closed": self._closed,
+                "asked": self.requested - self._closed_requested}
 
     def load(self, state: dict[str, int]) -> None:
         """Restore what `state` returned."""
-        self.total, self._closed, self.requested = state["total"], state["closed"], state["asked"]
+        self.total, self._closed = state["total"], state["closed"]
+        self.requested, self._closed_requested = state["asked"], 0

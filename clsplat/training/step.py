@@ -1,28 +1,30 @@
 """One training step, written as the algorithm reads, and the growth that may follow it."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.constants import COUNT_SUM_PAIRS, COUNT_SUM_VISIBLE
 from clsplat.densify.grow import Candidates, plan_growth
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
 from clsplat.densify.statistics import Statistics
-from clsplat.device import Array
+from clsplat.device import Array, FloatInput, Graph, Input, IntInput
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.loss.terms import terms_of
-from clsplat.optimise.adam import freeze_rows
-from clsplat.optimise.batch import batch_mean
 from clsplat.optimise.rates import learning_rates
 from clsplat.options import TrainOptions
-from clsplat.rendering.pipeline import Gradients, Renderer
+from clsplat.rendering.pipeline import Gradients, Renderer, Room
 from clsplat.schedule import Plan, Schedule
 from clsplat.training.model import Model
+from clsplat.training.rooms import Rooms
 from clsplat.training.skipped_gradients import SkippedGradients
+from clsplat.training.units import Unit, Units
 
 RESET_OPACITY = 0.01
 Measured = dict[str, Any]  # name of a loss term -> its measurements in a view
@@ -30,6 +32,10 @@ Measured = dict[str, Any]  # name of a loss term -> its measurements in a view
 
 class Step:
     """Takes training steps, which change the gaussians and exposures.
+
+    A step is enqueued without waiting for the device (units.py), from a recording of the first one
+    of its kind. Whoever reads the model, the exposures, the statistics or a counter gets them after
+    all steps that were taken, and waits for these.
 
     Parameters
     ----------
@@ -44,24 +50,77 @@ class Step:
     Attributes
     ----------
     terms : terms of the loss (clsplat/loss/terms.py).
-    statistics : screen gradients since the last growth or change of level.
     skipped : counts gradients that were not finite.
-    frozen : uint[N] on the device; not 0 for gaussians that are not trained; None: all are trained.
-    pixel_pairs : pairs of a gaussian and a pixel so far; a tile counts with all its pixels.
+    units : the steps that are not known to be done.
     """
 
     def __init__(self, renderer: Renderer, model: Model, extent: float, options: TrainOptions,
                  exposures: Exposures | None = None,
                  trains: Callable[..., NDArray[np.bool_]] | None = None) -> None:
-        self.renderer, self.model, self.extent, self.options = renderer, model, extent, options
-        self.device, self.exposures, self.trains = renderer.device, exposures, trains
+        self.renderer, self._model, self.extent, self.options = renderer, model, extent, options
+        self.device, self._exposures, self.trains = renderer.device, exposures, trains
         self.terms = terms_of(self.device, options)
-        self.statistics = Statistics(self.device, model.count)
+        self._statistics = Statistics(self.device, model.count)
         self.skipped = SkippedGradients(
             renderer.skipped, *([exposures.skipped] if exposures else []))
+        self.units, self._rooms = Units(self.device, self._make_room), Rooms(renderer)
+        self._graphs: dict[Any, Graph] = {}
+        self._recorded_for: tuple[Any, ...] = 4 * (None,)
+        self._samples: dict[Unit, tuple[TrainingSample, bool]] = {}
         self.frozen: Array | None = None
         self.freeze()
-        self.pixel_pairs = 0
+        self._earlier_pairs = 0  # of the run, before this process
+
+    # --- the state, after all steps
+
+    @property
+    def model(self) -> Model:
+        """The gaussians."""
+        self.settle()
+        return self._model
+
+    @model.setter
+    def model(self, model: Model) -> None:
+        self.settle()
+        self._model = model
+
+    @property
+    def exposures(self) -> Exposures | None:
+        """The colour transforms of the views; None: views have none."""
+        self.settle()
+        return self._exposures
+
+    @property
+    def statistics(self) -> Statistics:
+        """Screen gradients since the last growth or change of level."""
+        self.settle()
+        return self._statistics
+
+    @property
+    def count(self) -> int:
+        """The number of gaussians; does not wait."""
+        return self._model.count
+
+    @property
+    def pixel_pairs(self) -> int:
+        """Pairs of a gaussian and a pixel in the run; a tile counts with all its pixels."""
+        return self._earlier_pairs + self.device.tile**2 * _long(self.settle(), COUNT_SUM_PAIRS)
+
+    @pixel_pairs.setter
+    def pixel_pairs(self, number: int) -> None:
+        self._earlier_pairs += number - self.pixel_pairs
+
+    def settle(self) -> NDArray[np.uint32]:
+        """Wait for all steps, and repeat those for which there was no room; returns the counts."""
+        counts = self.units.confirm()
+        self._samples.clear()
+        return counts
+
+    def poll_skipped(self) -> bool:
+        """Update `skipped`, and tell whether the first gradients were skipped; waits."""
+        return self.skipped.poll(_long(self.settle(), COUNT_SUM_VISIBLE))
+
+    # --- a step
 
     def run(self, iteration: int, plan: Plan,
             samples: Iterable[TrainingSample]) -> list[Measured]:
@@ -77,18 +136,20 @@ class Step:
         -------
         The measurements of each sample, still on the device; see `values`.
         """
-        measured: list[Measured] = []
-        used, views = self._used(plan.degree), self.options.batch
-        each = (self._gradients_of(plan, sample, measured) for sample in samples)
-        gradients = (next(each) if views == 1 else
-                     batch_mean(self.device, self.model.count, views, each, used))
+        views = self.options.batch
+        measured: list[Measured] = [{} for _ in range(views)]
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
-        learned = {field.name: self.model.rows[field.name] for field in LEARNED}
-        self.model.adam.step(learned, gradients, iteration, rates, used, self.frozen)
+        numbers = self._model.adam.numbers(iteration, rates)
+        for slot, sample in zip(range(views), samples):
+            def unit(slot: int = slot, sample: TrainingSample = sample) -> None:
+                measured[slot] = self._take(plan, sample, numbers, slot)
+            self._samples[unit] = sample, any(t.needs_depth for t in self._terms_for(plan, sample))
+            self.units.submit(unit)
         return measured
 
     def values(self, measured: list[Measured]) -> dict[str, float]:
         """The values of the loss terms, from what `run` returned; waits."""
+        self.settle()
         return {name: value for term in self.terms for name, value in term.values(
             [view[term.name] for view in measured if term.name in view]).items()}
 
@@ -96,34 +157,84 @@ class Step:
         """The terms of the loss that a plan uses."""
         return [term for term in self.terms if term.weight(plan)]
 
-    def _gradients_of(self, plan: Plan, sample: TrainingSample, measured: list[Measured]
+    def _terms_for(self, plan: Plan, sample: TrainingSample) -> list[LossTerm]:
+        """Those that can be computed for a sample."""
+        return [term for term in self.terms_in(plan) if sample.source or not term.needs_source]
+
+    def _make_room(self, unit: Unit) -> None:
+        sample, with_depth = self._samples[unit]
+        _, height, width = sample.photo.shape
+        self._rooms.enlarge(self._model.rows, sample.camera, width, height, with_depth)
+        self._graphs.clear()
+
+    def _take(self, plan: Plan, sample: TrainingSample, numbers: Mapping[str, float], slot: int
+              ) -> Measured:
+        """Enqueue the work of a sample, the slot-th of its step."""
+        state = (self._model.layout, self._statistics.grad_norm_sum, self.frozen, self.options)
+        if any(new is not old for new, old in zip(state, self._recorded_for)):
+            self._graphs.clear()
+            self._recorded_for = state
+        source = sample.source
+        inputs: dict[str, Input] = {
+            "camera": sample.camera, "photo": sample.photo, "view": IntInput(sample.view),
+            **{name: FloatInput(value) for name, value in numbers.items()}}
+        if source:
+            inputs |= {"source": source.photo, "geometries": source.geometries,
+                       "colours": source.colours, "pair": IntInput(source.pair)}
+        weights = tuple(term.weight(plan) for term in self._terms_for(plan, sample))
+        key = (slot, plan.degree, plan.gathers, weights, sample.photo.shape,
+               source and source.photo.shape)
+        if graph := self._graphs.get(key):
+            graph.replay(**inputs)
+        else:
+            with_depth = any(term.needs_depth for term in self._terms_for(plan, sample))
+            _, height, width = sample.photo.shape
+            room = self._rooms.room(self._model.rows, sample.camera, width, height, with_depth)
+            with self.device.record(**inputs) as graph:
+                graph.result = self._enqueue(plan, _of_inputs(inputs, sample), inputs, slot, room)
+            self._graphs[key] = graph
+        measured: Measured = graph.result
+        return measured
+
+    def _enqueue(self, plan: Plan, sample: TrainingSample, numbers: Mapping[str, Any], slot: int,
+                 room: Room) -> Measured:
+        """The work of a sample, kernel after kernel."""
+        views, used = self.options.batch, self._used(plan.degree)
+        measured: Measured = {}
+        gradients = self._gradients_of(plan, sample, measured, room)
+        if views > 1:
+            self._batch.add(gradients, used, slot)
+            if slot < views - 1:
+                return measured
+            gradients = self._batch.mean(room)
+        learned = {field.name: self._model.rows[field.name] for field in LEARNED}
+        self._model.adam.apply(learned, gradients, numbers, used, self.frozen)
+        return measured
+
+    def _gradients_of(self, plan: Plan, sample: TrainingSample, measured: Measured, room: Room
                       ) -> Gradients:
         """The gradients of one sample; adds to `measured` and to the statistics."""
-        rows, exposures, photo = self.model.rows, self.exposures, sample.photo
-        _, height, width = photo.shape
-        terms = [term for term in self.terms_in(plan) if sample.source or not term.needs_source]
+        rows, exposures, counts = self._model.rows, self._exposures, self.units.counts
+        _, height, width = sample.photo.shape
+        terms = self._terms_for(plan, sample)
         frame = self.renderer.render(rows, sample.camera, width, height, plan.degree,
-                                     with_depth=any(term.needs_depth for term in terms))
-        self.pixel_pairs += frame.pair_count * self.device.tile**2
+                                     any(term.needs_depth for term in terms), room, counts)
         image = exposures.apply(sample.view, frame.image) if exposures else frame.image
         grad = FrameGradient()
-        measured.append({term.name: term.add_to(grad, frame, image, sample, term.weight(plan))
-                         for term in terms})
+        for term in terms:
+            measured[term.name] = term.add_to(grad, frame, image, sample, term.weight(plan))
         if exposures:
             grad.image, partials = exposures.adjoint(sample.view, frame.image, grad.image)
-            exposures.step(sample.view, partials)
-        gradients = self.renderer.adjoint(rows, frame, grad.image, grad.depth, grad.transmittance)
-        self.skipped.requested += len(gradients.rows) + bool(exposures)
-        if self.frozen is not None:
-            freeze_rows(self.device, gradients, self.frozen)
-        if plan.gathers:
-            self.statistics.accumulate(gradients, width, height)
-        return gradients
+            exposures.step(sample.view, partials, counts)
+        return self.renderer.adjoint(rows, frame, grad.image, grad.depth, grad.transmittance,
+                                     self.frozen, self._statistics.sums if plan.gathers else None)
 
     def _used(self, degree: int) -> dict[str, int]:
         """Field -> floats of a row that are trained: without inactive spherical harmonics."""
-        used = {field.name: field.width(self.model.sh_degree) for field in LEARNED}
+        used = {field.name: field.width(self._model.sh_degree) for field in LEARNED}
         return {**used, "sh_rest": 3 * degree * (degree + 2)}
+
+    # --- growth
 
     def densify(self, iteration: int, plan: Plan, schedule: Schedule,
                 scoring_views: Callable[[], list[tuple[Array, Array]]]) -> dict[str, int] | None:
@@ -146,6 +257,12 @@ class Step:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
                                      None if self.frozen is None else self.frozen.download() == 0)
         return event
+
+    def begin_level(self) -> None:
+        """Begin a level, or another size of photos: no statistics, and other room."""
+        self.statistics.clear(self.count)
+        self._rooms.forget()
+        self._graphs.clear()
 
     def freeze(self) -> None:
         """Determine which gaussians are frozen."""
@@ -175,9 +292,11 @@ class Step:
         gradient = np.where(frozen, -np.inf, gradient)  # frozen ones stay
         grows = self._selected(iteration, schedule, gradient, candidates, prunes, scores, rng)
         growth = plan_growth(candidates, grows, prunes, rng)
+        before = model.count
         model.regrow(growth)
         self.freeze()
-        self.statistics.clear(model.count)
+        self._statistics.clear(model.count)
+        self._rooms.forget(model.count / before)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 
     def _selected(self, iteration: int, schedule: Schedule, gradient: NDArray[np.floating],
@@ -204,3 +323,14 @@ class Step:
         if room is not None:  # a split replaces a gaussian that is too large by two
             room -= int((prunes & (gradient >= threshold)).sum())
         return above_threshold(gradient, threshold, room)
+
+
+def _long(counts: NDArray[np.uint32], place: int) -> int:
+    """A sum of 64 bits in two words of the counts."""
+    return int(counts[place]) | int(counts[place + 1]) << 32
+
+
+def _of_inputs(inputs: Mapping[str, Any], sample: TrainingSample) -> TrainingSample:
+    """A sample whose numbers are the inputs of a recording."""
+    source = sample.source and sample.source._replace(pair=inputs["pair"])
+    return replace(sample, view=inputs["view"], source=source)

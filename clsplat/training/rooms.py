@@ -1,0 +1,69 @@
+"""The room that the arrays of training frames have, from what views were seen to need."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.device import Array
+from clsplat.rendering.bands import choose_bands, pair_limit
+from clsplat.rendering.pipeline import Renderer, Room
+from clsplat.rendering.project import Rows
+
+MARGIN = 1.5  # of room over the most that was seen; views differ, and gaussians grow between rounds
+
+
+class Rooms:
+    """Chooses a Room for each image size.
+
+    Parameters
+    ----------
+    renderer : of the frames.
+    """
+
+    def __init__(self, renderer: Renderer) -> None:
+        self.renderer = renderer
+        self._rooms: dict[tuple[int, int], Room] = {}
+        self._most_visible = 0
+        self._most_pairs: dict[tuple[int, int], int] = {}
+        self._most_tiles: dict[tuple[int, int], NDArray[np.int64]] = {}  # of each tile, any view
+
+    def forget(self, growth: float | None = None) -> None:
+        """Choose anew from now on.
+
+        Parameters
+        ----------
+        growth : the factor by which the number of gaussians has grown, which frames will need
+            more; None: what was seen so far says nothing.
+        """
+        self._rooms.clear()
+        self._most_tiles.clear()
+        if growth is None:
+            self._most_visible, self._most_pairs = 0, {}
+            return
+        self._most_visible = math.ceil(growth * self._most_visible)
+        self._most_pairs = {size: math.ceil(growth * most)
+                            for size, most in self._most_pairs.items()}
+
+    def room(self, rows: Rows, camera: Array, width: int, height: int, with_depth: bool) -> Room:
+        """The room of a frame; measures one that is the first of its size, and waits for that."""
+        size = width, height
+        if size not in self._rooms:
+            self.enlarge(rows, camera, width, height, with_depth)
+        return self._rooms[size]
+
+    def enlarge(self, rows: Rows, camera: Array, width: int, height: int, with_depth: bool) -> None:
+        """Make room for a frame and all that were measured before."""
+        size, count = (width, height), len(rows["positions"])
+        visible, tiles = self.renderer.measure(rows, camera, width, height)
+        most = self._most_tiles[size] = np.maximum(tiles, self._most_tiles.get(size, tiles))
+        self._most_visible = max(self._most_visible, visible)
+        self._most_pairs[size] = max(self._most_pairs.get(size, 0), int(tiles.sum()))
+        limit = self.renderer.pair_limit
+        if limit is None:
+            limit = pair_limit(self.renderer.device, width, height, with_depth)
+        fits = self._most_pairs[size] <= limit
+        wanted = math.ceil(MARGIN * self._most_pairs[size]) + len(tiles)
+        self._rooms[size] = Room(
+            min(count, math.ceil(MARGIN * self._most_visible)), min(wanted, limit),
+            (None,) if fits else choose_bands(most, limit))
