@@ -12,6 +12,7 @@
 // zero; STAYS where row and moments are to stay, for the gradient was not finite or the row is frozen.
 #include "real.h"
 #include "each.h"
+#include "counts.h"
 #include "vector.h"
 #define STAYS (NO_ROW - 1)
 
@@ -53,9 +54,9 @@ __kernel void invert_rows(uint count, __global const uint *restrict visible,
 }
 
 // rows[i] becomes NO_ROW, of a gradient that nothing follows, where frozen[visible[i]] is not 0.
-__kernel void freeze_rows(uint count, __global const uint *restrict visible,
+__kernel void freeze_rows(__global const uint *restrict counts, __global const uint *restrict visible,
                           __global const uint *restrict frozen, __global uint *restrict rows)
 {
-    FOR_EACH(i, count)
+    FOR_EACH(i, counts[COUNT_VISIBLE])
         rows[i] = frozen[visible[i]] ? NO_ROW : rows[i];
 }

@@ -3,11 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.constants import FRAME_COUNTS
 from clsplat.device import Array, ArraySpec, Device, Kernel, each
 from clsplat.rendering.pipeline import Gradients
 
-ACCUMULATE = Kernel("statistics.cl", "accumulate", each("count"), count="uint",
-                    half_width="real", half_height="real", rows=("uint", "V"),
+ACCUMULATE = Kernel("statistics.cl", "accumulate", each("V"), half_width="real",
+                    half_height="real", counts=("uint", FRAME_COUNTS), rows=("uint", "V"),
                     grad_means=("real", "V", 2), grad_norm_sum=("real", "N"),
                     seen_count=("uint", "N"))
 
@@ -41,7 +42,7 @@ class Statistics:
     def accumulate(self, gradients: Gradients, width: int, height: int) -> None:
         """Add the gradients of one view, whose image has this size in pixels."""
         self.device.launch(
-            ACCUMULATE, count=len(gradients.rows), half_width=width / 2, half_height=height / 2,
+            ACCUMULATE, half_width=width / 2, half_height=height / 2, counts=gradients.counts,
             rows=gradients.rows, grad_means=gradients.means, grad_norm_sum=self.grad_norm_sum,
             seen_count=self.seen_count)
 

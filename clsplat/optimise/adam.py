@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import ADAM_EPSILON, NO_ROW, ONE_MINUS_BETA1, ONE_MINUS_BETA2
+from clsplat.constants import ADAM_EPSILON, FRAME_COUNTS, NO_ROW, ONE_MINUS_BETA1, ONE_MINUS_BETA2
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.primitives.gather import gather, scatter
@@ -32,8 +32,8 @@ INVERT = Kernel("adam.cl", "invert_rows", each("count"), count="uint", visible=(
                 rows=("uint", "V"), places=("uint", "N"))
 FREEZE_PLACES = Kernel("adam.cl", "freeze_places", each("count"), count="uint",
                        frozen=("uint", "N"), places=("uint", "N"))
-FREEZE_ROWS = Kernel("adam.cl", "freeze_rows", each("count"), count="uint", visible=("uint", "V"),
-                     frozen=("uint", "N"), rows=("uint", "V"))
+FREEZE_ROWS = Kernel("adam.cl", "freeze_rows", each("V"), counts=("uint", FRAME_COUNTS),
+                     visible=("uint", "V"), frozen=("uint", "N"), rows=("uint", "V"))
 
 
 def freeze_rows(device: Device, gradients: Gradients, frozen: Array) -> None:
@@ -45,7 +45,7 @@ def freeze_rows(device: Device, gradients: Gradients, frozen: Array) -> None:
     gradients : of a view; changed in place.
     frozen : uint[N], not 0 for frozen gaussians.
     """
-    device.launch(FREEZE_ROWS, count=len(gradients.rows), visible=gradients.visible, frozen=frozen,
+    device.launch(FREEZE_ROWS, counts=gradients.counts, visible=gradients.visible, frozen=frozen,
                   rows=gradients.rows)
 
 
