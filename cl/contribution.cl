@@ -11,6 +11,7 @@
 #include "each.h"
 #include "splat.h"
 #include "footprint.h"
+#include "counts.h"
 
 #if FORM_ITEM
 #include "item/contribution.cl"
@@ -20,12 +21,12 @@
 
 // Sums of each splat over its pairs, in the order of emission: totals[v] from the rows of `sums` that
 // begin at offsets[v]. carried: continue from what earlier bands left in `totals`.
-__kernel void sum_contributions(uint count, uint carried,
+__kernel void sum_contributions(uint carried, __global const uint *restrict counts,
                                 __global const uint *restrict splat_counts,
                                 __global const uint *restrict offsets,
                                 __global const real *restrict sums, __global real *restrict totals)
 {
-    FOR_EACH(v, count) {
+    FOR_EACH(v, counts[COUNT_VISIBLE]) {
         real4 total = carried ? vload4(v, totals) : (real4)(0);
         const ulong begin = offsets[v], end = begin + splat_counts[v];
         for (ulong i = begin; i < end; i++)

@@ -212,7 +212,8 @@ inline uint keys_below(__global const ulong *keys, uint count, ulong key)
 // A group a tile: runs of SORTED_AT_ONCE keys in local memory, which are then merged. Keys are unique: a
 // key's place is its place in its own run and the number of smaller ones in the other.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void sort_tiles(uint room, __global const uint *restrict ranges,
+void sort_tiles(uint room, __global const uint *restrict counts,
+                __global const uint *restrict ranges,
                 __global const uint *restrict pair_splats,
                 __global const uint *restrict bucket_offsets, __global ulong *keys,
                 __global uint *restrict sorted_splats, __global uint *restrict emission_indices,
@@ -223,6 +224,12 @@ void sort_tiles(uint room, __global const uint *restrict ranges,
     const uint count = ranges[2 * tile + 1] - begin, buckets = (count + BUCKET - 1) / BUCKET;
     FOR_GROUP(i, buckets)
         bucket_tiles[bucket_offsets[tile] + i] = tile;
+    // those past the last bucket: Intel's compiler reads what their tiles point to before it leaves
+    const uint tiles = get_num_groups(0), most = room / BUCKET + tiles;
+    for (uint base = counts[COUNT_BUCKETS] + tile * GROUP; base < most; base += tiles * GROUP) {
+        if (base + get_local_id(0) < most)
+            bucket_tiles[base + get_local_id(0)] = 0;
+    }
     __global ulong *from = keys + begin, *to = keys + room + begin;
     for (uint first = 0; first < count; first += SORTED_AT_ONCE) {
         const uint own = min(count - first, (uint)SORTED_AT_ONCE);

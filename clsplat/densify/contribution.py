@@ -1,6 +1,6 @@
 """What each splat contributed to a rendered frame (cl/contribution.cl)."""
 
-from clsplat.constants import SPLAT_REALS
+from clsplat.constants import FRAME_COUNTS, SPLAT_REALS
 from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
 from clsplat.rendering.bin import Pairs
 from clsplat.rendering.pipeline import Frame
@@ -14,9 +14,9 @@ CONTRIBUTION = Kernel(
     splats=("real", "V", SPLAT_REALS), last_contributor=("int", "H", "W"),
     weights=("real", "H", "W"), sums=("real", "P", COLUMNS))
 SUM = Kernel(
-    "contribution.cl", "sum_contributions", each("count"), count="uint", carried="uint",
-    splat_counts=("uint", "V"), offsets=("uint", "V"), sums=("real", "P", COLUMNS),
-    totals=("real", "V", COLUMNS))
+    "contribution.cl", "sum_contributions", each("V"), carried="uint",
+    counts=("uint", FRAME_COUNTS), splat_counts=("uint", "V"), offsets=("uint", "V"),
+    sums=("real", "P", COLUMNS), totals=("real", "V", COLUMNS))
 
 
 def contribution(device: Device, frame: Frame, weights: Array) -> Array:
@@ -30,8 +30,9 @@ def contribution(device: Device, frame: Frame, weights: Array) -> Array:
 
     Returns
     -------
-    real[V, 4], in the order of `frame.visible`: the number of pixels, alpha T, alpha T times the
-    weight, and the distance from the splat's mean in pixels.
+    real[V, 4], in the order of `frame.visible`, of which the first counts[COUNT_VISIBLE] exist: the
+    number of pixels, alpha T, alpha T times the weight, and the distance from the splat's mean in
+    pixels.
     """
     totals = None
     for band in frame.bands:
@@ -53,6 +54,6 @@ def _add_band(device: Device, frame: Frame, pairs: Pairs, weights: Array, totals
     carried = totals is not None
     if totals is None:
         totals = device.empty((len(splats), COLUMNS))
-    device.launch(SUM, count=len(splats), carried=carried, splat_counts=pairs.splat_counts,
-                  offsets=pairs.offsets, sums=sums, totals=totals)
+    device.launch(SUM, carried=carried, counts=pairs.counts,
+                  splat_counts=pairs.splat_counts, offsets=pairs.offsets, sums=sums, totals=totals)
     return totals

@@ -53,8 +53,12 @@ def compact(device: Device, flags: Array, counts: Array, room: int | None = None
     return kept if room is not None else kept.narrow(int(counts.download()[COUNT_VISIBLE]))
 
 
-def new_counts(device: Device) -> Array:
-    """The counts of frames, uint[FRAME_COUNTS], all zero."""
+def new_counts(device: Device, visible: int = 0) -> Array:
+    """The counts of frames, uint[FRAME_COUNTS], zero but for the gaussians that are visible."""
     counts = device.empty(FRAME_COUNTS, np.uint32)
     counts.fill(0)
+    if visible:
+        values = np.zeros(FRAME_COUNTS, np.uint32)
+        values[COUNT_VISIBLE] = visible
+        counts.write(values)
     return counts

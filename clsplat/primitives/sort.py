@@ -37,13 +37,13 @@ def stable_sort(device: Device, keys: Array, counts: Array) -> tuple[Array, Arra
     """
     parts, room = parts_of(device), len(keys)
     table = device.empty((parts, 1 << DIGIT_BITS), np.uint32)
+    sizes = dict(parts=parts, counts=counts, table=table)
+    defines = (("DIGIT_BITS", DIGIT_BITS),)
     values = keys  # any array of the right size: the first pass does not read it
     for shift in range(0, KEY_BITS, DIGIT_BITS):
         sorted_keys, sorted_values = (device.empty(room, np.uint32) for _ in range(2))
-        sizes = dict(parts=parts, shift=shift, counts=counts, keys=keys, table=table)
-        defines = (("DIGIT_BITS", DIGIT_BITS),)
-        device.launch(COUNT, defines, **sizes)
-        device.launch(SCATTER, defines, **sizes, first=int(shift == 0), values=values,
-                      sorted_keys=sorted_keys, sorted_values=sorted_values)
+        device.launch(COUNT, defines, **sizes, shift=shift, keys=keys)
+        device.launch(SCATTER, defines, **sizes, shift=shift, first=int(shift == 0), keys=keys,
+                      values=values, sorted_keys=sorted_keys, sorted_values=sorted_values)
         keys, values = sorted_keys, sorted_values
     return keys, values

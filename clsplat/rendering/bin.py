@@ -46,10 +46,10 @@ EMIT = Kernel("bin.cl", "emit_pairs",
                                  first_indices=("uint", "C"), pair_splats=("uint", "P"),
                                  keys=("ulong", 2, "P"))),
               **_BAND, **_COUNTS, **_SPLATS, splat_counts=("uint", "V"), offsets=("uint", "V"))
-SORT = Kernel("bin.cl", "sort_tiles", groups("T", "SCAN_GROUP"), room="uint", **_RANGES,
-              pair_splats=("uint", "P"), bucket_offsets=("uint", "T"), keys=("ulong", 2, "P"),
-              sorted_splats=("uint", "P"), emission_indices=("uint", "P"),
-              bucket_tiles=("uint", "B"))
+SORT = Kernel("bin.cl", "sort_tiles", groups("T", "SCAN_GROUP"), room="uint", **_COUNTS,
+              **_RANGES, pair_splats=("uint", "P"), bucket_offsets=("uint", "T"),
+              keys=("ulong", 2, "P"), sorted_splats=("uint", "P"),
+              emission_indices=("uint", "P"), bucket_tiles=("uint", "B"))
 COUNT_TILES = Kernel("bin.cl", "count_tiles", each("V"), tiles_x="int", tiles_y="int", **_COUNTS,
                      **_SPLATS, **_STEPS)
 
@@ -72,7 +72,7 @@ class Pairs:
     sorted_splats : uint[P], the splat of each pair, sorted by tile and then by depth.
     emission_indices : uint[P], the index that each of these pairs has among those of its splat.
     bucket_offsets : uint[T], the first bucket of each tile; in the group form only.
-    bucket_tiles : uint[B], the tile of each bucket; B is an upper bound.
+    bucket_tiles : uint[B], the tile of each bucket, 0 past the last; B is an upper bound.
     """
 
     tiles_x: int

@@ -1,8 +1,9 @@
 """The arrays that a frame and its adjoint allocate, with the stages in which they live.
 
 They are in the order of `pipeline.Renderer.render` and `adjoint`, which free them when Python drops
-the last reference. tests/rendering/test_frame_arrays.py compares the list with what a device
-allocates, in both forms.
+the last reference. The frame has a `pipeline.Room`; without one, it lists its visible gaussians in
+an array of one slot a gaussian. tests/rendering/test_frame_arrays.py compares the list with what a
+device allocates, in both forms.
 """
 
 from collections.abc import Iterable
@@ -14,13 +15,13 @@ from clsplat.constants import BUCKET, PAIR_SUMS, SPLAT_REALS
 from clsplat.device import ArraySpec, Device
 from clsplat.device.device import SMALLEST_BYTES
 from clsplat.gaussians import LEARNED
-from clsplat.primitives.scan import chunk_size
-from clsplat.primitives.sort import digits
-from clsplat.rendering.bin import HAS_BUCKETS, tile_grid
+from clsplat.primitives.compact import chunks_of
+from clsplat.primitives.sort import DIGIT_BITS, parts_of
+from clsplat.rendering.bin import HAS_BUCKETS, NEEDS_ORDER, tile_grid
 
 # of a training step, in order; a frame without an adjoint ends with "blend"
-STAGES = ("cull", "compact", "depth sort", "project", "count", "emit", "tile sort", "buckets",
-          "blend", "loss", "reproject", "exposure", "blend adjoint", "project adjoint", "adam")
+STAGES = ("cull", "compact", "project", "depth sort", "count", "emit", "blend", "loss", "reproject",
+          "exposure", "blend adjoint", "project adjoint", "adam")
 
 
 class FrameArray(NamedTuple):
@@ -50,8 +51,8 @@ class FrameSize(NamedTuple):
     Attributes
     ----------
     gaussians : of the model.
-    splats : gaussians that the view sees.
-    pairs : of tile and splat, in the largest band (bands.py).
+    splats : gaussians that the view sees, or those for which there is room.
+    pairs : of tile and splat, in the largest band (bands.py), or those for which there is room.
     width, height : size of the image, pixels.
     """
 
@@ -68,23 +69,15 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
     count, splats, pairs, width, height = size
     tiles = int(np.prod(tile_grid(device, width, height)))
     columns, pixels = PAIR_SUMS + with_depth, (height, width)
-    token = (1, 1)
+    token, chunks = (1, 1), chunks_of(device, count)
     arrays = [
-        *_uints("flags depth_keys", count, "cull", "blend"),
-        *_scan(device, count, "compact"),
-        *_uints("visible_keys", count, "compact", "blend"),
-        *_uints("visible", count, "compact", "adam"),
-        *_sort(device, splats, 32, "depth sort"),
-        *_uints("sorted_keys", splats, "depth sort", "blend"),
-        *_uints("order", splats, "depth sort", "project adjoint"),
+        *_uints("flags", count, "cull", "compact"), *_uints("totals", chunks, "cull", "compact"),
+        *_uints("visible", splats, "compact", "adam"),
         FrameArray("splats", (splats, SPLAT_REALS), None, "project", "project adjoint"),
-        *_uints("counts offsets", splats, "count", "project adjoint"),
-        *_uints("pair_tiles pair_splats", pairs, "emit", "buckets"),
-        *_sort(device, pairs, tiles.bit_length(), "tile sort"),
-        *_uints("sorted_tiles", pairs, "tile sort", "buckets"),
-        *_uints("emission_indices", pairs, "tile sort", "project adjoint"),
-        *_uints("sorted_splats", pairs, "buckets", "project adjoint"),
-        *_uints("ranges", 2 * tiles, "buckets", "project adjoint"),
+        *_uints("depth_keys", splats, "project", "blend"),
+        *_uints("splat_counts offsets", splats, "count", "project adjoint"),
+        *_uints("ranges", 2 * tiles, "count", "project adjoint"),
+        *_uints("sorted_splats emission_indices", pairs, "emit", "project adjoint"),
         FrameArray("image", (3, *pixels), None, "blend", "project adjoint"),
         FrameArray("transmittance", pixels, None, "blend", "project adjoint"),
         FrameArray("last_contributor", pixels, np.int32, "blend", "project adjoint"),
@@ -95,12 +88,26 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
                      "project adjoint", "adam") for field in LEARNED),
         FrameArray("grad_means", (splats, 2), None, "project adjoint", "adam"),
         *_uints("active", splats, "project adjoint", "adam")]
+    if NEEDS_ORDER.of(device):
+        parts = parts_of(device)
+        arrays += [
+            *_uints("keys values sorted_keys", splats, "depth sort", "depth sort"),
+            *_uints("table", parts << DIGIT_BITS, "depth sort", "depth sort"),
+            *_uints("order", splats, "depth sort", "project adjoint"),
+            *_uints("table", parts * tiles, "count", "emit"),
+            *_uints("totals", parts, "count", "emit")]
+    else:
+        chunks = -(-splats // device.scan_group)
+        arrays += [
+            *_uints("steps", tiles + 1, "count", "emit"),
+            *_uints("totals first_indices", chunks, "count", "emit"),
+            *_uints("pair_splats", pairs, "emit", "emit"),
+            FrameArray("keys", (2, pairs), np.uint64, "emit", "emit")]
     if HAS_BUCKETS.of(device):
         buckets = pairs // BUCKET + tiles
         arrays += [
-            *_uints("bucket_counts", tiles, "buckets", "buckets"),
-            *_uints("bucket_offsets", tiles, "buckets", "project adjoint"),
-            *_uints("bucket_tiles", buckets, "buckets", "project adjoint"),
+            *_uints("bucket_offsets", tiles, "count", "project adjoint"),
+            *_uints("bucket_tiles", buckets, "emit", "project adjoint"),
             FrameArray("checkpoints", (buckets, device.tile**2, 4), None, "blend",
                        "project adjoint"),
             FrameArray("depth_checkpoints", (buckets, device.tile**2) if with_depth else token,
@@ -119,21 +126,3 @@ def by_stage(arrays: Iterable[FrameArray]) -> list[list[FrameArray]]:
 
 def _uints(names: str, count: int, first: str, last: str) -> list[FrameArray]:
     return [FrameArray(name, (count,), np.uint32, first, last) for name in names.split()]
-
-
-def _scan(device: Device, count: int, stage: str) -> list[FrameArray]:
-    """What `exclusive_scan` allocates for `count` elements, in that stage alone."""
-    chunks = -(-count // chunk_size(device, count))
-    return [*_uints("offsets", count, stage, stage),
-            FrameArray("totals", (chunks + 1,), np.uint64, stage, stage)]
-
-
-def _sort(device: Device, count: int, bits: int, stage: str) -> list[FrameArray]:
-    """What `stable_sort` allocates besides its two results; a second pass still has the arrays of
-    the first."""
-    passes, digit_bits = digits(device, bits)
-    chunks = max(1, -(-count // chunk_size(device, count)))
-    table = chunks << digit_bits
-    again = 2 if passes > 1 else 1
-    return [*_uints("table", table, stage, stage), *again * _scan(device, table, stage),
-            *_uints("keys values", count, stage, stage)[:2 * (again - 1)]]

@@ -1,9 +1,9 @@
 """Frames of models larger than the device: slabs of depth, rendered front to back.
 
 Rows stay in host memory. Bounding boxes of parts of them say which parts a view cannot see; in the
-others `cull` finds, on the device, the gaussians that are drawn and their depth keys. Sorted by
-key, ties by row, they are divided into slabs that fit. Each is rendered by itself and composited
-behind the ones before it:
+others `cull` finds, on the device, the gaussians that are drawn, and `project` their depth keys.
+Sorted by key, ties by row, they are divided into slabs that fit. Each is rendered by itself and
+composited behind the ones before it:
 
     C = C1 + T1 C2,  D = D1 + T1 D2,  T = T1 T2
 
@@ -27,15 +27,17 @@ from clsplat.camera import Camera
 from clsplat.constants import ALPHA_STEPS, SPLAT_REALS, TRANSMITTANCE_MIN
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.primitives.compact import compact, new_counts
 from clsplat.rendering.bands import BUFFER_SHARE
 from clsplat.rendering.blend import Blended
+from clsplat.rendering.cull import cull
 from clsplat.rendering.pipeline import Frame, Renderer
-from clsplat.rendering.project import LOW_PASS, clamped_ratios, cull
+from clsplat.rendering.project import LOW_PASS, Rows, clamped_ratios, project
 
 MODEL_SHARE = 0.3  # of the device's memory for a model and its splats; two may be compared
 INDICES = 6  # uints for each gaussian that culling and sorting need
 PART_ROWS = 1 << 16  # rows that share a bounding box
-CUTOFF = 2.01 * np.log(ALPHA_STEPS)  # squared distance: at least largest_extent's of cl/project.cl
+CUTOFF = 2.01 * np.log(ALPHA_STEPS)  # squared distance: at least largest_extent's of cl/cull.cl
 ROUNDING = 1e-5  # share of a coordinate that float32 may lose on the way to a pixel
 CULL_FIELDS = ("positions", "log_scales", "quaternions", "opacity_logits")
 
@@ -206,8 +208,20 @@ class SlabRenderer:
         rows, keys = [np.empty(0, np.int64)], [np.empty(0, np.uint32)]
         for piece in parts.seen(camera, self.near):
             on_device = {name: self.device.upload(parts.rows[name][piece]) for name in CULL_FIELDS}
-            flags, depth_keys = cull(self.device, on_device, packed, self._defines)
-            drawn = np.flatnonzero(flags.download())
-            rows.append(piece.start + drawn)
-            keys.append(depth_keys.download()[drawn])
+            drawn, depth_keys = self._drawn(on_device, packed)
+            rows.append(piece.start + drawn.astype(np.int64))
+            keys.append(depth_keys)
         return np.concatenate(rows)[np.argsort(np.concatenate(keys), kind="stable")]
+
+    def _drawn(self, rows: Rows, camera: Array
+               ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        """uint32[V], those of rows on the device that a camera sees, and their depth keys."""
+        device, counts = self.device, new_counts(self.device)
+        flags, totals = cull(device, rows, camera, self._defines)
+        visible = compact(device, flags, counts, totals=totals)
+        # the splats are not used, so any colours will do
+        coloured = {**rows, "sh_constant": rows["positions"],
+                    "sh_rest": device.empty((len(flags), 0, 3))}
+        _, depth_keys = project(device, coloured, visible, counts, camera, 0,
+                                (("SH_REST", 0), *self._defines[1:]))
+        return visible.download(), depth_keys.download()
