@@ -11,9 +11,9 @@ import clsplat.device.runtimes  # noqa: F401  (before anything imports pyopencl)
 from clsplat.device.array import Array, ArraySpec
 from clsplat.device.device import Device, Handle
 from clsplat.device.find import choose_device, choose_handle, list_devices, open_device
-from clsplat.device.graph import FloatInput, Graph, IntInput
+from clsplat.device.graph import FloatInput, Graph, Input, IntInput
 from clsplat.device.kernel import Forms, Kernel, each, groups, items
 
-__all__ = ["Array", "ArraySpec", "Device", "FloatInput", "Forms", "Graph", "Handle", "IntInput",
+__all__ = ["Array", "ArraySpec", "Device", "FloatInput", "Forms", "Graph", "Handle", "Input", "IntInput",
            "Kernel", "choose_device", "choose_handle", "each", "groups", "items", "list_devices",
            "open_device"]
