@@ -67,6 +67,7 @@ class Array:
         """A numpy copy; waits for everything queued before."""
         host = np.empty(self.shape, self.dtype)
         if host.size:
+            self._count_wait()
             cl.enqueue_copy(self.device.queue, host, self.buffer)
         return host
 
@@ -74,6 +75,7 @@ class Array:
         """The last element, as a numpy scalar; waits like `download`."""
         host = np.empty(1, self.dtype)
         end = self.nbytes - self.dtype.itemsize
+        self._count_wait()
         cl.enqueue_copy(self.device.queue, host, self.buffer, src_offset=end)
         return host[0]
 
@@ -84,11 +86,18 @@ class Array:
             raise ShapeError(f"cannot write {values.shape} at row {first_row} of {self.shape}")
         if values.size:
             stride = math.prod(self.shape[1:]) * self.dtype.itemsize
+            self._count_wait()
             cl.enqueue_copy(self.device.queue, self.buffer, values, dst_offset=first_row * stride,
                             is_blocking=True)
 
     def fill(self, value: float = 0) -> None:
         """Set every element to `value`."""
         if self.nbytes:
+            self.device.launches += 1
             cl.enqueue_fill_buffer(
                 self.device.queue, self.buffer, self.dtype.type(value), 0, self.nbytes)
+
+    def _count_wait(self) -> None:
+        """Count a blocking copy."""
+        self.device.launches += 1
+        self.device.waits += 1

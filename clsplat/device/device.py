@@ -50,6 +50,9 @@ class Device:
     peak_bytes : the largest value that `memory_bytes` had whenever it was read or grew.
     build_seconds : time spent on compiling so far.
     kernel_bytes : bytes of the arrays passed to kernels so far, counted at each launch.
+    launches : kernels, fills and copies enqueued so far.
+    waits : how often the host waited for the queue so far: blocking copies and `finish`.
+    allocations : arrays made so far, whether their memory was new or from the pool.
     """
 
     def __init__(self, handle: Handle, precision: str = "float", form: str = "auto",
@@ -79,6 +82,7 @@ class Device:
         self._programs: dict[tuple[str, Defines], binaries.Build] = {}
         self.build_seconds = 0.0
         self.kernel_bytes = 0
+        self.launches = self.waits = self.allocations = 0
         self._profile: list[tuple[str, cl.Event]] | None = None
         self._dtypes = {**SCALARS, "real": self.real.type}
         self._base_options = [
@@ -120,6 +124,7 @@ class Device:
         dtype = self.real if dtype is None else np.dtype(dtype)
         size = max(math.prod(shape) * dtype.itemsize, SMALLEST_BYTES)
         self.check_size(size)
+        self.allocations += 1
         try:
             return Array(self, allocate(size), shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
@@ -149,6 +154,8 @@ class Device:
             dtype = self.real if values.dtype.kind == "f" else values.dtype
         array = self.allocate(values.shape, dtype)
         if values.size:
+            self.launches += 1
+            self.waits += 1
             cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values, dtype))
         return array
 
@@ -166,6 +173,7 @@ class Device:
         if not call.items:
             return
         self.kernel_bytes += call.nbytes
+        self.launches += 1
         built = self._build(kernel, defines)
         event = built(self.queue, (call.items,), (call.group,), *call.arguments)
         if self._profile is not None:
@@ -202,6 +210,7 @@ class Device:
 
     def finish(self) -> None:
         """Wait for everything queued."""
+        self.waits += 1
         self.queue.finish()
 
     @contextmanager
