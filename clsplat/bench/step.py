@@ -1,60 +1,161 @@
-"""A whole training step on a real scene: forward, loss, adjoint, Adam, statistics.
+"""A whole training step: forward, loss, adjoint, Adam, statistics.
 
 Default: caliterra at full resolution, its initial gaussians and 100 000, all spherical harmonics
-active, every training view once. Peak memory is that of this process, so measure it with one count
-only. --profile adds each kernel's mean time a step, by the device's clock.
+active, every training view once; --scene city is the made city of the other benchmarks instead. The
+median is that of steps which are waited for one by one. host_ms is the time in which the host
+enqueues a step when nothing is waited for, and stream_ms the time in which the device has done it
+too; launches, waits and allocations are those of such a step.
+
+--visible 0.05 gives each model as many gaussians as asked for, of which only that share is within
+the scene and no view sees the rest, and before it a model without the rest. device_mib is the
+memory on the device; peak_mib that of this process, so measure it with one count only. --profile
+adds device_ms, the sum of the times of the kernels by the device's clock, and each kernel's mean; a
+queue with profiling takes longer to enqueue, so take the other times without it.
 """
 
 import itertools
 import sys
-from collections.abc import Callable, Iterator
+import time
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
 
 try:
     import resource
 except ImportError:
     resource = None  # type: ignore[assignment]  # a module that Windows does not have
 
+from clsplat.device import Device
+from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import TrialSteps, sampled
+from clsplat.gaussians import Gaussians
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions, resolve
+from clsplat.scene import Scene
 from clsplat.training.photos import Photos
-from clsplat.training.session import Session, prepare
+from clsplat.training.session import PreparedScene, Session, prepare
 
 from .measure import Bench
 from .timing import milliseconds
+from .workloads import city, city_size, in_unit, scene_of, with_hidden
+
+CITY = "city"
+STREAM = 16  # steps that are enqueued without waiting: few enough for any driver's queue
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Means over steps that were enqueued one after the other.
+
+    Attributes
+    ----------
+    host_ms : until the last step was enqueued.
+    stream_ms : until the device had done them.
+    launches, waits, allocations : of the device's counters.
+    """
+
+    host_ms: float
+    stream_ms: float
+    launches: float
+    waits: float
+    allocations: float
 
 
 def main(argv: list[str]) -> None:
     """Run this benchmark with its flags."""
     bench = Bench(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
-                  gaussians="0,100k", optimizer=TrainOptions.optimizer, profile=False)
-    device, options = bench.device, bench.options
-    prepared = prepare(read_scene(options.scene), resolve({}, {
+                  gaussians="0,100k", visible=1.0, optimizer=TrainOptions.optimizer, profile=False)
+    options, photos = bench.options, None
+    if not 0 < options.visible <= 1:
+        raise InputError(f"--visible {options.visible}: give a share above 0 and at most 1")
+    scene = None if options.scene == CITY else prepared_scene(read_scene(options.scene), options)
+    for count in options.gaussians:
+        seen = round(count * options.visible)
+        prepared, gaussians = made_city(count, seen, options) if scene is None else (
+            scene, sampled(scene.scene, seen or len(scene.scene.points), 3))
+        if photos is None or scene is None:
+            photos = Photos(bench.device, prepared.train_views)
+        measure(bench, prepared, photos, gaussians)
+        if seen < count:
+            measure(bench, prepared, photos, with_hidden(
+                gaussians, [view.camera for view in prepared.train_views], count))
+
+
+def prepared_scene(scene: Scene, options: Namespace) -> PreparedScene:
+    """A scene for steps whose every part is on and whose moments are on the device."""
+    return prepare(scene, resolve({}, {
         "downscale": options.downscale, "max_resolution": 0, "exposure": "off", "engine": "device",
         "sphere": False, "optimizer": options.optimizer}))
-    scene, views = prepared.scene, prepared.train_views
-    photos = Photos(device, views)
-    for count in options.gaussians:
-        trial = TrialSteps(Session(prepared, device, sampled(scene, count or len(scene.points), 3),
-                                   photos=photos))
-        model, turns = trial.session.model, itertools.cycle(
-            [trial.prepare(index) for index in range(len(views))])
 
-        def one(turns: Iterator[Callable[[], object]] = turns) -> None:
-            next(turns)()
 
-        times = milliseconds(device, one, len(views), warm_up=len(views))
-        width, height = views[0].camera.width, views[0].camera.height
-        bench.report("step", f"{scene.name} {options.optimizer}", times,
-                     {"gaussians": model.count, "width": width, "height": height,
-                      "peak_mib": peak_mib(), "device_mib": device.memory_bytes >> 20})
-        if options.profile:
-            with device.profile() as times_by_kernel:
-                for _ in views:
-                    one()
-            for kernel, seconds in sorted(times_by_kernel.items(), key=lambda kv: -sum(kv[1])):
-                mean = sum(seconds) / len(views) * 1e3
-                print(f"  {kernel:20} {mean:8.3f} ms in {len(seconds) // len(views)} launches")
+def made_city(count: int, seen: int, options: Namespace) -> tuple[PreparedScene, Gaussians]:
+    """A city of `seen` gaussians, in views of the size for `count`."""
+    gaussians, cameras = city(seen, city_size(count))
+    prepared = prepared_scene(scene_of(gaussians, cameras), options)
+    return prepared, in_unit(gaussians, prepared.scene.unit)
+
+
+def measure(bench: Bench, prepared: PreparedScene, photos: Photos, gaussians: Gaussians) -> None:
+    """Time the steps of a model, and report them."""
+    device, views = bench.device, prepared.train_views
+    device.trim()
+    trial = TrialSteps(Session(prepared, device, gaussians, photos=photos))
+    session, turns = trial.session, itertools.cycle(
+        [trial.prepare(index) for index in range(len(views))])
+
+    def one(turns: Iterator[Callable[[], object]] = turns) -> None:
+        next(turns)()
+
+    times = milliseconds(device, one, len(views), warm_up=len(views))
+    stream = streamed(device, one, max(1, len(views) // STREAM))
+    splats = [session.renderer.count_splats(session.model.rows, camera)
+              for camera in session.cameras]
+    width, height = views[0].camera.width, views[0].camera.height
+    size = {"gaussians": session.model.count, "visible": round(np.mean(splats)), "width": width,
+            "height": height, "host_ms": round(stream.host_ms, 4),
+            "stream_ms": round(stream.stream_ms, 4), "launches": stream.launches,
+            "waits": stream.waits, "allocations": stream.allocations, "peak_mib": peak_mib(),
+            "device_mib": device.memory_bytes >> 20}
+    kernels = profiled(device, one, len(views)) if bench.options.profile else {}
+    if kernels:
+        size["device_ms"] = round(sum(sum(seconds) for seconds in kernels.values())
+                                  / len(views) * 1e3, 4)
+    bench.report("step", f"{prepared.scene.name} {bench.options.optimizer}", times, size)
+    for kernel, seconds in kernels.items() if not bench.options.json else ():
+        print(f"  {kernel:20} {sum(seconds) / len(views) * 1e3:8.3f} ms in "
+              f"{len(seconds) / len(views):.2g} launches", flush=True)
+
+
+def streamed(device: Device, one: Callable[[], object], rounds: int) -> Stream:
+    """Take STREAM steps several times without waiting between them; medians of the times."""
+    times = np.empty((rounds, 2))
+    before = counters(device)
+    for number in range(rounds):
+        start = time.perf_counter()
+        for _ in range(STREAM):
+            one()
+        enqueued = time.perf_counter()
+        device.finish()
+        times[number] = enqueued - start, time.perf_counter() - start
+    host, whole = np.median(times, axis=0) / STREAM * 1e3
+    launches, waits, allocations = ((after - first) / (rounds * STREAM) for first, after in zip(
+        before, counters(device)))
+    return Stream(host, whole, launches, waits - 1 / STREAM, allocations)
+
+
+def counters(device: Device) -> Sequence[int]:
+    """The device's launches, waits and allocations so far."""
+    return device.launches, device.waits, device.allocations
+
+
+def profiled(device: Device, one: Callable[[], object], steps: int) -> dict[str, list[float]]:
+    """Seconds of each launch by kernel over a number of steps, the longest kernel first."""
+    with device.profile() as times:
+        for _ in range(steps):
+            one()
+    return dict(sorted(times.items(), key=lambda kernel: -sum(kernel[1])))
 
 
 def peak_mib() -> int | None:

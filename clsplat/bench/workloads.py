@@ -1,12 +1,20 @@
 """The scene of the benchmarks: an aerial city of gaussians."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.densify.contribution import contribution
 from clsplat.device import Device
+from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
+from clsplat.io.images import encode_jpeg
 from clsplat.rendering.pipeline import Gradients, Renderer
+from clsplat.scene import Scene, View
+
+SCENE_POINTS = 1000  # of a made scene, which has gaussians of its own
+FAR = 100.0  # how far hidden gaussians are moved, as a multiple of the size of the model
 
 
 def city_size(count: int) -> tuple[int, int]:
@@ -55,6 +63,53 @@ def city(count: int, size: tuple[int, int] | None = None, views: int = 8, side: 
             "log_scales": np.log(scales), "quaternions": quaternions}
     rows = {name: np.ascontiguousarray(values, np.float32) for name, values in rows.items()}
     return Gaussians(rows, 3), [ring_camera(2 * np.pi * i / views, size) for i in range(views)]
+
+
+def scene_of(gaussians: Gaussians, cameras: Sequence[Camera], seed: int = 0) -> Scene:
+    """A scene with these cameras, so that training steps can be taken on made gaussians.
+
+    Its photos are noise: the work of a step hardly depends on them.
+    """
+    rng = np.random.default_rng(seed)
+    views = tuple(View(f"{number:03}.jpg", camera, encode_jpeg(rng.integers(
+        0, 256, (camera.height, camera.width, 3), np.uint8), 90))
+        for number, camera in enumerate(cameras))
+    points = gaussians.positions[::max(1, gaussians.count // SCENE_POINTS)].astype(np.float64)
+    return Scene("city", views, points, np.full(points.shape, 128, np.uint8))
+
+
+def in_unit(gaussians: Gaussians, unit: float) -> Gaussians:
+    """Gaussians in coordinates whose unit is `unit` present ones (`Scene.normalised`)."""
+    return Gaussians({**gaussians.rows, "positions": gaussians.positions / np.float32(unit),
+                      "log_scales": gaussians.log_scales - np.float32(np.log(unit))},
+                     gaussians.sh_degree)
+
+
+def with_hidden(gaussians: Gaussians, cameras: Sequence[Camera], count: int,
+                seed: int = 0) -> Gaussians:
+    """Gaussians among copies of themselves that no camera sees, in random order.
+
+    The copies are far behind all cameras.
+
+    Parameters
+    ----------
+    count : of the result, at least that of `gaussians`.
+    """
+    forward = np.mean([camera.rotation[2] for camera in cameras], axis=0)
+    if min(camera.rotation[2] @ forward for camera in cameras) <= 0:
+        raise InputError("the views of this scene look in all directions, so that no gaussian is "
+                         "behind all cameras; use --visible with another scene, such as city")
+    places = np.concatenate([gaussians.positions, [camera.position for camera in cameras]])
+    size = np.linalg.norm(places.max(0) - places.min(0))
+    rng = np.random.default_rng(seed)
+    source = rng.permutation(np.arange(count) % gaussians.count)
+    # the first of each gaussian stays where it is
+    hidden = np.ones(count, bool)
+    hidden[np.unique(source, return_index=True)[1]] = False
+    rows = {name: values[source] for name, values in gaussians.rows.items()}
+    rows["positions"][hidden] -= np.float32(FAR * size) * (
+        forward / np.linalg.norm(forward)).astype(np.float32)
+    return Gaussians(rows, gaussians.sh_degree)
 
 
 class CityFrame:

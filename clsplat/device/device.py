@@ -54,7 +54,7 @@ class Device:
     kernel_bytes : bytes of the arrays passed to kernels so far, counted at each launch.
     launches : kernels and fills that were enqueued so far.
     waits : how often the host waited for the device so far.
-    allocations : buffers that were created so far.
+    allocations : arrays that were created so far, of new memory or old.
     """
 
     def __init__(self, handle: Handle, precision: str = "float", form: str = "auto",
@@ -75,8 +75,8 @@ class Device:
         # a group owns a 16 x 16 tile, or 8 x 8 where groups are small; the item form's rows are 16
         self.tile = 16 if self.form == "item" or handle.max_work_group_size >= 256 else 8
         self.scan_group = min(LANES, 1 << handle.max_work_group_size.bit_length() - 1)
-        self._immediate = cl.tools.ImmediateAllocator(self.queue)  # fails now, not at a launch
-        self._pool = Arena(self._new_block)
+        # an immediate allocation fails now, and not at a launch
+        self._pool = Arena(cl.tools.ImmediateAllocator(self.queue))
         self._persistent = LiveBytes()
         self.peak_bytes = 0
         self._kernels: dict[tuple[Kernel, Defines, int, int], cl.Kernel] = {}
@@ -128,6 +128,7 @@ class Device:
         dtype = self.real if dtype is None else np.dtype(dtype)
         size = max(math.prod(shape) * dtype.itemsize, SMALLEST_BYTES)
         self.check_size(size)
+        self.allocations += 1
         try:
             memory = allocate(size)
             if isinstance(memory, Block):
@@ -140,12 +141,7 @@ class Device:
             ) from None
 
     def _new_buffer(self, size: int) -> cl.Buffer:
-        self.allocations += 1
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
-
-    def _new_block(self, size: int) -> Any:
-        self.allocations += 1
-        return self._immediate(size)
 
     def check_size(self, size: int) -> None:
         """Raise DeviceError for an array of `size` bytes, more than one buffer may have."""

@@ -1,7 +1,9 @@
 """Photos in and renders out, through OpenImageIO."""
 
 import os
+import select
 import tempfile
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -72,30 +74,40 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object) 
         spec.attribute("Compression", f"jpeg:{quality}")
         spec.attribute("jpeg:subsampling", "4:4:4")
 
-    def write(path: str) -> None:
-        written = output.open(path, spec) and output.write_image(np.ascontiguousarray(pixels))
+    def write(path: str) -> bool:
+        return bool(output.open(path, spec)
+                    and output.write_image(np.ascontiguousarray(pixels)))
+
+    def end(written: bool) -> None:
         if not (output.close() and written):
             raise InputError(f"{name}: cannot be encoded ({reason_of(output)})")
 
     if output.format_name() in STREAMED and Path(PIPES).is_dir():
-        return _piped(write)
+        return _piped(write, end)
     with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
         path = Path(folder) / f"image.{suffix}"
-        write(str(path))
+        end(write(str(path)))
         return path.read_bytes()
 
 
-def _piped(write: Callable[[str], None]) -> bytes:
-    """All bytes that write(path) writes to its path.
+def _piped(write: Callable[[str], bool], end: Callable[[bool], None]) -> bytes:
+    """All bytes that end(write(path)) writes to its path.
 
-    Both ends run in threads, which Ctrl-C does not interrupt: libjpeg would end the process if its
-    reader disappeared.
+    Both ends of the pipe run in threads, which Ctrl-C does not interrupt: libjpeg would end the
+    process if its reader disappeared.
     """
     receiver, sender = os.pipe()
+    unread = select.poll()
+    unread.register(receiver, select.POLLIN)
 
     def fill() -> None:
         try:
-            write(f"{PIPES}/{sender}")
+            written = write(f"{PIPES}/{sender}")
+            # OpenImageIO keeps Python's lock while it writes the rest at the end: with a full pipe
+            # it would wait for a reader that waits for the lock
+            while any(event & select.POLLIN for _, event in unread.poll(0)):
+                time.sleep(1e-4)
+            end(written)
         finally:
             os.close(sender)  # or the other end would read forever
 
