@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import BUCKET, SPLAT_REALS
+from clsplat.constants import SPLAT_REALS
 from clsplat.device import Array, Device, Forms, Kernel, each
 from clsplat.errors import DeviceError
 from clsplat.primitives.scan import exclusive_scan
@@ -137,7 +137,7 @@ def _add_buckets(device: Device, pairs: Pairs, tiles: int) -> None:
     device.launch(COUNT_BUCKETS, tiles=tiles, ranges=pairs.ranges, counts=counts)
     pairs.bucket_offsets, _ = exclusive_scan(device, counts)
     # every tile wastes less than one bucket: an upper bound needs no wait
-    pairs.bucket_tiles = device.empty(pairs.count // BUCKET + tiles, np.uint32)
+    pairs.bucket_tiles = device.empty(pairs.count // device.bucket + tiles, np.uint32)
     pairs.bucket_tiles.fill(tiles)
     device.launch(FILL_BUCKETS, tiles=tiles, counts=counts, offsets=pairs.bucket_offsets,
                   bucket_tiles=pairs.bucket_tiles)

@@ -21,12 +21,13 @@ _CHECKPOINTS = dict(checkpoints=("real", "B", "X", 4), depth_checkpoints=("real"
 BLEND = Kernel(
     "blend.cl", "blend",
     Forms(item=items("T"),
-          group=groups("T", "TILE TILE", bucket_offsets=("uint", "T"), **_CHECKPOINTS)),
+          group=groups("T", "TILE TILE", bucket_offsets=("uint", "T"),
+                       bucket_tiles=("uint", "B"), **_CHECKPOINTS)),
     **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, **_DEPTH)
 ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
     Forms(item=items("T", **_BACKGROUND),
-          group=groups("B", "BUCKET", tiles="uint", bucket_offsets=("uint", "T"),
+          group=groups("B", "ADJOINT_GROUP", tiles="uint", bucket_offsets=("uint", "T"),
                        bucket_tiles=("uint", "B"), **_IMAGE, **_DEPTH, **_CHECKPOINTS)),
     **_SIZE, **_LISTS, emission_indices=("uint", "P"), **_SPLATS, **_ENDS,
     grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"),
@@ -93,7 +94,7 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                   sorted_splats=pairs.sorted_splats, splats=splats, image=result.image,
                   transmittance=result.transmittance, last_contributor=result.last_contributor,
                   depth=result.depth, bucket_offsets=pairs.bucket_offsets,
-                  checkpoints=result.checkpoints, depth_checkpoints=result.depth_checkpoints)
+                  bucket_tiles=pairs.bucket_tiles, checkpoints=result.checkpoints, depth_checkpoints=result.depth_checkpoints)
     return result
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clsplat.constants import BUCKET, PAIR_SUMS, SPLAT_REALS
+from clsplat.constants import PAIR_SUMS, SPLAT_REALS
 from clsplat.device import ArraySpec, Device
 from clsplat.device.device import SMALLEST_BYTES
 from clsplat.gaussians import LEARNED
@@ -96,7 +96,7 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
         FrameArray("grad_means", (splats, 2), None, "project adjoint", "adam"),
         *_uints("active", splats, "project adjoint", "adam")]
     if HAS_BUCKETS.of(device):
-        buckets = pairs // BUCKET + tiles
+        buckets = pairs // device.bucket + tiles
         arrays += [
             *_uints("bucket_counts", tiles, "buckets", "buckets"),
             *_uints("bucket_offsets", tiles, "buckets", "project adjoint"),
