@@ -54,7 +54,8 @@ def pair_limit(device: Device, width: int, height: int, with_depth: bool) -> int
     indices."""
     grads, checkpoints = pair_reals(device, with_depth)
     real, (tiles_x, tiles_y) = device.real.itemsize, tile_grid(device, width, height)
-    spare = device.bucket * tiles_x * tiles_y if checkpoints else 0  # each tile may have a partial one
+    # each tile may have a partial bucket
+    spare = device.bucket * tiles_x * tiles_y if checkpoints else 0
     at_once = FRAME_SHARE * device.handle.global_mem_size / (
         2 * INDEX_BYTES + (grads + checkpoints) * real)
     in_a_buffer = BUFFER_SHARE * device.largest_buffer / (max(grads, checkpoints) * real)

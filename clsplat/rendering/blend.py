@@ -94,7 +94,8 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                   sorted_splats=pairs.sorted_splats, splats=splats, image=result.image,
                   transmittance=result.transmittance, last_contributor=result.last_contributor,
                   depth=result.depth, bucket_offsets=pairs.bucket_offsets,
-                  bucket_tiles=pairs.bucket_tiles, checkpoints=result.checkpoints, depth_checkpoints=result.depth_checkpoints)
+                  bucket_tiles=pairs.bucket_tiles, checkpoints=result.checkpoints,
+                  depth_checkpoints=result.depth_checkpoints)
     return result
 
 
