@@ -19,6 +19,17 @@ inline real4 staged_conic(real4 conic)
     return (real4)(-0.5 * conic.x, -conic.y, -0.5 * conic.z, 0);
 }
 
+#ifndef PIXEL_BRANCH
+#define PIXEL_BRANCH 0
+#endif
+#if PIXEL_BRANCH
+#define LIVE(CONDITION) const bool live = CONDITION; if (!live) continue;
+#define EXP_LIVE(POWER) exp_power(POWER)
+#else
+#define LIVE(CONDITION) const bool live = CONDITION;
+#define EXP_LIVE(POWER) (live ? exp_power(POWER) : 0)
+#endif
+
 inline real staged_power(real4 k, real dx, real dy)
 {
     return (k.x * dx + k.y * dy) * dx + k.z * dy * dy;
@@ -93,18 +104,17 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
                 const real4 s = shape[j];
                 const real dx = x - s.x, dy = y - s.y;
                 const real power = staged_power(conic[j], dx, dy);
-                if (power >= s.w) {
-                    const real w = cut_alpha(s.z * exp_power(power)) * t, next = t - w;
-                    done = next < (real)TRANSMITTANCE_MIN;
-                    if (done)
-                        break;
-                    c += w * colour[j].xyz;
+                LIVE(power >= s.w)
+                const real w = cut_alpha(s.z * EXP_LIVE(power)) * t, next = t - w;
+                done = next < (real)TRANSMITTANCE_MIN;
+                if (done)
+                    break;
+                c += w * colour[j].xyz;
 #if WITH_DEPTH
-                    z += w * colour[j].w;
+                z += w * colour[j].w;
 #endif
-                    t = next;
-                    latest = base + j;
-                }
+                t = next;
+                latest = live ? base + j : latest;
             }
         }
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -123,7 +133,14 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
 }
 
 #define OWNED (PIXELS / ADJOINT_GROUP) // pixels of a lane
-#define TOGETHER 3                     // splats that are added up at once, one lane a sum
+#if NATIVE_DIVIDE
+#define DIVIDE(A, B) native_divide(A, B)
+#else
+#define DIVIDE(A, B) ((A) / (B))
+#endif
+#ifndef TOGETHER
+#define TOGETHER 3 // splats that are added up at once, one lane a sum
+#endif
 #if TOGETHER * SUMS > ADJOINT_GROUP
 #error "too many sums for the lanes"
 #endif
@@ -226,8 +243,8 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, uint tiles,
                 const real dx = x0 + slot_column(slot) + 0.5 - s.x;
                 const real dy = y0 + slot_row(slot) + 0.5 - s.y;
                 const real power = staged_power(k, dx, dy);
-                if (power >= s.w && first + j <= last[i]) {
-                    const real e = exp_power(power), raw = s.z * e, alpha = cut_alpha(raw);
+                LIVE(power >= s.w && first + j <= last[i])
+                    const real e = EXP_LIVE(power), raw = s.z * e, alpha = cut_alpha(raw);
                     const real w = alpha * t[i];
                     real light = dot(light_of.xyz, grad[i]);
 #if WITH_DEPTH
@@ -235,7 +252,7 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, uint tiles,
                     s_z += w * grad_z[i];
 #endif
                     rest[i] -= w * light;
-                    const real grad_alpha = t[i] * light - rest[i] / (1 - alpha);
+                    const real grad_alpha = t[i] * light - DIVIDE(rest[i], 1 - alpha);
                     const real grad_raw = grad_alpha * cut_alpha_slope(raw);
                     const real grad_power = grad_raw * raw;
                     const real by_x = grad_power * dx, by_y = grad_power * dy;
@@ -247,7 +264,6 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, uint tiles,
                     s_xy += by_x * dy;
                     s_yy += by_y * dy;
                     t[i] -= w;
-                }
             }
 #define KEEP(SUM, VALUE) ((__local real *)sums[(j - base) * SUMS + (SUM)])[lane] = (VALUE)
             KEEP(SUM_COLOUR, s_colour.x);

@@ -28,7 +28,7 @@ inline uint reached_subtiles(Ellipse e, int x0, int y0)
     return (1u << SUBTILES) - 1;
 #endif
     uint reached = 0;
-#pragma unroll
+#pragma unroll 1
     for (int row = 0; row < TILE / SUBTILE_ROWS; row++) {
         const real first_y = y0 + row * SUBTILE_ROWS + 0.5, last_y = first_y + (SUBTILE_ROWS - 1);
         if (first_y <= e.mean_y + e.extent_y && last_y >= e.mean_y - e.extent_y) {
