@@ -7,6 +7,24 @@
 #define ROW_OF(INDEX) ((__global const real4 *)splats + (ulong)(INDEX) * (SPLAT_REALS / 4))
 #define WORDS (PIXELS / 32) // of a bit mask with a bit a staged splat
 
+// Switches that tools/studies/blend_variants.py times. Of a sub-tile that an ellipse reaches, some pixel
+// nearly always is inside, so by default no pixel branches: those outside have weight zero.
+#if PIXEL_BRANCH
+#define SKIP_UNLESS(LIVE)                                                                          \
+    if (!(LIVE))                                                                                   \
+        continue;
+#else
+#define SKIP_UNLESS(LIVE)
+#endif
+#if NATIVE_DIVIDE
+#define DIVIDE(A, B) native_divide(A, B)
+#else
+#define DIVIDE(A, B) ((A) / (B))
+#endif
+#ifndef TOGETHER
+#define TOGETHER 3 // splats whose sums the adjoint adds up at once, one lane a sum
+#endif
+
 // The staged columns of a splat, scaled so that power = (k.x dx + k.y dy) dx + k.z dy^2 and is to
 // be at least s.w.
 inline real4 staged_shape(real4 shape)
@@ -18,17 +36,6 @@ inline real4 staged_conic(real4 conic)
 {
     return (real4)(-0.5 * conic.x, -conic.y, -0.5 * conic.z, 0);
 }
-
-#ifndef PIXEL_BRANCH
-#define PIXEL_BRANCH 0
-#endif
-#if PIXEL_BRANCH
-#define LIVE(CONDITION) const bool live = CONDITION; if (!live) continue;
-#define EXP_LIVE(POWER) exp_power(POWER)
-#else
-#define LIVE(CONDITION) const bool live = CONDITION;
-#define EXP_LIVE(POWER) (live ? exp_power(POWER) : 0)
-#endif
 
 inline real staged_power(real4 k, real dx, real dy)
 {
@@ -104,8 +111,10 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
                 const real4 s = shape[j];
                 const real dx = x - s.x, dy = y - s.y;
                 const real power = staged_power(conic[j], dx, dy);
-                LIVE(power >= s.w)
-                const real w = cut_alpha(s.z * EXP_LIVE(power)) * t, next = t - w;
+                const bool live = power >= s.w;
+                SKIP_UNLESS(live)
+                const real e = live ? exp_power(power) : 0;
+                const real w = cut_alpha(s.z * e) * t, next = t - w;
                 done = next < (real)TRANSMITTANCE_MIN;
                 if (done)
                     break;
@@ -133,14 +142,6 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
 }
 
 #define OWNED (PIXELS / ADJOINT_GROUP) // pixels of a lane
-#if NATIVE_DIVIDE
-#define DIVIDE(A, B) native_divide(A, B)
-#else
-#define DIVIDE(A, B) ((A) / (B))
-#endif
-#ifndef TOGETHER
-#define TOGETHER 3 // splats that are added up at once, one lane a sum
-#endif
 #if TOGETHER * SUMS > ADJOINT_GROUP
 #error "too many sums for the lanes"
 #endif
@@ -243,27 +244,28 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, uint tiles,
                 const real dx = x0 + slot_column(slot) + 0.5 - s.x;
                 const real dy = y0 + slot_row(slot) + 0.5 - s.y;
                 const real power = staged_power(k, dx, dy);
-                LIVE(power >= s.w && first + j <= last[i])
-                    const real e = EXP_LIVE(power), raw = s.z * e, alpha = cut_alpha(raw);
-                    const real w = alpha * t[i];
-                    real light = dot(light_of.xyz, grad[i]);
+                const bool live = power >= s.w && first + j <= last[i];
+                SKIP_UNLESS(live)
+                const real e = live ? exp_power(power) : 0, raw = s.z * e, alpha = cut_alpha(raw);
+                const real w = alpha * t[i];
+                real light = dot(light_of.xyz, grad[i]);
 #if WITH_DEPTH
-                    light += light_of.w * grad_z[i];
-                    s_z += w * grad_z[i];
+                light += light_of.w * grad_z[i];
+                s_z += w * grad_z[i];
 #endif
-                    rest[i] -= w * light;
-                    const real grad_alpha = t[i] * light - DIVIDE(rest[i], 1 - alpha);
-                    const real grad_raw = grad_alpha * cut_alpha_slope(raw);
-                    const real grad_power = grad_raw * raw;
-                    const real by_x = grad_power * dx, by_y = grad_power * dy;
-                    s_colour += w * grad[i];
-                    s_opacity += grad_raw * e;
-                    s_x += by_x;
-                    s_y += by_y;
-                    s_xx += by_x * dx;
-                    s_xy += by_x * dy;
-                    s_yy += by_y * dy;
-                    t[i] -= w;
+                rest[i] -= w * light;
+                const real grad_alpha = t[i] * light - DIVIDE(rest[i], 1 - alpha);
+                const real grad_raw = grad_alpha * cut_alpha_slope(raw);
+                const real grad_power = grad_raw * raw;
+                const real by_x = grad_power * dx, by_y = grad_power * dy;
+                s_colour += w * grad[i];
+                s_opacity += grad_raw * e;
+                s_x += by_x;
+                s_y += by_y;
+                s_xx += by_x * dx;
+                s_xy += by_x * dy;
+                s_yy += by_y * dy;
+                t[i] -= w;
             }
 #define KEEP(SUM, VALUE) ((__local real *)sums[(j - base) * SUMS + (SUM)])[lane] = (VALUE)
             KEEP(SUM_COLOUR, s_colour.x);

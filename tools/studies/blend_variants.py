@@ -1,9 +1,9 @@
-"""Time the group form of blending and its adjoint in several variants, on the city of the benchmarks.
+"""Time variants of the group form of blending and its adjoint, on the city of the benchmarks.
 
     python -m tools.studies.blend_variants [--device auto] [--gaussians 200k,1M,4M] [--only NAME ...]
 
-Prints the median time on the device of each kernel and how far the image and the sums of splats are
-from those of the first variant. Variants are timed in turns, so that other work on the machine
+Prints the median time on the device of each kernel, and how far the image and the sums of splats
+are from those of the first variant. Variants are timed in turns, so that other work on the machine
 disturbs all of them alike. A tree that lacks a variant's switch gives the same time as without it,
 so an older tree is compared by running this file with --only default there.
 """
