@@ -55,7 +55,6 @@ FRAME_COUNTS: Final = 14
 # how kernels are cut
 LANES: Final = 256  # of a sum, in whatever groups: the order of additions; no group is larger
 PER_ITEM: Final = 8  # elements of a chunk that a work-item of the group form lists or sorts
-BUCKET: Final = 32  # pairs a bucket of the group form's blend adjoint
 EXPOSURE_BLOCK: Final = 2048  # pixels that a partial sum of the exposure's gradient covers
 
 SHARED: Final = MappingProxyType(

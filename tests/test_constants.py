@@ -31,7 +31,7 @@ def test_no_module_repeats_a_name_of_the_table():
 
 def test_the_table_is_frozen():
     with pytest.raises(TypeError):
-        SHARED["BUCKET"] = 33
+        SHARED["PER_ITEM"] = 33
 
 
 def test_kernels_see_the_very_numbers(device, tmp_path):

@@ -1,63 +1,126 @@
-// Group form of blend.cl (see there), for GPUs. Forward, a group owns a tile and stages splats in
-// local memory; it notes T and C of every pixel once a bucket of BUCKET pairs. Adjoint, a group of BUCKET
-// lanes owns a bucket: lane l holds splat l while the tile's pixels stream through the lanes,
-// (T, C . grad) passing from lane to lane, so that each lane sums its own splat without any reduction.
-#define PIXELS (TILE * TILE)
+// Group form of blend.cl (see there), for GPUs. Forward, a group owns a tile, a lane a pixel; splats are
+// staged in local memory and each wave walks those that reach its sub-tile; T and C of every pixel are
+// noted once a bucket of BUCKET pairs. Adjoint, a group owns a bucket: its lanes own the tile's pixels,
+// continue (T, C) from the bucket's beginning and walk its splats front to back; then a lane adds up one
+// of a splat's sums over all lanes, through local memory, in a fixed order.
+#include "subtiles.h"
+#define ROW_OF(INDEX) ((__global const real4 *)splats + (ulong)(INDEX) * (SPLAT_REALS / 4))
+#define WORDS (PIXELS / 32) // of a bit mask with a bit a staged splat
 
-// Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth.
+// Switches that tools/studies/blend_variants.py times. Of a sub-tile that an ellipse reaches, some pixel
+// nearly always is inside, so by default no pixel branches: those outside have weight zero.
+#if PIXEL_BRANCH
+#define SKIP_UNLESS(LIVE)                                                                          \
+    if (!(LIVE))                                                                                   \
+        continue;
+#else
+#define SKIP_UNLESS(LIVE)
+#endif
+#if NATIVE_DIVIDE
+#define DIVIDE(A, B) native_divide(A, B)
+#else
+#define DIVIDE(A, B) ((A) / (B))
+#endif
+#ifndef TOGETHER
+#define TOGETHER 3 // splats whose sums the adjoint adds up at once, one lane a sum
+#endif
+
+// The staged columns of a splat, scaled so that power = (k.x dx + k.y dy) dx + k.z dy^2 and is to
+// be at least s.w.
+inline real4 staged_shape(real4 shape)
+{
+    return (real4)(shape.xyz, -0.5 * shape.w);
+}
+
+inline real4 staged_conic(real4 conic)
+{
+    return (real4)(-0.5 * conic.x, -conic.y, -0.5 * conic.z, 0);
+}
+
+inline real staged_power(real4 k, real dx, real dy)
+{
+    return (k.x * dx + k.y * dy) * dx + k.z * dy * dy;
+}
+
+// Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth, by slots;
+// of pixels that had not ended before the bucket.
 __kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1)))
 void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
-           __global real *restrict checkpoints, __global real *restrict depth_checkpoints)
+           __global real4 *restrict checkpoints, __global real *restrict depth_checkpoints)
 {
-    __local real4 shape[PIXELS], colour[PIXELS], conic[PIXELS];
+    __local real4 shape[PIXELS], conic[PIXELS], colour[PIXELS];
+    __local uchar reached[PIXELS];      // sub-tiles of a splat
+    __local uint hits[SUBTILES][WORDS]; // splats of a sub-tile, the first in the highest bit
     __local int open;
     const int tile = get_group_id(0), lane = get_local_id(0), place = first_tile + tile;
-    const int column = place % tiles_x * TILE + lane % TILE;
-    const int row = place / tiles_x * TILE + lane / TILE;
+    const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
+    const int column = x0 + slot_column(lane), row = y0 + slot_row(lane);
     const bool inside = column < width && row < height;
     const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
+    const uint first_bucket = bucket_offsets[tile];
     const real x = column + 0.5, y = row + 0.5;
     real t = 1, z = 0;
     real3 c = (real3)(0);
     int latest = -1;
     bool done = !inside;
-    ulong bucket = bucket_offsets[tile];
     for (uint base = begin; base < end; base += PIXELS) {
         if (lane == 0)
             open = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
         if (!done)
             open = 1; // every writer writes the same
+        uint own_reached = 0;
         if (base + lane < end) {
-            __global const real *splat = splats + (ulong)sorted_splats[base + lane] * SPLAT_REALS;
-            shape[lane] = vload4(0, splat);
-            conic[lane] = vload4(1, splat);
-            colour[lane] = vload4(2, splat);
+            __global const real4 *splat = ROW_OF(sorted_splats[base + lane]);
+            const real4 s = splat[0], k = splat[1];
+            shape[lane] = staged_shape(s);
+            conic[lane] = staged_conic(k);
+            colour[lane] = splat[2];
+            own_reached = reached_subtiles(ellipse_from(s, k), x0, y0);
         }
+        reached[lane] = own_reached;
         barrier(CLK_LOCAL_MEM_FENCE);
         if (!open) // read by all after a barrier: the group leaves together
             break;
-        const int batch = min((uint)PIXELS, end - base);
-        for (int j = 0; j < batch; j++) {
-            if (j % BUCKET == 0) {
-                vstore4((real4)(t, c), bucket * PIXELS + lane, checkpoints);
+        if (lane < SUBTILES * WORDS) {
+            const int subtile = lane / WORDS, first = lane % WORDS * 32;
+            uint bits = 0;
+            for (int i = 0; i < 32; i++)
+                bits = bits << 1 | (reached[first + i] >> subtile & 1);
+            hits[subtile][lane % WORDS] = bits;
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (uint word = 0; word < WORDS && base + word * 32 < end; word++) {
+            if (done) // before the barrier that follows: lanes come together again
+                break;
+            const uint past = base - begin + word * 32;
+            if (past % BUCKET == 0) {
+                const ulong slot = (ulong)(first_bucket + past / BUCKET) * PIXELS + lane;
+                checkpoints[slot] = (real4)(t, c);
 #if WITH_DEPTH
-                depth_checkpoints[bucket * PIXELS + lane] = z;
+                depth_checkpoints[slot] = z;
 #endif
-                bucket++;
             }
-            const real4 s = shape[j], k = conic[j];
-            const real dx = x - s.x, dy = y - s.y;
-            const real power = -0.5 * (k.x * dx * dx + k.z * dy * dy) - k.y * dx * dy;
-            if (!done && power >= -0.5 * s.w) {
-                const real w = cut_alpha(s.z * exp_power(power)) * t, next = t - w;
+            uint bits = hits[lane / WAVE][word];
+            while (bits) {
+                const int bit = clz(bits), j = word * 32 + bit;
+                bits ^= 0x80000000u >> bit;
+                const real4 s = shape[j];
+                const real dx = x - s.x, dy = y - s.y;
+                const real power = staged_power(conic[j], dx, dy);
+                const bool live = power >= s.w;
+                SKIP_UNLESS(live)
+                const real e = live ? exp_power(power) : 0;
+                const real w = cut_alpha(s.z * e) * t, next = t - w;
                 done = next < (real)TRANSMITTANCE_MIN;
-                if (!done) {
-                    c += w * colour[j].xyz;
-                    z += w * colour[j].w;
-                    t = next;
-                    latest = base + j;
-                }
+                if (done)
+                    break;
+                c += w * colour[j].xyz;
+#if WITH_DEPTH
+                z += w * colour[j].w;
+#endif
+                t = next;
+                latest = live ? base + j : latest;
             }
         }
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -75,142 +138,155 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
     }
 }
 
-// Passes a value from each lane of the group to the next. The local form needs one barrier a step:
-// two buffers alternate, so that no lane overwrites what its neighbour has yet to read.
-#if HAVE_PTX_SHUFFLE && !REAL_IS_DOUBLE && BUCKET == 32
-inline real from_previous_lane(real value)
-{
-    real previous;
-    asm volatile("shfl.sync.up.b32 %0, %1, 1, 0x0, 0xffffffff;" : "=f"(previous) : "f"(value));
-    return previous;
-}
-#define PASS_ON(STEP)                                                                              \
-    t = from_previous_lane(t);                                                                     \
-    seen = from_previous_lane(seen);
-#else
-#define PASS_ON(STEP)                                                                              \
-    passed[(STEP) & 1][lane] = (real2)(t, seen);                                                   \
-    barrier(CLK_LOCAL_MEM_FENCE);                                                                  \
-    {                                                                                              \
-        const real2 previous = passed[(STEP) & 1][max(lane - 1, 0)];                               \
-        t = previous.x;                                                                            \
-        seen = previous.y;                                                                         \
-    }
+#define OWNED (PIXELS / ADJOINT_GROUP) // pixels of a lane
+#if TOGETHER * SUMS > ADJOINT_GROUP
+#error "too many sums for the lanes"
 #endif
 
-__kernel __attribute__((reqd_work_group_size(BUCKET, 1, 1)))
+__kernel __attribute__((reqd_work_group_size(ADJOINT_GROUP, 1, 1)))
 void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts,
                    __global const uint *restrict bucket_offsets,
                    __global const uint *restrict bucket_tiles, __global const real *restrict image,
-                   __global const real *restrict depth, __global const real *restrict checkpoints,
+                   __global const real *restrict depth,
+                   __global const real4 *restrict checkpoints,
                    __global const real *restrict depth_checkpoints)
 {
-    __local real4 grads[PIXELS]; // colour cotangent; .w = cotangent . all that the pixel holds
-    __local real grads_z[PIXELS];
-    __local int lasts[PIXELS];
-    __local real2 passed[2][BUCKET];
-    __local int newest;
-    const uint bucket = get_group_id(0);
+    __local real4 shape[BUCKET], conic[BUCKET], colour[BUCKET];
+    __local real4 sums[TOGETHER * SUMS][ADJOINT_GROUP / 4 + 1]; // + 1: rows begin in other banks
+    __local uint emission[BUCKET];
+    __local uchar reached[BUCKET];
+    __local uint open_subtiles;
+    const uint bucket = get_group_id(0), tile = bucket_tiles[bucket];
     if (bucket >= counts[COUNT_BUCKETS]) // the launch is an upper bound; the whole group leaves
         return;
-    const uint tile = bucket_tiles[bucket];
     const int lane = get_local_id(0), place = first_tile + tile;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
     const long plane = (long)width * height;
     const int first = ranges[2 * tile] + (bucket - bucket_offsets[tile]) * BUCKET;
-    const int end = ranges[2 * tile + 1], own = first + lane;
+    const int count = min(BUCKET, (int)ranges[2 * tile + 1] - first);
     if (lane == 0)
-        newest = -1;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    int own_newest = -1;
-    for (int p = lane; p < PIXELS; p += BUCKET) {
-        const int column = x0 + p % TILE, row = y0 + p / TILE;
-        const long pixel = (long)row * width + column;
-        real4 g = (real4)(0);
-        real gz = 0;
-        int latest = -1;
-        if (column < width && row < height) {
-            const real3 cotangent = (real3)(grad_image[pixel], grad_image[plane + pixel],
-                                            grad_image[2 * plane + pixel]);
-            const real3 colour =
-                (real3)(image[pixel], image[plane + pixel], image[2 * plane + pixel]);
-            g = (real4)(cotangent, dot(cotangent, colour));
-#if WITH_DEPTH
-            gz = grad_depth[pixel];
-            g.w += gz * depth[pixel] + grad_transmittance[pixel] * transmittance[pixel];
-#endif
-            latest = last_contributor[pixel];
-        }
-        grads[p] = g;
-        grads_z[p] = gz;
-        lasts[p] = latest;
-        own_newest = max(own_newest, latest);
-    }
-    atomic_max(&newest, own_newest);
+        open_subtiles = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    const bool valid = own < end;
-    real4 s = (real4)(0), k = (real4)(0), colour = (real4)(0);
-    if (valid) {
-        __global const real *splat = splats + (ulong)sorted_splats[own] * SPLAT_REALS;
-        s = vload4(0, splat);
-        k = vload4(1, splat);
-        colour = vload4(2, splat);
-    }
-    real3 s_colour = (real3)(0);
-    real s_opacity = 0, s_x = 0, s_y = 0, s_xx = 0, s_xy = 0, s_yy = 0, s_z = 0;
-    if (newest >= first) { // the same for every lane
-        real t = 0, seen = 0; // in front of the lane's splat: transmittance, cotangent . colour
-        for (int step = 0; step < PIXELS + BUCKET - 1; step++) {
-            PASS_ON(step)
-            const int p = step - lane;
-            const bool active = p >= 0 && p < PIXELS;
-            const real4 g = active ? grads[p] : (real4)(0);
-            const real gz = active ? grads_z[p] : 0;
-            if (lane == 0 && active) {
-                const real4 from = vload4((ulong)bucket * PIXELS + p, checkpoints);
-                t = from.x;
-                seen = dot(from.yzw, g.xyz);
+    real t[OWNED], rest[OWNED]; // in front of the splat: transmittance; cotangent . all from there on
+    real3 grad[OWNED];
+    int last[OWNED];
 #if WITH_DEPTH
-                seen += depth_checkpoints[(ulong)bucket * PIXELS + p] * gz;
+    real grad_z[OWNED];
 #endif
-            }
-            if (active && valid && own <= lasts[p]) {
-                const real dx = x0 + p % TILE + 0.5 - s.x, dy = y0 + p / TILE + 0.5 - s.y;
-                const real power = -0.5 * (k.x * dx * dx + k.z * dy * dy) - k.y * dx * dy;
-                if (power >= -0.5 * s.w) {
-                    const real e = exp_power(power), raw = s.z * e, alpha = cut_alpha(raw);
-                    const real w = alpha * t;
-                    const real light = dot(colour.xyz, g.xyz) + colour.w * gz;
-                    seen += w * light;
-                    const real grad_alpha = t * light - (g.w - seen) / (1 - alpha);
-                    const real grad_raw = grad_alpha * cut_alpha_slope(raw);
-                    const real grad_power = grad_raw * raw;
-                    s_colour += w * g.xyz;
-                    s_z += w * gz;
-                    s_opacity += grad_raw * e;
-                    s_x += grad_power * dx;
-                    s_y += grad_power * dy;
-                    s_xx += grad_power * dx * dx;
-                    s_xy += grad_power * dx * dy;
-                    s_yy += grad_power * dy * dy;
-                    t -= w;
-                }
-            }
+    uint own_open = 0;
+#pragma unroll
+    for (int i = 0; i < OWNED; i++) {
+        const int slot = i * ADJOINT_GROUP + lane;
+        const int column = x0 + slot_column(slot), row = y0 + slot_row(slot);
+        const long pixel = (long)row * width + column;
+        last[i] = column < width && row < height ? last_contributor[pixel] : -1;
+        t[i] = rest[i] = 0;
+        grad[i] = (real3)(0);
+#if WITH_DEPTH
+        grad_z[i] = 0;
+#endif
+        if (last[i] >= first) {
+            const real4 before = checkpoints[(ulong)bucket * PIXELS + slot];
+            const real3 all =
+                (real3)(image[pixel], image[plane + pixel], image[2 * plane + pixel]);
+            grad[i] = (real3)(grad_image[pixel], grad_image[plane + pixel],
+                              grad_image[2 * plane + pixel]);
+            t[i] = before.x;
+            rest[i] = dot(grad[i], all - before.yzw);
+#if WITH_DEPTH
+            grad_z[i] = grad_depth[pixel];
+            rest[i] += grad_z[i] *
+                (depth[pixel] - depth_checkpoints[(ulong)bucket * PIXELS + slot]);
+            rest[i] += grad_transmittance[pixel] * transmittance[pixel];
+#endif
+            own_open |= 1u << slot / WAVE;
         }
     }
-    if (valid) {
-        __global real *sum = pair_grads + (ulong)emission_indices[own] * SUMS;
-        vstore3(s_colour, 0, sum);
-        sum[SUM_OPACITY] = s_opacity;
-        sum[SUM_X] = s_x;
-        sum[SUM_Y] = s_y;
-        sum[SUM_XX] = s_xx;
-        sum[SUM_XY] = s_xy;
-        sum[SUM_YY] = s_yy;
+    if (own_open)
+        atomic_or(&open_subtiles, own_open);
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    const uint open = open_subtiles;
+    for (int j = lane; j < count; j += ADJOINT_GROUP) {
+        emission[j] = emission_indices[first + j];
+        if (open) {
+            __global const real4 *splat = ROW_OF(sorted_splats[first + j]);
+            const real4 s = splat[0], k = splat[1];
+            shape[j] = staged_shape(s);
+            conic[j] = staged_conic(k);
+            colour[j] = splat[2];
+            reached[j] = open & reached_subtiles(ellipse_from(s, k), x0, y0);
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (!open)
+        for (int j = lane; j < count * SUMS; j += ADJOINT_GROUP)
+            pair_grads[(ulong)emission[j / SUMS] * SUMS + j % SUMS] = 0;
+    const int todo = open ? count : 0;
+    for (int base = 0; base < todo; base += TOGETHER) {
+        for (int j = base; j < min(base + TOGETHER, todo); j++) {
+            const real4 s = shape[j], k = conic[j], light_of = colour[j];
+            const uint hit = reached[j];
+            real3 s_colour = (real3)(0);
+            real s_opacity = 0, s_x = 0, s_y = 0, s_xx = 0, s_xy = 0, s_yy = 0;
 #if WITH_DEPTH
-        sum[SUM_DEPTH] = s_z;
+            real s_z = 0;
 #endif
+#pragma unroll
+            for (int i = 0; i < OWNED; i++) {
+                const int slot = i * ADJOINT_GROUP + lane;
+                if (!(hit >> slot / WAVE & 1))
+                    continue;
+                const real dx = x0 + slot_column(slot) + 0.5 - s.x;
+                const real dy = y0 + slot_row(slot) + 0.5 - s.y;
+                const real power = staged_power(k, dx, dy);
+                const bool live = power >= s.w && first + j <= last[i];
+                SKIP_UNLESS(live)
+                const real e = live ? exp_power(power) : 0, raw = s.z * e, alpha = cut_alpha(raw);
+                const real w = alpha * t[i];
+                real light = dot(light_of.xyz, grad[i]);
+#if WITH_DEPTH
+                light += light_of.w * grad_z[i];
+                s_z += w * grad_z[i];
+#endif
+                rest[i] -= w * light;
+                const real grad_alpha = t[i] * light - DIVIDE(rest[i], 1 - alpha);
+                const real grad_raw = grad_alpha * cut_alpha_slope(raw);
+                const real grad_power = grad_raw * raw;
+                const real by_x = grad_power * dx, by_y = grad_power * dy;
+                s_colour += w * grad[i];
+                s_opacity += grad_raw * e;
+                s_x += by_x;
+                s_y += by_y;
+                s_xx += by_x * dx;
+                s_xy += by_x * dy;
+                s_yy += by_y * dy;
+                t[i] -= w;
+            }
+#define KEEP(SUM, VALUE) ((__local real *)sums[(j - base) * SUMS + (SUM)])[lane] = (VALUE)
+            KEEP(SUM_COLOUR, s_colour.x);
+            KEEP(SUM_COLOUR + 1, s_colour.y);
+            KEEP(SUM_COLOUR + 2, s_colour.z);
+            KEEP(SUM_OPACITY, s_opacity);
+            KEEP(SUM_X, s_x);
+            KEEP(SUM_Y, s_y);
+            KEEP(SUM_XX, s_xx);
+            KEEP(SUM_XY, s_xy);
+            KEEP(SUM_YY, s_yy);
+#if WITH_DEPTH
+            KEEP(SUM_DEPTH, s_z);
+#endif
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lane < min(TOGETHER, todo - base) * SUMS) {
+            real4 total = sums[lane][0];
+            for (int i = 1; i < ADJOINT_GROUP / 4; i++)
+                total += sums[lane][i];
+            pair_grads[(ulong)emission[base + lane / SUMS] * SUMS + lane % SUMS] =
+                (total.x + total.y) + (total.z + total.w);
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
 

@@ -19,7 +19,7 @@ from clsplat.constants import LANES
 from clsplat.device import binaries
 from clsplat.device.arena import Arena, Block
 from clsplat.device.array import Array
-from clsplat.device.capabilities import probe_capabilities
+from clsplat.device.capabilities import probe_capabilities, probe_wave
 from clsplat.device.graph import Graph, Input
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Kernel
 from clsplat.device.runtimes import ignore_file_limits
@@ -48,6 +48,9 @@ class Device:
     ----------
     real : the type of floating-point numbers in this precision.
     tile : pixels, the width and height of a tile.
+    wave : lanes that run in step, 32 or 64: the group form's pixels of a sub-tile.
+    bucket : pairs for which one group of the blend adjoint works, a multiple of 32.
+    adjoint_group : lanes of that group, a multiple of `wave`.
     largest_buffer : bytes.
     peak_bytes : the largest value that `memory_bytes` had whenever it was read or grew.
     build_seconds : time spent on compiling so far.
@@ -74,12 +77,14 @@ class Device:
         self.group_size = min(128, handle.max_work_group_size)
         # a group owns a 16 x 16 tile, or 8 x 8 where groups are small; the item form's rows are 16
         self.tile = 16 if self.form == "item" or handle.max_work_group_size >= 256 else 8
+        self.wave = self.adjoint_group = probe_wave(self.context, handle)
+        self.bucket = 64
         self.scan_group = min(LANES, 1 << handle.max_work_group_size.bit_length() - 1)
         # an immediate allocation fails now, and not at a launch
         self._pool = Arena(cl.tools.ImmediateAllocator(self.queue))
         self._persistent = LiveBytes()
         self.peak_bytes = 0
-        self._kernels: dict[tuple[Kernel, Defines, int, int], cl.Kernel] = {}
+        self._kernels: dict[tuple[Kernel, Defines, Defines], cl.Kernel] = {}
         self._programs: dict[tuple[str, Defines], binaries.Build] = {}
         self.build_seconds = 0.0
         self.kernel_bytes = 0
@@ -225,9 +230,9 @@ class Device:
 
     def _build(self, kernel: Kernel, defines: Defines) -> cl.Kernel:
         """The compiled kernel of this device's form and sizes, compiled once."""
-        key = kernel, defines, self.tile, self.scan_group
+        sizes = tuple((name, getattr(self, size)) for name, size in DEVICE_SIZES.items())
+        key = kernel, defines, sizes
         if key not in self._kernels:
-            sizes = tuple((name, getattr(self, size)) for name, size in DEVICE_SIZES.items())
             self._kernels[key] = self._built(kernel.file, kernel.forms.of(self), sizes + defines)
         return self._kernels[key]
 

@@ -26,7 +26,9 @@ Argument = str | tuple[Any, ...]  # see `Kernel`
 Factors = list[tuple[Any, Any]]  # of a size: quotients of two names or numbers
 SCALARS = {
     "int": np.int32, "uint": np.uint32, "ulong": np.uint64, "float": np.float32, "uchar": np.uint8}
-DEVICE_SIZES = {"TILE": "tile", "SCAN_GROUP": "scan_group"}  # name -> attribute of Device
+DEVICE_SIZES = {  # name -> attribute of Device
+    "TILE": "tile", "SCAN_GROUP": "scan_group", "WAVE": "wave", "BUCKET": "bucket",
+    "ADJOINT_GROUP": "adjoint_group"}
 RUNS_A_CORE = 4  # of the item form: work-items a core, as cores are not equally busy
 
 

@@ -10,7 +10,7 @@ adjoint, since nothing of a band is kept.
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import BUCKET, PAIR_SUMS
+from clsplat.constants import PAIR_SUMS
 from clsplat.device import Device
 from clsplat.errors import DeviceError
 from clsplat.rendering.bin import HAS_BUCKETS, PAIR_LIMIT, tile_grid
@@ -54,7 +54,8 @@ def pair_limit(device: Device, width: int, height: int, with_depth: bool) -> int
     indices."""
     grads, checkpoints = pair_reals(device, with_depth)
     real, (tiles_x, tiles_y) = device.real.itemsize, tile_grid(device, width, height)
-    spare = BUCKET * tiles_x * tiles_y if checkpoints else 0  # each tile may have a partial one
+    # each tile may have a partial bucket
+    spare = device.bucket * tiles_x * tiles_y if checkpoints else 0
     at_once = FRAME_SHARE * device.handle.global_mem_size / (
         2 * INDEX_BYTES + (grads + checkpoints) * real)
     in_a_buffer = BUFFER_SHARE * device.largest_buffer / (max(grads, checkpoints) * real)
@@ -63,5 +64,5 @@ def pair_limit(device: Device, width: int, height: int, with_depth: bool) -> int
 
 def pair_reals(device: Device, with_depth: bool) -> tuple[int, int]:
     """Reals for each pair: those of its gradients, and its share of a bucket's checkpoints."""
-    states = (4 + with_depth) * device.tile**2 // BUCKET
+    states = (4 + with_depth) * device.tile**2 // device.bucket
     return PAIR_SUMS + with_depth, HAS_BUCKETS.of(device) * states

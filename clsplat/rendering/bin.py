@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.constants import (
-    BUCKET,
     COUNT_NEEDED_PAIRS,
     COUNT_PAIRS,
     COUNT_VISIBLE,
@@ -136,7 +135,7 @@ def bin_splats(device: Device, splats: Array, counts: Array, order: Array | None
     shared |= dict(offsets=offsets, sorted_splats=sorted_splats, emission_indices=emission_indices)
     if HAS_BUCKETS.of(device):
         # every tile wastes less than one bucket
-        pairs.bucket_tiles = device.empty(room // BUCKET + tiles, np.uint32)
+        pairs.bucket_tiles = device.empty(room // device.bucket + tiles, np.uint32)
         pairs.bucket_offsets = shared["bucket_offsets"]
         shared |= dict(pair_splats=device.empty(room, np.uint32),
                        keys=device.empty((2, room), np.uint64), bucket_tiles=pairs.bucket_tiles)

@@ -26,8 +26,8 @@ BLEND = Kernel(
 ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
     Forms(item=items("T", **_BACKGROUND),
-          group=groups("B", "BUCKET", counts=("uint", FRAME_COUNTS), bucket_offsets=("uint", "T"),
-                       bucket_tiles=("uint", "B"), **_IMAGE, **_DEPTH, **_CHECKPOINTS)),
+          group=groups("B", "ADJOINT_GROUP", counts=("uint", FRAME_COUNTS),
+                       bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"), **_IMAGE, **_DEPTH, **_CHECKPOINTS)),
     **_SIZE, **_LISTS, emission_indices=("uint", "P"), **_SPLATS, **_ENDS,
     grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"),
     grad_transmittance=("real", "D", "E"), pair_grads=("real", "P", "S"))
@@ -93,7 +93,8 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                   sorted_splats=pairs.sorted_splats, splats=splats, image=result.image,
                   transmittance=result.transmittance, last_contributor=result.last_contributor,
                   depth=result.depth, bucket_offsets=pairs.bucket_offsets,
-                  checkpoints=result.checkpoints, depth_checkpoints=result.depth_checkpoints)
+                  checkpoints=result.checkpoints,
+                  depth_checkpoints=result.depth_checkpoints)
     return result
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clsplat.constants import BUCKET, PAIR_SUMS, SPLAT_REALS
+from clsplat.constants import PAIR_SUMS, SPLAT_REALS
 from clsplat.device import ArraySpec, Device
 from clsplat.device.device import SMALLEST_BYTES
 from clsplat.gaussians import LEARNED
@@ -104,7 +104,7 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
             *_uints("pair_splats", pairs, "emit", "emit"),
             FrameArray("keys", (2, pairs), np.uint64, "emit", "emit")]
     if HAS_BUCKETS.of(device):
-        buckets = pairs // BUCKET + tiles
+        buckets = pairs // device.bucket + tiles
         arrays += [
             *_uints("bucket_offsets", tiles, "count", "project adjoint"),
             *_uints("bucket_tiles", buckets, "emit", "project adjoint"),

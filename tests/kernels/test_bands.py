@@ -8,7 +8,6 @@ import pyopencl as cl
 import pyopencl.tools
 import pytest
 
-from clsplat.constants import BUCKET
 from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError
@@ -126,7 +125,7 @@ def test_the_limit_leaves_room_in_the_largest_buffer(device, monkeypatch):
     monkeypatch.setattr(device, "largest_buffer", 1 << 20)
     limit = pair_limit(device, 61, 37, True)
     tiles = np.prod(tile_grid(device, 61, 37))
-    reals = {"item": 10 * limit, "group": (limit / BUCKET + tiles) * device.tile**2 * 5}
+    reals = {"item": 10 * limit, "group": (limit / device.bucket + tiles) * device.tile**2 * 5}
     assert 0.66 < reals[device.form] * device.real.itemsize / (1 << 20) <= 2 / 3
 
 

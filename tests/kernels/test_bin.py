@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from clsplat.constants import BUCKET
 from clsplat.rendering.bin import TooManyPairs, bin_splats, count_tiles, tile_grid
 from tests import cases
 from tests.kernels.chain import pack_splats
@@ -108,13 +107,14 @@ def test_a_giant_is_in_every_tile_once(device):
 def test_buckets_cover_each_tile_in_order(group_device):
     binned = Binned(group_device, rows_of(300, 61, 37, seed=3), 61, 37)
     lengths = binned.ranges[:, 1] - binned.ranges[:, 0]
-    expected = np.repeat(np.arange(len(lengths)), -(-lengths // BUCKET))
+    size = group_device.bucket
+    expected = np.repeat(np.arange(len(lengths)), -(-lengths // size))
     buckets = binned.pairs.bucket_tiles.download()
-    assert lengths.max() > 2 * BUCKET
+    assert lengths.max() > 2 * size
     assert np.array_equal(buckets[:len(expected)], expected)
     assert (buckets[len(expected):] == len(lengths)).all()
     assert np.array_equal(binned.pairs.bucket_offsets.download(),
-                          np.cumsum(-(-lengths // BUCKET)) - -(-lengths // BUCKET))
+                          np.cumsum(-(-lengths // size)) - -(-lengths // size))
 
 
 @pytest.mark.oclgrind

@@ -16,9 +16,10 @@ BACKGROUND = np.array([0.25, 0.5, 0.875])
 class Blended:
     """Splats blended on a device: image, transmittance, depth, and the adjoint."""
 
-    def __init__(self, device, rows, size, background=BACKGROUND, with_depth=True, smooth=False):
+    def __init__(self, device, rows, size, background=BACKGROUND, with_depth=True, smooth=False,
+                 more=()):
         self.device, self.with_depth = device, with_depth
-        self.defines = blend_defines(with_depth, smooth)
+        self.defines = blend_defines(with_depth, smooth) + more
         self.background = device.upload(np.asarray(background, float))
         self.splats = device.upload(rows)
         self.pairs = bin_splats(
@@ -159,6 +160,112 @@ def test_small_tiles_give_the_same_image(group_device, monkeypatch):
     sums = small.adjoint(*cotangent)
     monkeypatch.undo()
     close(sums, large.adjoint(*cotangent), precision, "sums")
+
+
+SIZES = [(32, 32, 32), (32, 64, 32), (32, 128, 64), (64, 64, 64), (64, 96, 64)]
+
+
+@pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
+@pytest.mark.parametrize("count", [31, 33, 63, 64, 65, 127, 129, 257])
+def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, bucket, adjoint_group,
+                                           count):
+    """The last bucket and the last three splats that are summed together are full or not."""
+    with_sizes(group_device, monkeypatch, wave, bucket, adjoint_group)
+    splats, order = cases.splats(count, 16, 16, seed=count, opacity=(0.006, 0.02), sigma=(2, 30))
+    splats["means"] = cases.single(8 + 0.5 * (splats["means"] - 8))
+    check(group_device, splats, order, (16, 16), f"{count} splats")
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("tile", [8, 16])
+@pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
+def test_sizes_give_the_same_image(group_device, monkeypatch, wave, bucket, adjoint_group, tile):
+    splats, order = cases.splats(150, 37, 29, seed=11, opacity=(0.05, 0.95))
+    rows = pack_splats(splats, order)
+    expected = Blended(group_device, rows, (37, 29))
+    cotangent = np.random.default_rng(11).normal(size=(3, 29, 37)), np.ones((29, 37))
+    expected_sums = expected.adjoint(*cotangent)
+    with_sizes(group_device, monkeypatch, wave, bucket, adjoint_group, tile)
+    actual = Blended(group_device, rows, (37, 29))
+    assert np.array_equal(actual.image, expected.image)
+    assert np.array_equal(actual.depth, expected.depth)
+    close(actual.adjoint(*cotangent), expected_sums, precision_of(group_device), "sums")
+
+
+def with_sizes(device, monkeypatch, wave, bucket, adjoint_group, tile=16):
+    for name, size in {"wave": wave, "bucket": bucket, "adjoint_group": adjoint_group,
+                       "tile": tile}.items():
+        monkeypatch.setattr(device, name, size)
+
+
+@pytest.mark.parametrize("wave", [32, 64])
+@pytest.mark.parametrize("kind", ["specks", "needles", "edges", "giants"])
+def test_sub_tiles_that_are_skipped_have_nothing_to_draw(group_device, monkeypatch, kind, wave):
+    """The same bytes as without masks: for splats within a sub-tile, across many, and with an end
+    of the ellipse within a hundredth of a pixel of pixel centres at the edge of a sub-tile."""
+    monkeypatch.setattr(group_device, "wave", wave)
+    monkeypatch.setattr(group_device, "adjoint_group", wave)
+    rows = sub_tile_rows(kind)
+    cotangent = np.random.default_rng(12).normal(size=(3, 37, 61)), np.ones((37, 61))
+    masked, plain = (Blended(group_device, rows, (61, 37), more=more)
+                     for more in ((), (("SUBTILE_MASK", 0),)))
+    assert np.array_equal(masked.image, plain.image)
+    assert np.array_equal(masked.depth, plain.depth)
+    assert np.array_equal(masked.last_contributor, plain.last_contributor)
+    assert np.array_equal(masked.adjoint(*cotangent), plain.adjoint(*cotangent))
+
+
+def sub_tile_rows(kind):
+    """Rows of splats, real[400, 12]."""
+    rng = np.random.default_rng(12)
+    sigma = {"specks": (0.3, 1), "needles": (0.3, 1), "edges": (1, 2), "giants": (20, 90)}[kind]
+    splats, order = cases.splats(400, 61, 37, seed=12, opacity=(0.05, 0.6), sigma=sigma)
+    if kind == "needles":
+        angle = rng.uniform(0, np.pi, 400)
+        across = np.stack([-np.sin(angle), np.cos(angle)], 1)
+        wide = across[:, :, None] * across[:, None] / 0.6**2
+        along = (np.eye(2) - across[:, :, None] * across[:, None]) / 12**2
+        splats["conics"] = cases.single(
+            np.stack([(wide + along)[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], 1))
+    rows = pack_splats(splats, order)
+    if kind == "edges":  # the right, left, lower or upper end at a pixel centre beside an edge
+        a, b, c = rows[:, 4:7].T
+        extent = np.stack([np.sqrt(rows[:, 3] * c / (a * c - b * b)), rows[:, 7]])
+        edge = np.stack([8 * rng.integers(0, 8, 400), 4 * rng.integers(0, 9, 400)])
+        side = rng.choice([-1, 1], (2, 400))
+        rows[:, :2] = (edge + 0.5 * side - side * extent
+                       + rng.uniform(-0.01, 0.01, (2, 400))).T
+    return rows
+
+
+@pytest.mark.parametrize("opacity", [(0.005, 0.02), (0.3, 0.9999)])
+def test_the_tile_of_each_bucket_is_written(group_device, opacity):
+    """Also of those behind a tile's last pixel that ended."""
+    splats, order = cases.splats(400, 40, 16, seed=13, opacity=opacity, sigma=(6, 30))
+    actual = Blended(group_device, pack_splats(splats, order), (40, 16))
+    expected = actual.pairs.bucket_tiles.download()
+    assert len(set(expected)) > 3  # three tiles, and unused entries
+    actual.pairs.bucket_tiles.fill(len(actual.pairs.tiles))
+    blend(group_device, actual.splats, actual.pairs, 40, 16, actual.background, actual.defines)
+    assert np.array_equal(actual.pairs.bucket_tiles.download(), expected)
+
+
+def test_nothing_is_read_that_was_not_written(group_device, monkeypatch):
+    """Checkpoints of ended pixels and of buckets behind them are left out."""
+    splats, order = cases.splats(400, 20, 16, seed=3, opacity=(0.3, 0.9999), sigma=(6, 30))
+    rows = pack_splats(splats, order)
+    cotangent = np.random.default_rng(14).normal(size=(3, 16, 20)), np.ones((16, 20))
+    expected = Blended(group_device, rows, (20, 16)).adjoint(*cotangent)
+    empty = group_device.empty
+
+    def poisoned(shape, dtype=None):
+        array = empty(shape, dtype)
+        if array.dtype.kind == "f":
+            array.write(np.full(array.shape, np.nan))
+        return array
+
+    monkeypatch.setattr(group_device, "empty", poisoned)
+    assert np.array_equal(Blended(group_device, rows, (20, 16)).adjoint(*cotangent), expected)
 
 
 def test_the_same_bytes_every_time(device):

@@ -67,7 +67,7 @@ def test_a_kernel_that_does_not_build_names_its_file(float_device):
 @pytest.mark.parametrize("launch, expected", [
     (items("count"), (7, 1)), (items("count/3 2"), (6, 1)), (items("N/TILE"), (1, 1)),
     (items("count", "5"), (10, 5)), (groups("count", "SCAN_GROUP"), (7 * 64, 64)),
-    (groups("N 2", "TILE TILE"), (2 * 12 * 256, 256)), (groups("BUCKET", "2"), (64, 2)),
+    (groups("N 2", "TILE TILE"), (2 * 12 * 256, 256)), (groups("PER_ITEM", "2"), (16, 2)),
     (items("0"), (0, 1)), (each("count N"), {"item": (8, 1), "group": (96, 32)})])
 def test_launches_have_the_declared_size(float_device, monkeypatch, launch, expected):
     device = float_device
