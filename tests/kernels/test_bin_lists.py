@@ -78,6 +78,14 @@ def test_the_devices_own_groups_sort_long_lists(device):
         assert np.diff(binned.ranges).max() == count
 
 
+def test_more_tiles_and_more_splats_than_a_group_places_at_once(device, small_groups):
+    """Their numbers are added up in several rounds; the last one is not complete."""
+    rows, order = shuffled(rows_of(GROUP * RUN + 35, 330, 325, sigma=(0.3, 2)))
+    binned = Binned(device, rows, 330, 325, order)
+    is_in_order(binned, order)
+    assert len(binned.ranges) == 21 * 21 > RUN and binned.count > len(rows)
+
+
 @pytest.mark.oclgrind
 def test_equal_depths_keep_the_order_of_rows(device, small_groups):
     for depths in ([2.0], [1.0, 1.5, 3.0]):
