@@ -48,9 +48,9 @@ class CityRun:
         self.image = self.frame.image.download().astype(np.float64)
 
     def culled(self):
-        """Which gaussians are visible, and their depth keys."""
-        return [values.download() for values in pipeline.cull(
-            self.device, self.rows, self.camera, (("SH_REST", 15), ("ANTIALIASED", 0)))]
+        """Which gaussians are visible, uint[N]."""
+        return pipeline.cull(self.device, self.rows, self.camera,
+                             (("SH_REST", 15), ("ANTIALIASED", 0)))[0].download()
 
     def gradients(self, cotangent):
         """By field name, as arrays like the rows, zero where a gaussian was not visible."""
