@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from clsplat.constants import SPLAT_DEPTH, SPLAT_OPACITY, SPLAT_REALS
 from clsplat.device import Array, Device, Handle, Kernel
 
-RENDERING = ("cull.cl", "project.cl", "bin.cl", "blend.cl")  # files that use the constants of a variant
+# files that use the constants of a variant
+RENDERING = ("cull.cl", "project.cl", "bin.cl", "blend.cl")
 NO_STEP = 2**24  # alphas below 1 / NO_STEP do not change a float32 transmittance of 1
 
 
