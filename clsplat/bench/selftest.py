@@ -388,5 +388,6 @@ def forms_agree(item: Device, group: Device) -> Measured:
 
 CHECKS = (("stable sort", sort), ("gather and scatter", rows_by_index),
           ("compaction", compaction), ("sums", sums), ("Adam", adam), ("statistics", statistics),
-          ("culling", culling), ("tile lists", tile_lists), ("image loss", loss), ("image loss adjoint", loss_adjoint), ("render", render),
+          ("culling", culling), ("tile lists", tile_lists), ("image loss", loss),
+          ("image loss adjoint", loss_adjoint), ("render", render),
           ("render adjoint", render_adjoint), ("same bytes twice", same_bytes))
