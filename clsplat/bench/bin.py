@@ -1,12 +1,15 @@
-"""From splats to the pairs of every tile, with its scan and sort."""
+"""From splats to the pairs of every tile, in depth order."""
 
 from functools import partial
 
-from clsplat.rendering.bin import bin_splats
+import numpy as np
+
+from clsplat.rendering.bin import NEEDS_ORDER, bin_splats
 
 from .measure import Bench
-from .sort import sort_work, tile_bits
 from .workloads import CityFrame
+
+KEY_BYTES = 8  # of the group form's sort
 
 
 def main(argv: list[str]) -> None:
@@ -15,13 +18,20 @@ def main(argv: list[str]) -> None:
     device = bench.device
     for count in bench.options.gaussians:
         city = CityFrame(device, count)
-        splats, pairs = city.frame.splats, city.frame.pairs
-        times = bench.milliseconds(
-            partial(bin_splats, device, splats, pairs.order, *city.frame.size))
-        traffic, operations = sort_work(device, pairs.count, tile_bits(pairs))
-        # twice an index and 7 reals of a splat and a count, the scan's three; of a pair, its tile
-        # and splat written, and three read and one written for the ranges
-        traffic += len(splats) * (2 * (8 + 7 * device.real.itemsize) + 12) + pairs.count * 24
+        frame, pairs = city.frame, city.frame.pairs
+        splats, number = frame.splats, pairs.count
+        times = bench.milliseconds(partial(bin_splats, device, splats, frame.counts, frame.order,
+                                           *frame.size, room=number))
+        # twice 7 reals of a splat and its count, and its offset; of a pair the splat and the
+        # emission index are written
+        traffic = len(splats) * (2 * (4 + 7 * device.real.itemsize) + 4) + number * 8
         # the ellipse, and columns of about as many rows of tiles as pairs, both twice
-        operations += 2 * (20 * len(splats) + 30 * pairs.count)
+        operations = 2 * (20 * len(splats) + 30 * number)
+        if NEEDS_ORDER.of(device):
+            traffic += 2 * len(splats) * 4
+        else:  # a key is written and read at both ends of the sort, a splat written and read once
+            lengths = np.diff(pairs.ranges.download().astype(np.int64)).ravel()
+            stages = np.ceil(np.log2(np.maximum(lengths, 1)))
+            traffic += number * (4 * KEY_BYTES + 8)
+            operations += int((lengths * stages * (stages + 1)).sum())  # two each comparison
         bench.report("bin", "splats to pairs", times, city.size, traffic, operations)

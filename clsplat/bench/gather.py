@@ -1,13 +1,11 @@
-"""Gather and scatter of the rows of a frame's visible gaussians, in its order; and compaction."""
+"""Gather and scatter of the rows of a frame's visible gaussians, in its order."""
 
 from collections.abc import Callable
 from functools import partial
 
-from clsplat.primitives.gather import compact, gather, scatter
-from clsplat.rendering.project import cull
+from clsplat.primitives.gather import gather, scatter
 
 from .measure import Bench
-from .project import DEFINES
 from .workloads import CityFrame
 
 
@@ -28,8 +26,3 @@ def main(argv: list[str]) -> None:
             for case, function in cases.items():
                 bench.report("gather", f"{case} {name}", bench.milliseconds(function), size,
                              2 * gathered.nbytes + visible.nbytes, operations=0)
-        flags, keys = cull(device, city.rows, city.camera, DEFINES)
-        times = bench.milliseconds(partial(compact, device, flags, keys))
-        # the scan's three and a flag, an offset and a key a row; a key and a row number kept
-        bench.report("gather", "compact, with its scan", times, size,
-                     6 * flags.nbytes + 8 * len(visible), 2 * count)

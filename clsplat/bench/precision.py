@@ -17,16 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.constants import NO_ROW
+from clsplat.constants import NO_ROW, SPLAT_DEPTH
 from clsplat.device import choose_device
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.rendering import pipeline
 from clsplat.rendering.pipeline import Gradients, Renderer
-from clsplat.rendering.project import cull
 
 from .measure import arguments
 from .numerics import gradient_error, html, markdown
-from .project import DEFINES as CULL_DEFINES
 from .timing import in_turn, spread
 from .variants import (
     DEFAULT,
@@ -112,9 +110,12 @@ class Frame:
             np.random.default_rng(0).normal(0, 1 / np.prod(shape), shape).astype(np.float32))
 
     def depth_keys(self) -> NDArray[np.uint32]:
-        """The keys uint32[N] by which `cull` orders the gaussians, 0 for those not visible."""
-        flags, keys = cull(self.device, self.rows, self.camera, CULL_DEFINES)
-        return np.where(flags.download(), keys.download(), 0)
+        """The keys uint32[N] by which the gaussians are ordered, 0 for those not visible."""
+        frame, _ = self.run()
+        keys = np.zeros(self.count, np.uint32)
+        depths = frame.splats.download()[:, SPLAT_DEPTH].astype(np.float32)
+        keys[frame.visible.download()] = depths.view(np.uint32)
+        return keys
 
     def run(self) -> tuple[pipeline.Frame, Gradients]:
         """Render the view and take the gradients."""

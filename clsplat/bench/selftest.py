@@ -273,7 +273,8 @@ def _footprint(rows: Rows, i: int) -> NDArray[np.float64]:
 
 def culling(device: Device) -> Measured:
     """The gaussians whose footprint meets the image, but for those next to its border."""
-    rows = _gaussians(1500, 0.1)
+    rows = _gaussians(1500, 0.03)
+    rows["positions"] = (1.25 * rows["positions"]).astype(np.float32).astype(np.float64)
     flags, totals = cull(device, {name: device.upload(values) for name, values in rows.items()},
                          pack_camera(device, CAMERA, NEAR), (("SH_REST", 3), ("ANTIALIASED", 0)))
     kept = compact(device, flags, new_counts(device), totals=totals).download()
@@ -284,7 +285,8 @@ def culling(device: Device) -> Measured:
     inside = np.hstack([means + extents, (CAMERA.width, CAMERA.height) - means + extents]).min(1)
     seen = np.isin(np.arange(len(means)), kept)
     sure = np.abs(inside) > 0.01
-    return _wrong((flags.download()[sure], inside[sure] > 0), (seen, flags.download()))
+    return _wrong((flags.download()[sure], inside[sure] > 0), (seen, flags.download()),
+                  (totals.download().sum(), np.sum(seen)))
 
 
 def tile_lists(device: Device) -> Measured:
@@ -386,5 +388,6 @@ def forms_agree(item: Device, group: Device) -> Measured:
 
 CHECKS = (("stable sort", sort), ("gather and scatter", rows_by_index),
           ("compaction", compaction), ("sums", sums), ("Adam", adam), ("statistics", statistics),
-          ("culling", culling), ("tile lists", tile_lists), ("image loss", loss), ("image loss adjoint", loss_adjoint), ("render", render),
+          ("culling", culling), ("tile lists", tile_lists), ("image loss", loss),
+          ("image loss adjoint", loss_adjoint), ("render", render),
           ("render adjoint", render_adjoint), ("same bytes twice", same_bytes))

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import SPLAT_OPACITY, SPLAT_REALS
+from clsplat.constants import SPLAT_DEPTH, SPLAT_OPACITY, SPLAT_REALS
 from clsplat.device import Array, Device, Handle, Kernel
 
-RENDERING = ("project.cl", "bin.cl", "blend.cl")  # files that use the constants of a variant
+# files that use the constants of a variant
+RENDERING = ("cull.cl", "project.cl", "bin.cl", "blend.cl")
 NO_STEP = 2**24  # alphas below 1 / NO_STEP do not change a float32 transmittance of 1
 
 
@@ -106,8 +107,8 @@ class VariantDevice(Device):
 
     Parameters
     ----------
-    depth_keys : uint32[N] of another device's cull, 0 where not visible; splats are blended in
-        this order.
+    depth_keys : uint32[N] of another device's gaussians, 0 where not visible; splats are blended
+        in this order.
     """
 
     def __init__(self, handle: Handle, variant: Variant, form: str = "auto",
@@ -124,12 +125,20 @@ class VariantDevice(Device):
         if kernel.file in RENDERING:
             defines += self.variant.defines
         super().launch(kernel, defines, **values)
-        if kernel.function == "cull" and self.depth_keys is not None:
-            own = values["depth_keys"].download()
-            values["depth_keys"].write(np.where(self.depth_keys, self.depth_keys, own))
+        if kernel.function == "project" and self.depth_keys is not None:
+            _reorder(self.depth_keys, values["rows"], values["depth_keys"], values["splats"])
         if half in ("splats", "shapes") and kernel.function == "project":
             columns = np.arange(0 if half == "splats" else SPLAT_OPACITY, SPLAT_REALS)
             _round_to_half(values["splats"], columns)
+
+
+def _reorder(given: NDArray[np.uint32], rows: Array, depth_keys: Array, splats: Array) -> None:
+    """Give splats the keys of another device, and depths for the form that sorts by these."""
+    given, values = given[rows.download()], splats.download()
+    keys = np.where(given, given, depth_keys.download())
+    depth_keys.write(keys)
+    values[:, SPLAT_DEPTH] = keys.view(np.float32)
+    splats.write(values)
 
 
 def _round_to_half(array: Array, columns: slice | NDArray[np.int64], scale: int = 1) -> None:

@@ -4,11 +4,13 @@ import numpy as np
 
 from clsplat.constants import COUNT_VISIBLE, FRAME_COUNTS, PER_ITEM
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
+from clsplat.device.kernel import Argument
 
 SMALLEST_CHUNK = 4096  # rows, of the item form: a second thread costs more than it saves
 
 _CHUNKS = Forms(item=items("count/chunk"), group=groups("count/chunk", "SCAN_GROUP"))
-_ROWS = dict(count="uint", chunk="uint", flags=("uint", "N"), totals=("uint", "T"))
+_ROWS: dict[str, Argument] = dict(count="uint", chunk="uint", flags=("uint", "N"),
+                                  totals=("uint", "T"))
 COUNT_FLAGS = Kernel("compact.cl", "count_flags", _CHUNKS, **_ROWS)
 COMPACT = Kernel("compact.cl", "compact", _CHUNKS, count="uint", chunk="uint", room="uint",
                  flags=("uint", "N"), totals=("uint", "T"), kept=("uint", "R"),

@@ -66,7 +66,7 @@ class Pairs:
     tiles_x : columns of tiles of the image.
     tiles : range of the T tiles, numbered row by row.
     counts : uint[FRAME_COUNTS], of the frame (clsplat/constants.py).
-    splat_counts, offsets : uint[V], how many pairs a splat has, and the emission index of its first.
+    splat_counts, offsets : uint[V], how many pairs a splat has, the emission index of its first.
     ranges : uint[T, 2], where the pairs of each tile begin and end in the two arrays that follow.
     sorted_splats : uint[P], the splat of each pair, sorted by tile and then by depth.
     emission_indices : uint[P], the index that each of these pairs has among those of its splat.
@@ -176,7 +176,7 @@ def _launch(device: Device, kernel: Kernel, **values: Any) -> None:
 
 
 def _number_of_pairs(counts: Array, visible: int, limit: int, width: int, height: int) -> int:
-    """The number of pairs; waits. TooManyPairs above the limit, after which `counts` is as before."""
+    """The number of pairs; waits. TooManyPairs above the limit, and `counts` is as before."""
     read = counts.download()
     needed = int(max(read[COUNT_PAIRS], read[COUNT_NEEDED_PAIRS]))
     if needed > limit:

@@ -9,39 +9,67 @@ from clsplat.bench import selftest
 from clsplat.densify.statistics import Statistics
 from clsplat.loss.image_loss import image_loss
 from clsplat.optimise.adam import DeviceAdam
-from clsplat.primitives.gather import compact, gather
+from clsplat.primitives.compact import compact
+from clsplat.primitives.gather import gather
 from clsplat.primitives.reduce import sum_columns
-from clsplat.primitives.scan import exclusive_scan
 from clsplat.primitives.sort import stable_sort
+from clsplat.rendering.bin import bin_splats
+from clsplat.rendering.cull import cull
 from clsplat.rendering.pipeline import Renderer
 
 BACKGROUND_NOISE = itertools.count()
 
 
-def unsorted(device, keys):
-    return keys, stable_sort(device, keys)[1]
+def unsorted(device, keys, counts):
+    return keys, stable_sort(device, keys, counts)[1]
 
 
-def unstable(device, keys):
-    sorted_keys, order = stable_sort(device, keys)
+def unstable(device, keys, counts):
+    sorted_keys, order = stable_sort(device, keys, counts)
     equal = np.flatnonzero(np.diff(sorted_keys.download()) == 0)[0]
     swapped = order.download()
     swapped[[equal, equal + 1]] = swapped[[equal + 1, equal]]
     return sorted_keys, device.upload(swapped)
 
 
-def without_last(device, values):
-    offsets, totals = exclusive_scan(device, values)
-    return offsets, totals.narrow(len(totals) - 1)
-
-
 def first_row_everywhere(device, rows, indices):
     return gather(device, rows, device.zeros(len(indices), np.uint32))
 
 
-def one_too_few(device, flags, keys):
-    kept_keys, kept = compact(device, flags, keys)
-    return kept_keys.narrow(len(kept) - 1), kept.narrow(len(kept) - 1)
+def one_too_few(device, flags, counts, **options):
+    kept = compact(device, flags, counts, **options)
+    return kept if options else kept.narrow(len(kept) - 1)
+
+
+def backwards(device, flags, counts, **options):
+    kept = compact(device, flags, counts, **options)
+    return kept if options else device.upload(kept.download()[::-1])
+
+
+def sees_all(device, rows, *arguments):
+    flags, totals = cull(device, rows, *arguments)
+    flags.fill(1)
+    return flags, totals
+
+
+def without_totals(device, rows, *arguments):
+    flags, totals = cull(device, rows, *arguments)
+    totals.write(np.maximum(totals.download(), 1) - 1)
+    return flags, totals
+
+
+def unstable_lists(*arguments):
+    pairs = bin_splats(*arguments)
+    listed = pairs.sorted_splats.download()
+    listed[[4000, 4001]] = listed[[4001, 4000]]
+    pairs.sorted_splats.write(listed)
+    return pairs
+
+
+def other_emission(*arguments):
+    pairs = bin_splats(*arguments)
+    pairs.emission_indices.write(np.roll(pairs.emission_indices.download(), 1))
+    return pairs
 
 
 def not_finite(device, rows):
@@ -104,9 +132,13 @@ def test_a_working_device_passes(float_device, name, test):
 @pytest.mark.parametrize("part, broken, line", [
     ("stable_sort", unsorted, "stable sort"),
     ("stable_sort", unstable, "stable sort"),
-    ("exclusive_scan", without_last, "scan"),
     ("gather", first_row_everywhere, "gather and scatter"),
     ("compact", one_too_few, "compaction"),
+    ("compact", backwards, "compaction"),
+    ("cull", sees_all, "culling"),
+    ("cull", without_totals, "culling"),
+    ("bin_splats", unstable_lists, "tile lists"),
+    ("bin_splats", other_emission, "tile lists"),
     ("sum_columns", not_finite, "sums"),
     ("sum_columns", loses_some, "sums"),
     ("DeviceAdam", WithoutCorrection, "Adam"),
@@ -123,11 +155,11 @@ def test_a_broken_part_fails_its_line_only(float_device, monkeypatch, part, brok
 
 
 def test_what_a_driver_raises_is_one_line(float_device, monkeypatch):
-    def scan(device, values):
+    def broken(device, keys, counts):
         raise RuntimeError("clEnqueueNDRangeKernel failed:\n OUT_OF_RESOURCES")
-    monkeypatch.setattr(selftest, "exclusive_scan", scan)
+    monkeypatch.setattr(selftest, "stable_sort", broken)
     name, passed, detail = selftest.check_form(float_device)[0]
-    assert name.startswith("scan") and not passed
+    assert name.startswith("stable sort") and not passed
     assert detail == "RuntimeError: clEnqueueNDRangeKernel failed: OUT_OF_RESOURCES"
 
 
@@ -136,7 +168,7 @@ def test_check_covers_both_forms(float_device, monkeypatch):
     monkeypatch.setattr(selftest, "CHECKS", selftest.CHECKS[:1])
     results = selftest.check(float_device)
     assert [name for name, _, _ in results] == [
-        "scan, item form", "scan, group form", "render, both forms"]
+        "stable sort, item form", "stable sort, group form", "render, both forms"]
     assert all(passed for _, passed, _ in results), results
 
     def differs(device, *arguments, background, **options):

@@ -58,11 +58,12 @@ def test_whatever_changes_the_program_compiles_again(float_device, folder, monke
     assert len(list(folder.iterdir())) == 3
 
 
-@pytest.mark.parametrize("name", ["scan.cl", "item/scan.cl", "group/scan.cl", "include/group.h"])
+@pytest.mark.parametrize("name", ["compact.cl", "item/compact.cl", "group/compact.cl",
+                                  "include/group.h"])
 def test_the_name_of_a_binary_covers_what_its_source_includes(
         float_device, folder, tmp_path, monkeypatch, name):
     def named():
-        texts = [source.kernel_source.__wrapped__(file) for file in ("scan.cl", "gather.cl")]
+        texts = [source.kernel_source.__wrapped__(file) for file in ("compact.cl", "gather.cl")]
         return [binaries._file_of(float_device.handle, text, []) for text in texts]
 
     copy = tmp_path / "cl"

@@ -5,6 +5,7 @@ import functools
 import numpy as np
 
 from clsplat.camera import Camera
+from clsplat.constants import COUNT_VISIBLE
 from clsplat.rendering.pipeline import Renderer
 from tests import cases
 from tests.checks import close
@@ -57,11 +58,12 @@ def depth_order(splats):
 
 def gradients_by_row(gradients, case):
     """Downloaded gradients as arrays like the rows, zero where a view did not see the gaussian."""
-    visible = gradients.rows.download()
+    number = gradients.counts.download()[COUNT_VISIBLE]  # of more, where the frame has a room
+    visible = gradients.rows.download()[:number]
     result = {}
     for name, values in case["rows"].items():
         result[name] = np.zeros(values.shape)
-        seen = gradients.fields[name].download()
+        seen = gradients.fields[name].download()[:number]
         if name == "sh_rest":  # bands that are not active are not written
             seen[:, case["degree"] * (case["degree"] + 2):] = 0
         result[name][visible] = seen

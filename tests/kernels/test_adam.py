@@ -6,6 +6,7 @@ import pytest
 from clsplat.constants import NO_ROW
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import DeviceAdam, NumpyAdam, freeze_rows
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -58,7 +59,8 @@ class Run:
         for name in fields:
             fields[name][::5] = np.nan
         gradients = Gradients({name: self.device.upload(v) for name, v in fields.items()},
-                              self.device.zeros((seen, 2)), self.device.upload(rows), visible)
+                              self.device.zeros((seen, 2)), self.device.upload(rows), visible,
+                              new_counts(self.device, seen))
         if frozen is not None:
             frozen = self.device.upload(frozen.astype(np.uint32))
             freeze_rows(self.device, gradients, frozen)
@@ -178,7 +180,16 @@ def test_rows_that_are_frozen(device, seen):
     visible = rng.permutation(400)[:seen].astype(np.uint32)
     rows = np.where(rng.random(seen) < 0.2, NO_ROW, visible).astype(np.uint32)
     frozen = (rng.random(400) < 0.5) * rng.integers(1, 2**31, 400)
-    gradients = Gradients({}, None, device.upload(rows), device.upload(visible))
+    gradients = Gradients({}, None, device.upload(rows), device.upload(visible),
+                          new_counts(device, seen))
     freeze_rows(device, gradients, device.upload(frozen, np.uint32))
     expected = np.where(frozen[visible] > 0, NO_ROW, rows)
     assert np.array_equal(gradients.rows.download(), expected)
+
+
+def test_slots_past_the_visible_gaussians_are_not_frozen(device):
+    rows = np.arange(40, dtype=np.uint32)
+    gradients = Gradients({}, None, device.upload(rows), device.upload(rows),
+                          new_counts(device, 25))
+    freeze_rows(device, gradients, device.upload(np.ones(40, np.uint32)))
+    assert gradients.rows.download().tolist() == [NO_ROW] * 25 + list(range(25, 40))

@@ -8,6 +8,7 @@ import pyopencl as cl
 import pyopencl.tools
 import pytest
 
+from clsplat.constants import FRAME_COUNTS
 from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError
@@ -65,7 +66,7 @@ def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name
 def test_gaussians_have_gradients_from_every_band(device):
     """The test above would compare little if each gaussian lay in one band."""
     frame, _ = results(device, cases.gaussians(SPREAD))
-    counts = frame.pairs.counts.download()
+    counts = frame.pairs.splat_counts.download()
     assert np.median(counts) > 0.7 * len(frame.pairs.tiles)
 
 
@@ -73,7 +74,7 @@ def test_gaussians_have_gradients_from_every_band(device):
 def test_a_frame_above_the_limit_is_rendered_in_bands_below_it(device, share):
     case = cases.gaussians("many", count=300)
     whole, expected = results(device, case)
-    counts = count_tiles(device, whole.splats, *whole.size)
+    counts = count_tiles(device, whole.splats, whole.counts, *whole.size)
     limit = int(share * whole.pairs.count)
     frame, actual = results(device, case, pair_limit=limit)
     sizes = [counts[band.start:band.stop].sum() for band in frame.bands]
@@ -90,7 +91,7 @@ def test_bands_without_splats_show_the_background(device):
     case["rows"]["opacity_logits"][:] = 0
     whole, expected = results(device, case)
     tiles_x, _ = tile_grid(device, *whole.size)
-    counts = count_tiles(device, whole.splats, *whole.size)
+    counts = count_tiles(device, whole.splats, whole.counts, *whole.size)
     assert not counts[:2 * tiles_x].any() and counts.any()
     frame, actual = results(device, case, pair_limit=int(counts.max()))
     assert len(frame.bands) > 2
@@ -130,16 +131,18 @@ def test_the_limit_leaves_room_in_the_largest_buffer(device, monkeypatch):
 
 
 def test_an_ordinary_frame_launches_and_waits_as_if_there_were_no_bands(device, monkeypatch):
-    launched, waits, launch, last = [], [], device.launch, Array.last
+    launched, waits, launch, download = [], [], device.launch, Array.download
     monkeypatch.setattr(device, "launch", lambda kernel, *arguments, **values: (
         launched.append(kernel.function), launch(kernel, *arguments, **values)))
-    monkeypatch.setattr(Array, "last", lambda array: (waits.append(1), last(array))[1])
-    monkeypatch.setattr(Array, "download", None)
+    monkeypatch.setattr(Array, "download", lambda array: (
+        waits.append(array.shape), download(array))[1])
+    monkeypatch.setattr(Array, "last", None)
     case = cases.gaussians("degree_1")
     rendered_and_back(device, case)
     number = Counter(launched)
-    assert number["count_tiles"] == 0 and len(waits) == 2  # visible gaussians, pairs
-    for function in ("count_pairs", "emit_pairs", "find_ranges", "blend", "blend_adjoint",
+    assert number["count_tiles"] == 0
+    assert waits == 2 * [(FRAME_COUNTS,)]  # visible gaussians, pairs
+    for function in ("count_pairs", "place_pairs", "emit_pairs", "blend", "blend_adjoint",
                      "sum_pairs"):
         assert number[function] == 1, function
 

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from clsplat.constants import NO_ROW
+from clsplat.constants import COUNT_FAILED, COUNT_NEEDED_VISIBLE, COUNT_VISIBLE, NO_ROW
+from clsplat.device.array import Array
 from clsplat.optimise.batch import batch_mean
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -31,8 +33,9 @@ def a_view(device, count, seen, seed):
     rows[broken] = NO_ROW
     for values in fields.values():
         values[broken] = np.nan
-    return Gradients({name: device.upload(values) for name, values in fields.items()}, None,
-                     device.upload(rows), visible), spread, was_seen, stays
+    gradients = Gradients({name: device.upload(values) for name, values in fields.items()}, None,
+                          device.upload(rows), visible, new_counts(device, seen))
+    return gradients, spread, was_seen, stays
 
 
 @pytest.mark.oclgrind
@@ -58,13 +61,56 @@ def test_a_row_stays_whatever_the_other_views_say(device):
     def one(rows, value):
         return Gradients({"opacity_logits": device.upload(np.full(3, value))}, None,
                          device.upload(np.array(rows, np.uint32)),
-                         device.upload(np.arange(3, dtype=np.uint32)))
+                         device.upload(np.arange(3, dtype=np.uint32)), new_counts(device, 3))
 
     views = one((0, 1, 2), 1.0), one((0, NO_ROW, 2), np.nan), one((0, 1, 2), 4.0)
     views[1].fields["opacity_logits"].write(np.array([1.0, np.nan, -5.0]))
     result = batch_mean(device, 3, 3, views, USED)
     assert result.rows.download().tolist() == [0, NO_ROW, 2]
     assert np.allclose(result.fields["opacity_logits"].download()[[0, 2]], [2, 0])
+
+
+def padded(device, gradients, count, spare):
+    """The same gradients with `spare` slots past the end, which say something about real rows."""
+    def longer(array, filling):
+        values = array.download()
+        return device.upload(np.concatenate([values, np.resize(filling, (spare, *values.shape[1:]))]
+                                            ).astype(values.dtype))
+    rows = np.arange(count)
+    return Gradients({name: longer(values, 5.0) for name, values in gradients.fields.items()}, None,
+                     longer(gradients.rows, rows), longer(gradients.visible, rows),
+                     gradients.counts)
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("more", [0, 1, 50])
+def test_a_room_changes_nothing(device, monkeypatch, more):
+    """Neither in the views nor in the result; and nothing waits."""
+    count = 3 * device.group_size + 7
+    made = [a_view(device, count, count // 3, seed)[0] for seed in range(3)]
+    exact = batch_mean(device, count, 3, made, USED)
+    number = len(exact.visible)
+    views, counts = [padded(device, gradients, count, 20) for gradients in made], new_counts(device)
+    with monkeypatch.context() as patch:
+        patch.setattr(Array, "download", None)
+        patch.setattr(Array, "last", None)
+        result = batch_mean(device, count, 3, views, USED, counts, number + more)
+    assert result.counts is counts and counts.download()[COUNT_VISIBLE] == number
+    assert len(result.rows) == len(result.visible) == number + more
+    assert np.array_equal(result.rows.download()[:number], exact.rows.download())
+    assert np.array_equal(result.visible.download()[:number], exact.visible.download())
+    moves = exact.rows.download() != NO_ROW
+    for name, values in result.fields.items():
+        assert np.array_equal(values.download()[:number][moves],
+                              exact.fields[name].download()[moves])
+
+
+def test_a_room_that_is_too_small_fails(device):
+    gradients, counts = a_view(device, 90, 40, 1)[0], new_counts(device)
+    batch_mean(device, 90, 1, [gradients], USED, counts, 39)
+    found = counts.download()
+    assert found[COUNT_FAILED] == 1 and found[COUNT_NEEDED_VISIBLE] == 40
+    assert found[COUNT_VISIBLE] == 0
 
 
 def test_fields_that_nothing_uses_are_left_out(device):

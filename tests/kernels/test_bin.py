@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from clsplat.constants import COUNT_BUCKETS, COUNT_PAIRS, COUNT_VISIBLE
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.bin import TooManyPairs, bin_splats, count_tiles, tile_grid
 from tests import cases
 from tests.kernels.chain import pack_splats
@@ -15,22 +17,28 @@ def rows_of(count, width, height, seed=0, sigma=(0.3, 40)):
 
 
 class Binned:
-    def __init__(self, device, rows, width, height):
-        pairs = bin_splats(device, device.upload(rows), front_to_back(device, rows), width, height)
-        self.pairs, self.counts = pairs, pairs.counts.download()
-        self.offsets = pairs.offsets.download()
-        self.emission_indices = pairs.emission_indices.download()
+    """Splats binned on a device, and what came of it on the host. Without an order, the rows are in
+    depth order. The visible splats may be fewer than there are rows."""
+
+    def __init__(self, device, rows, width, height, order=None, visible=None, **options):
+        order = np.arange(len(rows)) if order is None else order
+        self.frame_counts = new_counts(device, len(rows) if visible is None else visible)
+        pairs = bin_splats(device, device.upload(rows), self.frame_counts,
+                           device.upload(order.astype(np.uint32)), width, height, **options)
+        count = int(self.frame_counts.download()[COUNT_PAIRS])
+        self.pairs, self.count = pairs, count
+        self.counts, self.offsets = pairs.splat_counts.download(), pairs.offsets.download()
+        self.emission_indices = pairs.emission_indices.download()[:count]
         self.ranges = pairs.ranges.download().astype(int)
-        self.splats = pairs.sorted_splats.download()
+        self.splats = pairs.sorted_splats.download()[:count]
         self.tiles = {v: set() for v in range(len(rows))}
         for tile, (begin, end) in enumerate(self.ranges):
             for v in self.splats[begin:end]:
                 self.tiles[v].add((tile % pairs.tiles_x, tile // pairs.tiles_x))
 
-
-def front_to_back(device, rows):
-    """The order of rows that already are in depth order."""
-    return device.upload(np.arange(len(rows), dtype=np.uint32))
+    @property
+    def lists(self):
+        return self.splats, self.ranges, self.counts
 
 
 def true_tiles(device, row, tiles_x, tiles_y):
@@ -39,22 +47,38 @@ def true_tiles(device, row, tiles_x, tiles_y):
     return tiles_of(row[:2], row[4:7], extent, row[3], tiles_x, tiles_y, device.tile)
 
 
-def check(device, rows, width, height, what):
-    binned = Binned(device, rows, width, height)
-    pairs = binned.pairs
+def check(device, rows, width, height, what, depth_order=None):
+    """The Binned, whose pairs are those of the reference, in order."""
+    binned = Binned(device, rows, width, height, depth_order)
     truth = [true_tiles(device, row, *tile_grid(device, width, height)) for row in rows]
     for v, tiles in enumerate(truth):
         assert tiles <= binned.tiles[v], f"{what}: splat {v} lacks tiles {tiles - binned.tiles[v]}"
         assert len(binned.tiles[v]) == binned.counts[v], f"{what}: a pair twice, or not emitted"
     needed = sum(map(len, truth))
-    assert pairs.count <= 1.03 * needed + 5, f"{what}: {pairs.count} pairs, {needed} are needed"
-    assert binned.counts.sum() == pairs.count == np.diff(binned.ranges).sum()
-    assert np.array_equal(np.sort(binned.emission_indices), np.arange(pairs.count))
-    own = binned.emission_indices - binned.offsets[binned.splats]
-    assert (own < binned.counts[binned.splats]).all(), f"{what}: an index of another splat"
-    for begin, end in binned.ranges:
-        assert (np.diff(binned.splats[begin:end].astype(int)) > 0).all(), f"{what}: depth order"
+    assert binned.count == len(binned.pairs.sorted_splats), what
+    assert binned.count <= 1.03 * needed + 5, f"{what}: {binned.count} pairs, {needed} are needed"
+    is_in_order(binned, depth_order, what)
     return binned
+
+
+def is_in_order(binned, depth_order=None, what=""):
+    """Every tile's pairs are front to back, and a splat's are emitted in the order of its tiles."""
+    place = np.arange(len(binned.counts))
+    if depth_order is not None:
+        place[depth_order] = np.arange(len(place))
+    assert binned.counts.sum() == binned.count == np.diff(binned.ranges).sum(), what
+    ends = binned.ranges[:, 1]
+    assert np.array_equal(binned.ranges[:, 0], np.append(0, ends[:-1])) and ends[-1] == binned.count
+    assert np.array_equal(np.sort(binned.emission_indices), np.arange(binned.count)), what
+    for begin, end in binned.ranges:
+        assert (np.diff(place[binned.splats[begin:end]]) > 0).all(), f"{what}: depth order"
+    # sorted by splat, then by tile: a splat's indices are consecutive
+    by_splat = np.argsort(binned.splats, kind="stable")
+    seen = np.flatnonzero(binned.counts)
+    expected = [np.arange(count) + first for count, first in zip(
+        binned.counts[seen], binned.offsets[seen])]
+    assert np.array_equal(binned.emission_indices[by_splat],
+                          np.concatenate([np.empty(0), *expected])), f"{what}: emission"
 
 
 @pytest.mark.oclgrind
@@ -72,10 +96,11 @@ def test_small_tiles(device, monkeypatch):
     check(device, rows_of(130, 61, 37, seed=2), 61, 37, "tiles of 8")
 
 
-def test_counts_around_the_group_size(device):
-    group = device.group_size
-    for count in (0, 1, group - 1, group, group + 1):
-        check(device, rows_of(count, 61, 37, seed=count, sigma=(0.3, 3)), 61, 37, f"{count} splats")
+def test_counts_around_the_group_sizes(device):
+    for group in (device.group_size, device.scan_group):
+        for count in (0, 1, group - 1, group, group + 1):
+            rows = rows_of(count, 61, 37, seed=count, sigma=(0.3, 3))
+            check(device, rows, 61, 37, f"{count} splats")
 
 
 def test_needles_touch_only_the_tiles_along_them(device):
@@ -94,7 +119,7 @@ def test_needles_touch_only_the_tiles_along_them(device):
 def test_splats_beside_the_image_have_no_pairs(device):
     rows = rows_of(4, 48, 40, sigma=(1, 2))
     rows[:, :2] = [[-30, 20], [80, 20], [24, -30], [24, 75]]
-    assert Binned(device, rows, 48, 40).pairs.count == 0
+    assert Binned(device, rows, 48, 40).count == 0
 
 
 def test_a_giant_is_in_every_tile_once(device):
@@ -112,7 +137,8 @@ def test_buckets_cover_each_tile_in_order(group_device):
     buckets = binned.pairs.bucket_tiles.download()
     assert lengths.max() > 2 * size
     assert np.array_equal(buckets[:len(expected)], expected)
-    assert (buckets[len(expected):] == len(lengths)).all()
+    assert len(buckets) > len(expected) and not buckets[len(expected):].any()
+    assert binned.frame_counts.download()[COUNT_BUCKETS] == len(expected)
     assert np.array_equal(binned.pairs.bucket_offsets.download(),
                           np.cumsum(-(-lengths // size)) - -(-lengths // size))
 
@@ -120,23 +146,17 @@ def test_buckets_cover_each_tile_in_order(group_device):
 @pytest.mark.oclgrind
 def test_a_band_has_the_pairs_of_its_tiles(device):
     rows = rows_of(130, 61, 37)
-    splats, order = device.upload(rows), front_to_back(device, rows)
-    whole = bin_splats(device, splats, order, 61, 37)
-    ranges, listed = whole.ranges.download(), whole.sorted_splats.download()
-    tiles = len(ranges)
+    whole = Binned(device, rows, 61, 37)
+    tiles = len(whole.ranges)
     assert tiles > 10
     for band in (range(tiles), range(4), range(3, 6), range(5, 6), range(7, tiles)):
-        pairs = bin_splats(device, splats, order, 61, 37, band)
-        assert pairs.tiles == band and len(pairs.ranges) == len(band)
-        own, counts = pairs.sorted_splats.download(), pairs.counts.download()
-        for (begin, end), (first, last) in zip(pairs.ranges.download(), ranges[band]):
-            assert np.array_equal(own[begin:end], listed[first:last]), band
-        first, last = ranges[band.start][0], ranges[band.stop - 1][1]
-        assert np.array_equal(counts, np.bincount(listed[first:last], minlength=130)), band
-        # a splat's pairs are emitted in the order of its tiles
-        by_splat = np.argsort(own, kind="stable")
-        indices = pairs.emission_indices.download()
-        assert np.array_equal(indices[by_splat], np.arange(pairs.count)), band
+        part = Binned(device, rows, 61, 37, band=band)
+        assert part.pairs.tiles == band and len(part.ranges) == len(band)
+        for (begin, end), (first, last) in zip(part.ranges, whole.ranges[band]):
+            assert np.array_equal(part.splats[begin:end], whole.splats[first:last]), band
+        first, last = whole.ranges[band.start][0], whole.ranges[band.stop - 1][1]
+        assert np.array_equal(part.counts, np.bincount(whole.splats[first:last], minlength=130))
+        is_in_order(part, what=f"{band}")
 
 
 @pytest.mark.oclgrind
@@ -144,18 +164,27 @@ def test_a_band_has_the_pairs_of_its_tiles(device):
 def test_pairs_of_each_tile_are_counted(device, count, size):
     rows = rows_of(count, *size)
     binned = Binned(device, rows, *size)
-    counts = count_tiles(device, device.upload(rows), *size)
+    counts = count_tiles(device, device.upload(rows), new_counts(device, count), *size)
     assert np.array_equal(counts, np.diff(binned.ranges)[:, 0])
     assert count == 0 or counts.any()
 
 
 def test_more_pairs_than_the_limit_are_refused(device, monkeypatch):
     rows = rows_of(130, 61, 37)
-    splats, order = device.upload(rows), front_to_back(device, rows)
-    count = bin_splats(device, splats, order, 61, 37).count
-    assert bin_splats(device, splats, order, 61, 37, limit=count).count == count
+    count = Binned(device, rows, 61, 37).count
+    assert Binned(device, rows, 61, 37, limit=count).count == count
     with pytest.raises(TooManyPairs, match=r"tile and splat in one 61 x 37 image.*\(-r\)"):
-        bin_splats(device, splats, order, 61, 37, limit=count - 1)
+        Binned(device, rows, 61, 37, limit=count - 1)
     monkeypatch.setattr("clsplat.rendering.bin.PAIR_LIMIT", count - 1)  # of the kernels' numbers
     with pytest.raises(TooManyPairs, match=f"more than {count - 1}"):
-        bin_splats(device, splats, order, 61, 37, limit=count)
+        Binned(device, rows, 61, 37, limit=count)
+
+
+def test_a_refusal_leaves_the_counts_as_they_were(device):
+    """The frame goes on in bands."""
+    rows, counts = rows_of(130, 61, 37), new_counts(device, 130)
+    order = device.upload(np.arange(130, dtype=np.uint32))
+    with pytest.raises(TooManyPairs):
+        bin_splats(device, device.upload(rows), counts, order, 61, 37, limit=9)
+    found = counts.download()
+    assert found[COUNT_VISIBLE] == 130 and found.sum() == 130

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.bin import bin_splats
 from clsplat.rendering.blend import blend, blend_adjoint, blend_defines
 from tests import cases
@@ -17,13 +18,14 @@ class Blended:
     """Splats blended on a device: image, transmittance, depth, and the adjoint."""
 
     def __init__(self, device, rows, size, background=BACKGROUND, with_depth=True, smooth=False,
-                 more=()):
+                 more=(), room=None):
         self.device, self.with_depth = device, with_depth
         self.defines = blend_defines(with_depth, smooth) + more
         self.background = device.upload(np.asarray(background, float))
         self.splats = device.upload(rows)
         self.pairs = bin_splats(
-            device, self.splats, device.upload(np.arange(len(self.splats), dtype=np.uint32)), *size)
+            device, self.splats, new_counts(device, len(rows)),
+            device.upload(np.arange(len(rows), dtype=np.uint32)), *size, room=room)
         self.blended = blend(device, self.splats, self.pairs, *size, self.background, self.defines)
         self.image = self.blended.image.download()
         self.transmittance = self.blended.transmittance.download()

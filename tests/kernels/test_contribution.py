@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from clsplat.constants import SPLAT_DEPTH
 from clsplat.densify.contribution import contribution
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.bin import bin_splats
 from clsplat.rendering.blend import blend, blend_defines
 from clsplat.rendering.pipeline import Frame
@@ -23,10 +25,11 @@ def a_frame(device, rows, size):
     width, height = size
     splats = device.upload(rows)
     numbers = device.upload(np.arange(len(rows), dtype=np.uint32))
-    pairs = bin_splats(device, splats, numbers, width, height)
+    counts = new_counts(device, len(rows))
+    pairs = bin_splats(device, splats, counts, numbers, width, height)
     blended = blend(device, splats, pairs, width, height, device.upload(np.zeros(3)),
                     blend_defines(with_depth=False))
-    return Frame(None, 0, numbers, splats, numbers, pairs, (None,), pairs.count, blended, False)
+    return Frame(None, 0, counts, numbers, splats, numbers, pairs, (None,), None, blended, False)
 
 
 def an_image(width, height, seed=0):
@@ -108,7 +111,7 @@ def test_rows_are_those_of_the_visible_gaussians(device):
     ones = device.upload(np.ones((height, width)))
     together = contribution(device, frame, ones).download()
     assert len(together) == len(frame.visible) and not np.array_equal(
-        frame.pairs.order.download(), np.arange(len(together)))
+        np.argsort(frame.splats.download()[:, SPLAT_DEPTH]), np.arange(len(together)))
     close(together[:, 2], together[:, 1], precision_of(device), "weights of one")
     for place, row in enumerate(frame.visible.download()):
         alone = {name: values[row:row + 1] for name, values in case["rows"].items()}

@@ -1,10 +1,9 @@
-"""Rows by index, back to their places, and the rows that a flag keeps."""
+"""Rows by index, and back to their places."""
 
 import numpy as np
 import pytest
 
-from clsplat.primitives import scan
-from clsplat.primitives.gather import compact, gather, scatter
+from clsplat.primitives.gather import gather, scatter
 from tests.reference.gather import gather as expected_gather
 
 
@@ -24,19 +23,6 @@ def test_into_a_larger_array(device):
     result = device.upload(np.full((5, 3), -1.0))
     gather(device, device.upload(rows), device.upload(np.array([2, 0], np.uint32)), result)
     assert np.array_equal(result.download(), [[6, 7, 8], [0, 1, 2], *[[-1, -1, -1]] * 3])
-
-
-@pytest.mark.oclgrind
-def test_compact_keeps_flagged_rows_in_order(device, monkeypatch):
-    monkeypatch.setattr(scan, "SMALLEST_CHUNK", 64)
-    rng = np.random.default_rng(1)
-    for count in (0, 1, 63, 64, 65, 199):
-        keys = rng.integers(0, 2**32, count, np.uint32)
-        for flags in (rng.integers(0, 2, count), np.zeros(count), np.ones(count)):
-            kept_keys, kept = compact(
-                device, device.upload(flags.astype(np.uint32)), device.upload(keys))
-            assert np.array_equal(kept.download(), np.flatnonzero(flags))
-            assert np.array_equal(kept_keys.download(), keys[flags == 1])
 
 
 def test_scatter_is_the_inverse(device):

@@ -5,8 +5,8 @@ import pytest
 
 from clsplat.device import Device, Forms, Kernel, each, groups, items
 from clsplat.errors import DeviceError, ShapeError
+from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.gather import GATHER
-from clsplat.primitives.scan import exclusive_scan
 
 TYPES = GATHER.forms.item.arguments
 
@@ -110,10 +110,10 @@ def test_arrays_check_what_is_written_and_narrowed(float_device):
 
 def test_profiling_times_every_launch(float_device):
     device = Device(float_device.handle, profiling=True)
-    values = device.upload(np.arange(1000, dtype=np.uint32))
+    flags = device.upload(np.arange(1000, dtype=np.uint32) % 2)
     with device.profile() as times:
-        exclusive_scan(device, values)
-    assert set(times) == {"scan_reduce", "scan_apply"}
+        compact(device, flags, new_counts(device))
+    assert set(times) == {"count_flags", "compact"}
     assert all(len(t) == 1 and 0 < t[0] < 1 for t in times.values())
     with pytest.raises(DeviceError, match="without profiling"), float_device.profile():
         pass

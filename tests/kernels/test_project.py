@@ -1,9 +1,13 @@
-"""Gaussians to splats and the adjoint by themselves: culling, splats, gradients of random sums."""
+"""Gaussians to splats and the adjoint by themselves: splats, keys, gradients of random sums."""
 
 import numpy as np
 import pytest
 
-from clsplat.rendering.project import cull, pack_camera, project, project_adjoint
+from clsplat.primitives.compact import compact, new_counts
+from clsplat.primitives.sort import stable_sort
+from clsplat.rendering.bin import bin_splats
+from clsplat.rendering.cull import cull
+from clsplat.rendering.project import pack_camera, project, project_adjoint
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import (
@@ -11,6 +15,7 @@ from tests.kernels.chain import (
     close_gradients,
     grads_of_sums,
     precision_of,
+    size_of,
     stored_degree,
     upload_rows,
 )
@@ -27,17 +32,18 @@ class Projected:
         defines = (("SH_REST", case["rows"]["sh_rest"].shape[1]), ("ANTIALIASED", int(antialiased)))
         rows = upload_rows(device, case["rows"])
         camera = pack_camera(device, camera_of(case), case["near"])
-        flags, keys = (a.download() for a in cull(device, rows, camera, defines))
-        self.visible, self.keys = np.flatnonzero(flags), keys
-        seen = device.upload(self.visible.astype(np.uint32))
-        splats = project(device, rows, seen, camera, case["degree"], defines)
-        self.splats = splats.download()
+        counts = new_counts(device)
+        flags, totals = cull(device, rows, camera, defines)
+        seen = compact(device, flags, counts, totals=totals)
+        self.visible = seen.download()
+        splats, keys = project(device, rows, seen, counts, camera, case["degree"], defines)
+        self.splats, self.keys = splats.download(), keys.download()
         self.sums = cases.single(np.random.default_rng(3).normal(
             size=(len(self.visible), 9 + with_depth)))
         self.skipped = device.zeros(1, np.uint32)
         gradients, self.grad_means, active = project_adjoint(
-            device, rows, seen, camera, case["degree"], defines, device.upload(self.sums),
-            self.skipped)
+            device, rows, seen, counts, camera, case["degree"], defines,
+            device.upload(self.sums), self.skipped)
         self.active = active.download()
         self.grad_means = self.grad_means.download()
         self.gradients = {}
@@ -56,7 +62,7 @@ def check(device, case, antialiased, what):
     visible, precision = actual.visible, precision_of(device)
     assert np.array_equal(visible, np.flatnonzero(expected["visible"])), f"{what}: visible"
     conics = expected["conics"][visible]
-    close(actual.keys[visible].view(np.float32), expected["depths"][visible], "float",
+    close(actual.keys.view(np.float32), expected["depths"][visible], "float",
           f"{what}: depth keys")
     parts = {"means": slice(0, 2), "opacities": 2, "cutoffs": 3, "colours": slice(8, 11),
              "depths": 11}
@@ -128,3 +134,52 @@ def test_bands_that_are_not_active_do_not_count(device):
     assert stored_degree(case) == 3 and case["degree"] == 1
     for name, values in plain.gradients.items():
         assert np.array_equal(values, changed.gradients[name]), name
+
+
+def test_slots_past_the_visible_gaussians_are_not_touched(device):
+    """A room for more than there are: the same splats and gradients, and nothing behind them."""
+    case = cases.gaussians("degree_1", count=60)
+    exact = Projected(device, case)
+    number, room = len(exact.visible), len(exact.visible) + 13
+    defines = (("SH_REST", 3), ("ANTIALIASED", 0))
+    rows = upload_rows(device, case["rows"])
+    camera = pack_camera(device, camera_of(case), case["near"])
+    counts = new_counts(device, number)
+    seen = device.upload(np.resize(exact.visible, room).astype(np.uint32))
+    splats, keys = project(device, rows, seen, counts, camera, case["degree"], defines)
+    assert np.array_equal(splats.download()[:number], exact.splats)
+    assert np.array_equal(keys.download()[:number], exact.keys)
+    sums = device.upload(np.resize(exact.sums, (room, exact.sums.shape[1])))
+    skipped, empty, made = device.zeros(1, np.uint32), device.empty, []
+
+    def noted(shape, dtype=None):
+        made.append(empty(shape, dtype))
+        made[-1].fill(77)
+        return made[-1]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(device, "empty", noted)
+        gradients, means, active = project_adjoint(
+            device, rows, seen, counts, camera, case["degree"], defines, sums, skipped)
+    assert len(made) == 8 and all((array.download()[number:] == 77).all() for array in made)
+    assert np.array_equal(active.download()[:number], exact.active)
+    assert np.array_equal(means.download()[:number], exact.grad_means)
+    for name, values in gradients.items():
+        assert np.array_equal(values.download()[:number],
+                              exact.gradients[name][exact.visible].astype(device.real)), name
+
+
+def test_a_gaussian_that_cannot_be_drawn_has_no_tiles(device):
+    """Its parameters may have changed since it was culled."""
+    case = cases.gaussians("degree_1", count=20)
+    case["rows"]["opacity_logits"][3] = -20
+    case["rows"]["positions"][5] = np.nan
+    case["rows"]["log_scales"][7] = 500
+    defines = (("SH_REST", 3), ("ANTIALIASED", 0))
+    counts, seen = new_counts(device, 20), device.upload(np.arange(20, dtype=np.uint32))
+    splats, keys = project(
+        device, upload_rows(device, case["rows"]), seen, counts,
+        pack_camera(device, camera_of(case), case["near"]), case["degree"], defines)
+    assert np.isfinite(splats.download()).all() and not keys.download()[[3, 5, 7]].any()
+    order = stable_sort(device, keys, counts)[1]
+    pairs = bin_splats(device, splats, counts, order, *size_of(case))
+    assert not pairs.splat_counts.download()[[3, 5, 7]].any() and pairs.count > 20

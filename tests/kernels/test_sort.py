@@ -1,28 +1,31 @@
-"""Stable radix sort: order, stability, and the sizes where chunks, digits and padding end."""
+"""Stable radix sort: order, stability, and the sizes where the parts of work-items end."""
 
 import numpy as np
 import pytest
 
-from clsplat.constants import PER_ITEM
-from clsplat.primitives import scan
+from clsplat.primitives import sort
+from clsplat.primitives.compact import new_counts
 from clsplat.primitives.sort import stable_sort
 from tests.reference.sort import sort_order
 
-GROUP = 64
-CHUNK = GROUP * PER_ITEM
-COUNTS = (0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 3 * CHUNK + 7)
+PARTS = 7
+COUNTS = (0, 1, PARTS - 1, PARTS, PARTS + 1, 500, 1031)
 
 
 @pytest.fixture(autouse=True)
-def small_chunks(monkeypatch):
-    monkeypatch.setattr(scan, "SMALLEST_CHUNK", CHUNK)
+def parts(monkeypatch):
+    monkeypatch.setattr(sort, "parts_of", lambda device: PARTS)
 
 
-def check(device, keys, bits=32):
-    order = sort_order(keys)
-    sorted_keys, permutation = stable_sort(device, device.upload(keys), bits)
-    assert np.array_equal(sorted_keys.download(), keys[order]), (len(keys), bits)
-    assert np.array_equal(permutation.download(), order), (len(keys), bits)
+def check(device, keys, room=None):
+    """Also of a room, whose further keys are not sorted and whose further slots are not written."""
+    count, order = len(keys), sort_order(keys)
+    in_room = np.append(keys, np.zeros((room or count) - count, np.uint32))
+    sorted_keys, permutation = stable_sort(device, device.upload(in_room),
+                                           new_counts(device, count))
+    assert len(sorted_keys) == len(permutation) == len(in_room)
+    assert np.array_equal(sorted_keys.download()[:count], keys[order]), count
+    assert np.array_equal(permutation.download()[:count], order), count
 
 
 def random_keys(count, limit=2**32):
@@ -30,34 +33,54 @@ def random_keys(count, limit=2**32):
 
 
 @pytest.mark.oclgrind
-def test_order_around_chunk_sizes(device, monkeypatch):
-    monkeypatch.setattr(device, "scan_group", GROUP)
+@pytest.mark.parametrize("spare", [0, 90])
+def test_order_around_the_number_of_parts(device, spare):
     for count in COUNTS:
-        check(device, random_keys(count))
+        check(device, random_keys(count), count + spare)
 
 
 @pytest.mark.oclgrind
-def test_few_distinct_keys_keep_their_order(device, monkeypatch):
-    monkeypatch.setattr(device, "scan_group", GROUP)
+def test_few_distinct_keys_keep_their_order(device):
     for distinct in (1, 2, 5):
-        check(device, random_keys(2 * CHUNK + 9, distinct), bits=3)
+        check(device, random_keys(1009, distinct))
 
 
-@pytest.mark.parametrize("bits", [1, 4, 7, 13, 24])
-def test_odd_and_even_digits(device, bits):
-    check(device, random_keys(3 * CHUNK + bits, 2**bits), bits)
+@pytest.mark.parametrize("parts", [1, 2, 32])
+def test_any_number_of_parts(device, monkeypatch, parts):
+    monkeypatch.setattr(sort, "parts_of", lambda device: parts)
+    check(device, random_keys(3001))
+
+
+@pytest.mark.parametrize("bits", [1, 4, 7, 11, 13, 24])
+def test_keys_that_differ_in_some_digits_only(device, bits):
+    check(device, random_keys(1500 + bits, 2**bits))
+    check(device, random_keys(1500 + bits, 2**bits) << np.uint32(32 - bits))
 
 
 def test_extreme_keys(device):
-    """Padding at the end of a chunk carries the largest key there is; a real one may equal it."""
-    keys = np.resize(np.array([2**32 - 1, 0, 1, 2**31, 2**31 - 1, 2**32 - 1], np.uint32), CHUNK + 3)
-    check(device, keys)
-    check(device, np.full(CHUNK + 3, 2**32 - 1, np.uint32))
+    """Those past the end are zero, and a real one may equal them."""
+    keys = np.resize(np.array([2**32 - 1, 0, 1, 2**31, 2**31 - 1, 2**32 - 1], np.uint32), 515)
+    check(device, keys, 600)
+    check(device, np.full(515, 2**32 - 1, np.uint32), 600)
+
+
+def test_slots_past_the_end_are_not_written(device, monkeypatch):
+    made, empty = [], device.empty
+
+    def filled(shape, dtype=None):
+        made.append(empty(shape, dtype))
+        made[-1].fill(77)
+        return made[-1]
+    counts, keys = new_counts(device, 100), device.upload(random_keys(150))
+    monkeypatch.setattr(device, "empty", filled)
+    for array in stable_sort(device, keys, counts):
+        assert (array.download()[100:] == 77).all()
 
 
 def test_positive_floats_order_as_their_bits(device):
     depths = np.exp(np.random.default_rng(0).normal(0, 9, 3000)).astype(np.float32)
-    _, order = stable_sort(device, device.upload(depths.view(np.uint32)))
+    _, order = stable_sort(device, device.upload(depths.view(np.uint32)),
+                           new_counts(device, len(depths)))
     assert np.array_equal(order.download(), np.argsort(depths, kind="stable"))
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from clsplat.constants import NO_ROW
 from clsplat.densify.statistics import Statistics
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -21,7 +22,8 @@ def a_view(device, count, seen, seed):
     spread, visible = np.zeros((count, 2)), np.zeros(count, bool)
     spread[rows[~broken]], visible[rows[~broken]] = means[~broken], True
     means[broken], rows[broken] = np.nan, NO_ROW
-    gradients = Gradients({}, device.upload(means), device.upload(rows), seen_rows)
+    gradients = Gradients({}, device.upload(means), device.upload(rows), seen_rows,
+                          new_counts(device, seen))
     return gradients, spread, visible
 
 
@@ -50,3 +52,16 @@ def test_a_view_that_sees_nothing_and_a_fresh_start(device):
     assert np.array_equal(statistics.grad_norm_sum.download(), before)
     statistics.clear(7)
     assert statistics.mean_gradient().shape == (7,) and not statistics.mean_gradient().any()
+
+
+def test_slots_past_the_visible_gaussians_do_not_count(device):
+    """There is room for more than a view has seen."""
+    gradients, _, _ = a_view(device, 60, 50, 9)
+    gradients.counts = new_counts(device, 31)
+    statistics, expected = Statistics(device, 60), Statistics(device, 60)
+    statistics.accumulate(gradients, 48, 40)
+    expected.accumulate(Gradients({}, gradients.means.narrow(31), gradients.rows.narrow(31),
+                                  gradients.visible.narrow(31), gradients.counts), 48, 40)
+    assert np.array_equal(statistics.seen_count.download(), expected.seen_count.download())
+    assert 0 < statistics.seen_count.download().sum() <= 31
+    assert np.array_equal(statistics.grad_norm_sum.download(), expected.grad_norm_sum.download())

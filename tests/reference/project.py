@@ -7,7 +7,8 @@ length), opacity_logits[N], sh_constant[N, 3], sh_rest[N, K, 3].
 
 import numpy as np
 
-ALPHA_MIN = 1 / 255
+from tests.reference.cull import cull
+
 COLOUR_MAX = 1e6  # brighter is not drawn
 ANTIALIAS_FLOOR = 2.5e-5  # least share of its area that a splat keeps under the low-pass
 SH_BANDS = (1, 4, 9, 16)  # coefficients up to each degree
@@ -39,12 +40,7 @@ def project(rows, camera, degree, near, low_pass=0.3, antialiased=False):
         splats["cutoffs"] = 2 * np.log(255 * splats["opacities"])
         splats["extents"] = np.sqrt(
             splats["cutoffs"][:, None] * np.stack([f["xx"], f["yy"]], axis=1))
-        low = splats["means"] - splats["extents"]
-        high = splats["means"] + splats["extents"]
-        visible = (splats["depths"] > near) & (splats["opacities"] > ALPHA_MIN)
-        visible &= (high >= 0).all(1) & (low <= [camera["width"], camera["height"]]).all(1)
-        for values in splats.values():
-            visible &= np.isfinite(values).all(tuple(range(1, values.ndim)))
+        visible = cull(splats, camera, near)
     for values in splats.values():
         values[~visible] = 0
     return {**splats, "visible": visible}

@@ -7,9 +7,9 @@ from skimage.metrics import structural_similarity
 from tests import cases
 from tests.checks import adjoint_agrees, close
 from tests.reference.adam import adam
+from tests.reference.compact import compact
 from tests.reference.gather import gather
 from tests.reference.image_loss import image_loss, mean_ssim, window
-from tests.reference.scan import exclusive_scan
 from tests.reference.sort import sort_order
 from tests.reference.statistics import accumulate
 
@@ -88,10 +88,12 @@ def test_statistics_count_visible_rows_in_ndc_units():
     np.testing.assert_array_equal(counts, [1, 6, 2])
 
 
-def test_scan_sort_and_gather():
-    sums, total = exclusive_scan(np.array([3, 0, 5, 2**32 - 1], np.uint32))
-    assert sums.tolist() == [0, 3, 3, 8] and total == 2**32 + 7
-    assert exclusive_scan(np.zeros(0, np.uint32))[1] == 0
+def test_compact_sort_and_gather():
+    kept, failed = compact(np.array([0, 1, 1, 0, 1]), 3)
+    assert kept.tolist() == [1, 2, 4] and not failed
+    kept, failed = compact(np.array([0, 1, 1, 0, 1]), 2)
+    assert kept.tolist() == [] and failed
+    assert not compact(np.zeros(0), 0)[1]
     assert sort_order(np.array([2, 1, 2, 0, 1])).tolist() == [3, 1, 4, 0, 2]
     rows = np.arange(6).reshape(3, 2)
     np.testing.assert_array_equal(gather(rows, [2, 0, 2]), [[4, 5], [0, 1], [4, 5]])

@@ -174,7 +174,7 @@ CASES = [
         ("negative-seed", "--seed -1"), ("word-size", "--size large"))),
     refused("completion-of-nothing", "clsplat completion tcsh", "tcsh", needs=()),
     refused("bench-unknown", "clsplat bench nope", "nope", needs=()),
-    refused("bench-words", "clsplat bench scan --gaussians nope", needs=()),
+    refused("bench-words", "clsplat bench sort --gaussians nope", needs=()),
     refused("plan-photos-word", "clsplat plan sy -n 4 --photos many", "photos"),
     refused("plan-margin", "clsplat plan sy -n 4 --photos 100 --margin nan", "margin"),
 ]

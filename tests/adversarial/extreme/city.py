@@ -14,6 +14,7 @@ from unittest.mock import patch
 import numpy as np
 
 from clsplat.bench.workloads import city
+from clsplat.constants import SPLAT_DEPTH
 from clsplat.gaussians import LEARNED
 from clsplat.rendering import pipeline
 from tests.adversarial.extreme.measure import Error, largest, relative_l2
@@ -48,9 +49,13 @@ class CityRun:
         self.image = self.frame.image.download().astype(np.float64)
 
     def culled(self):
-        """Which gaussians are visible, and their depth keys."""
+        """Which gaussians are visible, as `cull` returns it."""
         return [values.download() for values in pipeline.cull(
             self.device, self.rows, self.camera, (("SH_REST", 15), ("ANTIALIASED", 0)))]
+
+    def depths(self):
+        """The depths by which the splats are ordered, float32[V]."""
+        return self.frame.splats.download()[:, SPLAT_DEPTH].astype(np.float32)
 
     def gradients(self, cotangent):
         """By field name, as arrays like the rows, zero where a gaussian was not visible."""
@@ -67,12 +72,19 @@ def measure_city(single, double, count):
     gaussians, (camera, *_) = city(count, (1024, 768))
     rows = {name: values.astype(np.float64) for name, values in gaussians.rows.items()}
     run, alone = CityRun(single, rows, camera), CityRun(double, rows, camera)
-    flags, keys = run.culled()
+    found, depths, project = run.culled(), run.depths(), pipeline.project
 
     def as_single(device, *_):
-        return device.upload(flags), device.upload(keys)
+        return [device.upload(values) for values in found]
 
-    with patch.object(pipeline, "cull", as_single):
+    def in_that_order(device, *arguments):
+        splats, _ = project(device, *arguments)
+        rows = splats.download()
+        rows[:, SPLAT_DEPTH] = depths
+        return device.upload(rows), device.upload(depths.view(np.uint32))
+
+    with (patch.object(pipeline, "cull", as_single),
+          patch.object(pipeline, "project", in_that_order)):
         expected = CityRun(double, rows, camera)
         more, less = (CityRun(double, with_opacities(rows, factor), camera).image
                       for factor in (1 + UNDECIDED, 1 - UNDECIDED))

@@ -1,0 +1,229 @@
+"""Lists of pairs that are long, whose splats are many tiles large or equally deep, and rooms for
+pairs that are larger than needed, just large enough or too small."""
+
+import numpy as np
+import pytest
+
+from clsplat.constants import (
+    BUCKET,
+    COUNT_BUCKETS,
+    COUNT_FAILED,
+    COUNT_MOST_PAIRS,
+    COUNT_NEEDED_PAIRS,
+    COUNT_PAIRS,
+    COUNT_SUM_PAIRS,
+    COUNT_VISIBLE,
+    FRAME_COUNTS,
+    PER_ITEM,
+    SPLAT_CONIC,
+    SPLAT_DEPTH,
+    SPLAT_EXTENT_Y,
+    SPLAT_MEAN,
+)
+from clsplat.device.array import Array
+from clsplat.primitives.compact import new_counts
+from clsplat.rendering.bin import HAS_BUCKETS, bin_splats
+from tests.kernels.test_bin import Binned, check, is_in_order, rows_of
+
+GROUP = 32
+RUN = GROUP * PER_ITEM  # pairs that a group sorts at once
+UNWRITTEN = 2**32 - 7
+
+
+@pytest.fixture
+def small_groups(device, monkeypatch):
+    monkeypatch.setattr(device, "scan_group", GROUP)
+
+
+def shuffled(rows, seed=0, depths=None):
+    """(rows in random order, with these depths or their own; the order that sorts them)."""
+    rng = np.random.default_rng(seed)
+    rows = rows[rng.permutation(len(rows))]
+    if depths is not None:
+        rows[:, SPLAT_DEPTH] = rng.choice(depths, len(rows))
+    return rows, np.argsort(rows[:, SPLAT_DEPTH].astype(np.float32), kind="stable")
+
+
+def specks(count, column, row, seed=0):
+    """Splats in the middle of one tile, all of whose pixels they are far from leaving."""
+    rows = rows_of(count, 16, 16, seed, sigma=(0.3, 0.5))
+    rows[:, SPLAT_MEAN:SPLAT_MEAN + 2] = 16 * column + 8, 16 * row + 8
+    return rows
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("count", [RUN - 1, RUN, RUN + 1, 2 * RUN, 2 * RUN + 1])
+def test_lists_around_the_length_that_is_sorted_at_once(device, small_groups, count):
+    rows, order = shuffled(specks(count, 1, 1, seed=count))
+    binned = check(device, rows, 48, 48, f"{count} pairs", order)
+    assert np.diff(binned.ranges).max() == count
+
+
+@pytest.mark.parametrize("count", [3 * RUN, 4 * RUN + 1, 5 * RUN - 1, 9 * RUN + 100])
+def test_longer_lists_are_merged(device, small_groups, count):
+    """Several merges, with a last run that is shorter or has no partner; beside other lists."""
+    rows = np.concatenate([specks(count, 2, 0), specks(RUN + 5, 0, 1, seed=1),
+                           rows_of(200, 48, 48, seed=2, sigma=(0.3, 4))])
+    rows, order = shuffled(rows, depths=np.linspace(1, 2, 5 * count))
+    binned = Binned(device, rows, 48, 48, order)
+    is_in_order(binned, order, f"{count} pairs")
+    assert np.diff(binned.ranges).max() >= count
+
+
+def test_the_devices_own_groups_sort_long_lists(device):
+    for count in (1, PER_ITEM) if device.scan_group < 256 else (2047, 2048, 2049, 4096, 5000, 9000):
+        rows, order = shuffled(specks(count, 0, 1, seed=count))
+        binned = Binned(device, rows, 32, 32, order)
+        is_in_order(binned, order, f"{count} pairs")
+        assert np.diff(binned.ranges).max() == count
+
+
+def test_more_tiles_and_more_splats_than_a_group_places_at_once(device, small_groups):
+    """Their numbers are added up in several rounds; the last one is not complete."""
+    rows, order = shuffled(rows_of(GROUP * RUN + 35, 330, 325, sigma=(0.3, 2)))
+    binned = Binned(device, rows, 330, 325, order)
+    is_in_order(binned, order)
+    assert len(binned.ranges) == 21 * 21 > RUN and binned.count > len(rows)
+
+
+@pytest.mark.oclgrind
+def test_equal_depths_keep_the_order_of_rows(device, small_groups):
+    for depths in ([2.0], [1.0, 1.5, 3.0]):
+        rows, order = shuffled(rows_of(150, 61, 37, seed=4), depths=depths)
+        check(device, rows, 61, 37, f"depths {depths}", order)
+
+
+def test_equal_depths_in_long_lists(device, small_groups):
+    rows, order = shuffled(specks(3 * RUN + 7, 0, 0), depths=[1.0, 2.0])
+    is_in_order(Binned(device, rows, 16, 16, order), order)
+
+
+def giants(rows, chosen):
+    """The same rows, of which `chosen` are larger than any image."""
+    rows[chosen, SPLAT_CONIC:SPLAT_EXTENT_Y + 1] = 1e-9, 0, 1e-9, 1e5
+    return rows
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size", [(160, 120), (600, 37)], ids=str)
+def test_splats_with_many_tiles_beside_small_ones(device, small_groups, size):
+    """More tiles than a single work-item emits, in rows of fewer and of more than a group."""
+    chosen = [0, 1, 30, 31, 32, 69]
+    rows, order = shuffled(giants(rows_of(70, *size, sigma=(0.3, 9)), chosen))
+    binned = Binned(device, rows, *size, order)
+    is_in_order(binned, order, f"{size}")
+    tiles = len(binned.ranges)
+    assert tiles > 64 and (binned.counts == tiles).sum() == len(chosen)
+
+
+def test_splats_around_the_number_of_tiles_that_makes_them_large(device):
+    """Images of 63, 64 and 65 tiles, all of which a splat covers."""
+    for width in (63, 64, 65):
+        rows, order = shuffled(giants(rows_of(20, 16 * width, 16, sigma=(0.3, 3)), [2, 9, 19]))
+        check(device, rows, 16 * width, 16, f"{width} tiles", order)
+
+
+# --- rooms
+
+
+def in_a_room(device, monkeypatch, rows, order, room, counts=None, size=(61, 37)):
+    """(Pairs, counts on the host, the two lists with slots past their end, which must stay)."""
+    spare, empty, made = 40, device.empty, []
+    counts = new_counts(device, len(rows)) if counts is None else counts
+    splats, order = device.upload(rows), device.upload(order.astype(np.uint32))
+
+    def larger(shape, dtype=None):
+        if shape != room:
+            return empty(shape, dtype)
+        made.append(empty(room + spare, dtype))
+        made[-1].fill(UNWRITTEN)
+        return made[-1].narrow(room)
+    with monkeypatch.context() as patch:
+        patch.setattr(device, "empty", larger)
+        pairs = bin_splats(device, splats, counts, order, *size, room=room)
+    written = [array.download() for array in made]
+    assert len(pairs.sorted_splats) == room == pairs.count
+    assert all((values[room:] == UNWRITTEN).all() for values in written)
+    return pairs, counts.download(), written[:2]
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("more", [0, 1, 777])
+def test_a_room_that_is_large_enough_changes_nothing(device, monkeypatch, more):
+    rows, order = shuffled(rows_of(130, 61, 37))
+    exact = Binned(device, rows, 61, 37, order)
+    pairs, counts, lists = in_a_room(device, monkeypatch, rows, order, exact.count + more)
+    assert np.array_equal(lists[0][:exact.count], exact.splats)
+    assert np.array_equal(lists[1][:exact.count], exact.emission_indices)
+    assert all((values[exact.count:] == UNWRITTEN).all() for values in lists)
+    assert np.array_equal(pairs.ranges.download(), exact.ranges)
+    assert np.array_equal(pairs.offsets.download(), exact.offsets)
+    assert counts[COUNT_PAIRS] == counts[COUNT_MOST_PAIRS] == exact.count
+    assert counts[COUNT_VISIBLE] == 130 and not counts[COUNT_FAILED]
+    if HAS_BUCKETS.of(device):
+        buckets, number = pairs.bucket_tiles.download(), counts[COUNT_BUCKETS]
+        lengths = np.diff(exact.ranges)[:, 0]
+        expected = np.repeat(np.arange(len(lengths)), -(-lengths // BUCKET))
+        assert np.array_equal(buckets[:number], expected) and not buckets[number:].any()
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("fewer", [1, 300])
+def test_a_room_that_is_too_small_fails_the_frame(device, monkeypatch, fewer):
+    rows, order = shuffled(rows_of(130, 61, 37))
+    needed = Binned(device, rows, 61, 37, order).count
+    pairs, counts, lists = in_a_room(device, monkeypatch, rows, order, needed - fewer)
+    assert counts[COUNT_FAILED] == 1 and counts[COUNT_NEEDED_PAIRS] == needed
+    assert counts[COUNT_VISIBLE] == counts[COUNT_PAIRS] == counts[COUNT_BUCKETS] == 0
+    assert counts[COUNT_MOST_PAIRS] == needed and not counts[COUNT_SUM_PAIRS]
+    assert not np.diff(pairs.ranges.download().astype(int)).any()
+    assert all((values == UNWRITTEN).all() for values in lists)
+
+
+def test_a_failure_stays_and_the_largest_need_is_kept(device, monkeypatch):
+    counts = new_counts(device)
+    needs = []
+    for seed, room in enumerate((100, 10**5, 200)):
+        values = counts.download()
+        values[COUNT_VISIBLE] = 130  # a caller's mistake: a failed frame sees nothing
+        counts.write(values)
+        rows, order = shuffled(rows_of(130, 61, 37, seed=seed))
+        needs.append(Binned(device, rows, 61, 37, order).count)
+        found = in_a_room(device, monkeypatch, rows, order, room, counts)[1]
+        assert found[COUNT_FAILED] == 1 and not found[COUNT_VISIBLE] and not found[COUNT_PAIRS]
+    assert found[COUNT_NEEDED_PAIRS] == max(needs[0], needs[2])
+    assert found[COUNT_MOST_PAIRS] == max(needs)
+
+
+def test_the_sum_of_pairs_has_64_bits(device, monkeypatch):
+    rows, order = shuffled(rows_of(130, 61, 37))
+    counts, values = new_counts(device), np.zeros(FRAME_COUNTS, np.uint32)
+    values[[COUNT_VISIBLE, COUNT_SUM_PAIRS, COUNT_SUM_PAIRS + 1]] = 130, 2**32 - 10, 4
+    counts.write(values)
+    for frames in (1, 2):
+        found = in_a_room(device, monkeypatch, rows, order, 5000, counts)[1]
+        assert (int(found[COUNT_SUM_PAIRS]) + (int(found[COUNT_SUM_PAIRS + 1]) << 32)
+                == 5 * 2**32 - 10 + frames * int(found[COUNT_PAIRS]))
+
+
+@pytest.mark.oclgrind
+def test_slots_past_the_visible_splats_have_no_pairs(device, small_groups):
+    """Whatever their rows hold: there is room for more splats than are visible."""
+    rows, _ = shuffled(rows_of(100, 61, 37))
+    order = np.argsort(rows[:70, SPLAT_DEPTH], kind="stable")
+    fewer = Binned(device, rows[:70], 61, 37, order)
+    rows[70:] = np.nan
+    padded = Binned(device, rows, 61, 37, np.append(order, np.full(30, UNWRITTEN)), visible=70)
+    assert np.array_equal(padded.splats, fewer.splats)
+    assert np.array_equal(padded.ranges, fewer.ranges)
+    assert np.array_equal(padded.emission_indices, fewer.emission_indices)
+    assert np.array_equal(padded.counts[:70], fewer.counts)
+
+
+def test_a_room_waits_for_nothing(device, monkeypatch):
+    rows, order = shuffled(rows_of(130, 61, 37))
+    arguments = (device.upload(rows), new_counts(device, 130),
+                 device.upload(order.astype(np.uint32)))
+    monkeypatch.setattr(Array, "download", None)
+    monkeypatch.setattr(Array, "last", None)
+    bin_splats(device, *arguments, 61, 37, room=5000)
