@@ -132,7 +132,7 @@ __kernel void cull(uint count, __global const real *restrict camera,
     }
 }
 
-__kernel void project(uint count, uint degree, __global const uint *restrict rows,
+__kernel void project(uint count, __global const uint *restrict rows,
                       __global const real *restrict camera, __global const real *restrict positions,
                       __global const real *restrict sh_constant, __global const real *restrict sh_rest,
                       __global const real *restrict opacity_logits,
@@ -147,14 +147,12 @@ __kernel void project(uint count, uint degree, __global const uint *restrict row
         const real cutoff = 2 * log(ALPHA_STEPS * opacity);
 
         real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
-#if SH_REST > 0
-        if (degree > 0) {
-            real basis[SH_SIZE];
-            const real3 d = normalize(vload3(row, positions) - vload3(0, camera + CAMERA_POSITION));
-            harmonics(d, degree, basis);
-            for (uint k = 0; k < SH_ACTIVE(degree); k++)
-                colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
-        }
+#if DEGREE > 0
+        real basis[SH_SIZE];
+        const real3 d = normalize(vload3(row, positions) - vload3(0, camera + CAMERA_POSITION));
+        harmonics(d, basis);
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            colour += basis[k] * vload3((ulong)row * SH_REST + k, sh_rest);
 #endif
         const real2 mean = mean_pixel(camera, f.p);
         __global real *splat = splats + (ulong)v * SPLAT_REALS;
@@ -166,16 +164,19 @@ __kernel void project(uint count, uint degree, __global const uint *restrict row
 }
 
 // From the pair sums of each splat (sums: real[V, S], see splat.h) to gradients of the parameters.
+// The gradients of the harmonics are those of the colour, grad_colours, times each harmonic in the
+// direction of the gaussian, directions (unit vectors; not written where DEGREE is 0): see
+// harmonics_gradients.
 // grad_means gets the pixel gradient of the mean, for densification. Where any gradient or the
 // colour is not finite the row is left alone: active[v] is NO_ROW and `skipped` counts it.
 __kernel void project_adjoint(
-    uint count, uint degree, uint sum_count, __global const uint *restrict rows,
+    uint count, uint sum_count, __global const uint *restrict rows,
     __global const real *restrict camera, __global const real *restrict positions,
     __global const real *restrict sh_constant, __global const real *restrict sh_rest,
     __global const real *restrict opacity_logits, __global const real *restrict log_scales,
     __global const real *restrict quaternions, __global const real *restrict sums,
-    __global real *restrict grad_positions, __global real *restrict grad_sh_constant,
-    __global real *restrict grad_sh_rest, __global real *restrict grad_opacity_logits,
+    __global real *restrict grad_positions, __global real *restrict grad_colours,
+    __global real *restrict directions, __global real *restrict grad_opacity_logits,
     __global real *restrict grad_log_scales, __global real *restrict grad_quaternions,
     __global real *restrict grad_means, __global uint *restrict active,
     __global uint *restrict skipped)
@@ -248,41 +249,56 @@ __kernel void project_adjoint(
         // colour; where it is not drawn nothing flows
         real3 grad_colour = vload3(0, sum + SUM_COLOUR);
         real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
-#if SH_REST > 0
+#if DEGREE > 0
         real basis[SH_SIZE], weight[SH_SIZE];
         const real3 offset = vload3(row, positions) - vload3(0, camera + CAMERA_POSITION);
         const real3 d = normalize(offset);
-        if (degree > 0) {
-            harmonics(d, degree, basis);
-            for (uint k = 0; k < SH_ACTIVE(degree); k++)
-                colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
-        }
+        harmonics(d, basis);
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            colour += basis[k] * vload3((ulong)row * SH_REST + k, sh_rest);
 #endif
         grad_colour = select((real3)(0), grad_colour, drawn(colour));
-        const real3 grad_constant = (real)SH_C0 * grad_colour;
-#if SH_REST > 0
-        if (degree > 0) {
-            for (uint k = 0; k < SH_ACTIVE(degree); k++)
-                weight[k] = dot(grad_colour, vload3(row * SH_REST + k, sh_rest));
-            const real3 g = harmonics_gradient(d, degree, weight);
-            grad_position += (g - d * dot(d, g)) / length(offset);
-            for (uint k = 0; k < SH_ACTIVE(degree); k++)
-                vstore3(basis[k] * grad_colour, v * SH_REST + k, grad_sh_rest);
-        }
+#if DEGREE > 0
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            weight[k] = dot(grad_colour, vload3((ulong)row * SH_REST + k, sh_rest));
+        const real3 g = harmonics_gradient(d, weight);
+        grad_position += (g - d * dot(d, g)) / length(offset);
+        vstore3(d, v, directions);
 #endif
         vstore3(grad_position, v, grad_positions);
-        vstore3(grad_constant, v, grad_sh_constant);
+        vstore3(grad_colour, v, grad_colours);
         vstore3(grad_log_scale, v, grad_log_scales);
         vstore4(grad_quaternion, v, grad_quaternions);
         vstore2(grad_mean, v, grad_means);
         grad_opacity_logits[v] = grad_logit;
 
-        const real3 size = fabs(grad_position) + fabs(grad_constant) + fabs(grad_log_scale);
+        const real3 size = fabs(grad_position) + fabs(grad_colour) + fabs(grad_log_scale);
         const bool finite = size.x + size.y + size.z + fabs(grad_logit) +
                                     dot(fabs(grad_quaternion), (real4)(1)) < (real)GRADIENT_MAX &&
                             isfinite(colour.x + colour.y + colour.z);
         active[v] = finite ? row : NO_ROW;
         if (!finite)
             atomic_inc(skipped);
+    }
+}
+
+// Gradients of the harmonics for those who need them in memory: grad_sh_constant: real[V, 3];
+// grad_sh_rest: real[V, SH_REST, 3], 0 for harmonics that are not active.
+__kernel void harmonics_gradients(uint count, __global const real *restrict grad_colours,
+                                  __global const real *restrict directions,
+                                  __global real *restrict grad_sh_constant,
+                                  __global real *restrict grad_sh_rest)
+{
+    FOR_EACH(v, count) {
+        const real3 grad_colour = vload3(v, grad_colours);
+        vstore3((real)SH_C0 * grad_colour, v, grad_sh_constant);
+#if DEGREE > 0
+        real basis[SH_SIZE];
+        harmonics(vload3(v, directions), basis);
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            vstore3(basis[k] * grad_colour, v * SH_REST + k, grad_sh_rest);
+#endif
+        for (uint k = SH_ACTIVE; k < SH_REST; k++)
+            vstore3((real3)(0), v * SH_REST + k, grad_sh_rest);
     }
 }

@@ -37,6 +37,10 @@ def frame_arrays(count: int, seen: int, sh_degree: int) -> list[FrameArray]:
 
     return [*indices(count, "flags keys", "cull", "adam"), *fields(count, "sum", "cull", "adam"),
             *fields(seen, "before", "cull", "project adjoint"),
+            *(FrameArray(name, (seen, 3), None, "cull", "project adjoint")
+              for name in ("before_colours", "before_directions")),
+            *(FrameArray(f"grad_{field.name}", (seen, *field.row_shape(sh_degree)), None, "adam",
+                         "adam") for field in LEARNED if field.name.startswith("sh_")),
             *indices(seen, "before_rows", "cull", "project adjoint"),
             *indices(count, "before_visible", "cull", "project adjoint"),
             FrameArray("before_means", (seen, 2), None, "cull", "project adjoint"),
@@ -66,9 +70,10 @@ def batch_mean(device: Device, count: int, views: int, by_view: Iterable[Gradien
         seen = len(gradients.rows)
         device.launch(MARK, count=seen, visible=gradients.visible, rows=gradients.rows, flags=flags,
                       keys=keys)
-        for name, gradient in gradients.fields.items():
+        for name in gradients.fields:
             if not used[name]:
                 continue
+            gradient = gradients.fields[name]
             if name not in sums:
                 sums[name] = device.empty((count, *gradient.shape[1:]))
                 sums[name].fill(0)
