@@ -17,7 +17,8 @@ from clsplat.densify.statistics import Statistics
 from clsplat.device import Device
 from clsplat.gaussians import LEARNED
 from clsplat.loss.image_loss import image_loss, loss_value
-from clsplat.optimise.adam import DeviceAdam, adam_update
+from clsplat.optimise.adam import DeviceAdam
+from clsplat.optimise.numpy_adam import adam_update
 from clsplat.primitives.gather import compact, gather, scatter
 from clsplat.primitives.reduce import sum_columns
 from clsplat.primitives.scan import exclusive_scan

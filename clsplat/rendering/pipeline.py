@@ -67,8 +67,8 @@ class Gradients:
 
     Attributes
     ----------
-    fields : name -> real[V, *row shape]; of one view a `FieldGradients`, which computes those by the
-        harmonics when they are asked for.
+    fields : name -> real[V, *row shape]; of one view a `FieldGradients`, which computes those by
+        the harmonics when they are asked for.
     means : real[V, 2], by the mean of the splat, pixels; None for a mean of several views.
     rows : uint[V], the row of each gaussian, or NO_ROW where the gradient is not finite.
     visible : uint[V], the row of each gaussian, whatever its gradient.

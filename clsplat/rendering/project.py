@@ -107,9 +107,10 @@ def cull(device: Device, rows: Rows, camera: Array, defines: Defines) -> tuple[A
     """
     count = len(rows["positions"])
     flags, depth_keys = (device.empty(count, np.uint32) for _ in range(2))
-    device.launch(CULL, _of_degree(defines, 0), count=count, camera=camera, positions=rows["positions"],
-                  log_scales=rows["log_scales"], quaternions=rows["quaternions"],
-                  opacity_logits=rows["opacity_logits"], depth_keys=depth_keys, flags=flags)
+    device.launch(CULL, _of_degree(defines, 0), count=count, camera=camera,
+                  positions=rows["positions"], log_scales=rows["log_scales"],
+                  quaternions=rows["quaternions"], opacity_logits=rows["opacity_logits"],
+                  depth_keys=depth_keys, flags=flags)
     return flags, depth_keys
 
 

@@ -46,7 +46,6 @@ class Step:
     terms : terms of the loss (clsplat/loss/terms.py).
     statistics : screen gradients since the last growth or change of level.
     skipped : counts gradients that were not finite.
-    frozen : uint[N] on the device; not 0 for gaussians that are not trained; None: all are trained.
     pixel_pairs : pairs of a gaussian and a pixel so far; a tile counts with all its pixels.
     """
 
@@ -59,9 +58,13 @@ class Step:
         self.statistics = Statistics(self.device, model.count)
         self.skipped = SkippedGradients(
             renderer.skipped, *([exposures.skipped] if exposures else []))
-        self.frozen: Array | None = None
         self.freeze()
         self.pixel_pairs = 0
+
+    @property
+    def frozen(self) -> Array | None:
+        """uint[N] on the device; not 0 for gaussians that are not trained; None: all are."""
+        return self.model.frozen
 
     def run(self, iteration: int, plan: Plan,
             samples: Iterable[TrainingSample]) -> list[Measured]:
@@ -102,6 +105,7 @@ class Step:
         rows, exposures, photo = self.model.rows, self.exposures, sample.photo
         _, height, width = photo.shape
         terms = [term for term in self.terms_in(plan) if sample.source or not term.needs_source]
+        self.model.catch_up(sample.camera)
         frame = self.renderer.render(rows, sample.camera, width, height, plan.degree,
                                      with_depth=any(term.needs_depth for term in terms))
         self.pixel_pairs += frame.pair_count * self.device.tile**2
@@ -141,6 +145,8 @@ class Step:
         -------
         How many gaussians were cloned, split and pruned; None without growth.
         """
+        if plan.grows or plan.resets_opacity:
+            self.model.catch_up()
         event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
         if plan.resets_opacity:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
@@ -151,7 +157,7 @@ class Step:
         """Determine which gaussians are frozen."""
         if self.trains:
             rows = (self.model.rows[name].download() for name in ("positions", "log_scales"))
-            self.frozen = self.device.upload((~self.trains(*rows)).astype(np.uint32))
+            self.model.frozen = self.device.upload((~self.trains(*rows)).astype(np.uint32))
 
     def _grow(self, iteration: int, plan: Plan, schedule: Schedule,
               scoring_views: Callable[[], list[tuple[Array, Array]]]) -> dict[str, int]:
