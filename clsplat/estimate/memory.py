@@ -163,7 +163,8 @@ def model_arrays(names: Iterable[str], sh_degree: int, capacity: int,
     """The arrays of rows and moments, in the order in which growth replaces them."""
     rows = Model.arrays(names, sh_degree, capacity)
     learned = {field.name: rows[field.name] for field in LEARNED}
-    return [spec for fields in (rows, *ENGINES[engine].arrays(learned, moments)) for spec in fields.values()]
+    moments_of = ENGINES[engine].arrays(learned, moments)
+    return [spec for fields in (rows, *moments_of) for spec in fields.values()]
 
 
 def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:

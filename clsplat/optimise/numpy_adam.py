@@ -42,10 +42,10 @@ class NumpyAdam:
     @staticmethod
     def frame_arrays(count: int, seen: int, sh_degree: int, dense: bool) -> list[FrameArray]:
         """As `DeviceAdam.frame_arrays`; parameters are copied to the host and back."""
-        moved = count if dense else seen
+        moved, bands = count if dense else seen, (sh_degree + 1)**2 - 1
+        # the gradient of sh_constant takes the block of a parameter that is let go
         return [FrameArray("touched", (moved,), np.uint32, "adam", "adam"),
-                *(FrameArray(f"grad_{field.name}", (seen, *field.row_shape(sh_degree)), None, "adam",
-                             "adam") for field in LEARNED if field.name.startswith("sh_")),
+                FrameArray("grad_sh_rest", (seen, bands, 3), None, "adam", "adam"),
                 *(FrameArray(field.name, (moved, *field.row_shape(sh_degree)), None, "adam", "adam")
                   for field in LEARNED)]
 
