@@ -1,35 +1,225 @@
-// One Adam step (Kingma & Ba 2015) on one field; bias corrections are folded into the arguments:
+// Adam (Kingma & Ba 2015), bias corrections folded into the arguments:
 //
 //   m <- m + (1 - beta1)(g - m);   v <- v + (1 - beta2)(g^2 - v)
 //   parameter <- parameter - rate m / (correction sqrt(v) + epsilon)
 //
-// with rate = learning rate / (1 - beta1^t), correction = 1 / sqrt(1 - beta2^t). parameter, m, v:
-// real[N, stride]; gradient: real[V, stride]; only the first `used` columns of a row are touched
-// (harmonics not yet active stay out). Elementwise, one writer each.
+// with rate = learning rate / (1 - beta1^t), correction = 1 / sqrt(1 - beta2^t).
 //
-// adam_rows: rows: uint[V], the row of each gradient; NO_ROW is skipped.
-// adam_all, every row: places: uint[N], the gradient's row of each parameter row, NO_ROW where it is
-// zero; STAYS where row and moments are to stay, for the gradient was not finite or the row is frozen.
+// A step moves the rows that have a gradient: adam_small the 14 columns of all fields but the
+// harmonics (m, v: real[N, 14], in the order of SMALL_...), adam_harmonics the active harmonics
+// (m, v: moment[N, stride]). rows: uint[V], the row of each gradient; NO_ROW is skipped: row and
+// moments stay for this step. Elementwise, one writer each. Nothing moves once a frame has failed.
+//
+// Dense Adam moves all other rows as well, with g = 0. Nobody reads them, so adam_catch_up does it
+// later, for all steps after last_step[row] at once. Without gradients m and v only decay, so that
+// the sum over the steps k after t0 has the moments of step t0 as a factor:
+//
+//   sum of rate_k m_k / (correction_k sqrt(v_k) + epsilon) = m C / (sqrt(v) + epsilon D / C),
+//   C = sum of rate_k / correction_k (beta1 / sqrt(beta2))^(k - t0),
+//   D = sum of rate_k / correction_k^2 (beta1 / beta2)^(k - t0)
+//
+// but for a relative error of at most s (x / (1 + x))^2, x the mean of epsilon / (correction_k
+// sqrt(v_k)) over the sum and s its relative variance, 0.13 at t0 = 3, 3e-4 at 300, 3e-5 at 3000: with
+// x = 1e-15 / 1e-12 that is below 1e-6, and gradients are rarely smaller. adam_small adds its step
+// to the sums: coefficients: real[CATCH_UP_EVERY, LAG_TERMS], row t0 % CATCH_UP_EVERY: C of each
+// field, and C and D of a rate of 1. Every CATCH_UP_EVERY steps all rows catch up.
 #include "real.h"
 #include "each.h"
+#include "camera.h"
+#include "harmonics.h"
 #include "vector.h"
 #include "counts.h"
-#define STAYS (NO_ROW - 1)
+#ifndef HALF_MOMENTS
+#error "HALF_MOMENTS must be 0 or 1"
+#endif
+#define SH_STRIDE (3 * SH_REST)
+#define SH_COLUMNS (3 * SH_ACTIVE)
+enum { SMALL_POSITION = 0, SMALL_CONSTANT = 3, SMALL_OPACITY = 6, SMALL_SCALE = 7, SMALL_TURN = 10 };
+typedef char every_column_has_a_moment[SMALL_TURN + 4 == SMALL_COLUMNS ? 1 : -1];
+enum { // columns of coefficients: C of the fields in their order
+    LAG_POSITIONS, LAG_SH_CONSTANT, LAG_SH_REST, LAG_OPACITY, LAG_SCALES, LAG_TURNS,
+    LAG_C, // of a rate of 1
+    LAG_D
+};
+typedef char every_term_has_a_column[LAG_D + 1 == LAG_TERMS ? 1 : -1];
 
-// `count` neighbouring elements at once; TYPE is real or a vector of it.
-#define DEFINE_UPDATE(NAME, TYPE, LOAD, STORE)                                                     \
-    inline void NAME(TYPE g, real rate, real correction, __global real *parameter,                 \
-                     __global real *m, __global real *v)                                           \
+#if HALF_MOMENTS
+#define MOMENT_STRIDE ((SH_STRIDE + 3) / 4 * 4)
+typedef ushort moment;
+#else
+#define MOMENT_STRIDE SH_STRIDE
+typedef real moment;
+#endif
+#include "moments.h"
+
+// `S` neighbouring columns at once, none is one. MOMENTS loads and stores them as reals or halves.
+#define DEFINE_UPDATE(NAME, S, MOMENT, LOAD, STORE, LOAD_MOMENTS, STORE_MOMENTS)                   \
+    inline void step_##NAME(real##S g, real rate, real correction, uint seed,                      \
+                            __global real *parameter, __global MOMENT *m, __global MOMENT *v)      \
     {                                                                                              \
-        const TYPE old_m = LOAD(0, m), old_v = LOAD(0, v);                                         \
-        const TYPE new_m = old_m + (real)ONE_MINUS_BETA1 * (g - old_m);                            \
-        const TYPE new_v = old_v + (real)ONE_MINUS_BETA2 * (g * g - old_v);                        \
-        STORE(new_m, 0, m);                                                                        \
-        STORE(new_v, 0, v);                                                                        \
-        STORE(LOAD(0, parameter) - rate * new_m / (sqrt(new_v) * correction + (real)ADAM_EPSILON), \
+        real##S first, second;                                                                     \
+        LOAD_MOMENTS(m, v, &first, &second);                                                       \
+        first += (real)ONE_MINUS_BETA1 * (g - first);                                              \
+        second += (real)ONE_MINUS_BETA2 * (g * g - second);                                        \
+        STORE_MOMENTS(first, second, seed, m, v);                                                  \
+        STORE(LOAD(0, parameter) - rate * first / (sqrt(second) * correction + (real)ADAM_EPSILON), \
               0, parameter);                                                                       \
+    }                                                                                              \
+    inline void coast_##NAME(Lag lag, real distance, uint seed, __global real *parameter,          \
+                             __global MOMENT *m, __global MOMENT *v)                               \
+    {                                                                                              \
+        real##S first, second;                                                                     \
+        LOAD_MOMENTS(m, v, &first, &second);                                                       \
+        STORE(LOAD(0, parameter) - distance * first / (sqrt(second) + lag.epsilon), 0, parameter); \
+        if (lag.keeps)                                                                             \
+            STORE_MOMENTS(first * lag.decay1, second * lag.decay2, seed, m, v);                    \
     }
-DEFINE_UPDATE(update1, real, LOAD_ONE, STORE_ONE)
+
+// What a row has missed: by what its moments decay, and epsilon D / C. keeps: whether the moments
+// are stored, too.
+typedef struct {
+    real decay1, decay2, epsilon;
+    bool keeps;
+} Lag;
+
+DEFINE_UPDATE(real1, , real, LOAD_ONE, STORE_ONE, load_reals1, store_reals1)
+DEFINE_UPDATE(real3, 3, real, vload3, vstore3, load_reals3, store_reals3)
+DEFINE_UPDATE(real4, 4, real, vload4, vstore4, load_reals4, store_reals4)
+
+// The number that decides how a moment is rounded: of an element of the harmonics in a step.
+inline uint rounding_seed(uint row, uint column, uint now)
+{
+    return (row * MOMENT_STRIDE + column) ^ now * 0x9E3779B9u;
+}
+
+// One step on the small columns, and its terms of the sums of C and D. grad_colours times share are the gradients of sh_constant; rates are divided
+// by 1 - beta1^t, first = 1 / (1 - beta1^t); now is the number of the step, t.
+__kernel void adam_small(
+    uint now, real first, real correction, real share, real rate_positions, real rate_sh_constant,
+    real rate_sh_rest, real rate_opacity_logits, real rate_log_scales, real rate_quaternions,
+    __global const uint *restrict counts, __global const uint *restrict visible, __global const uint *restrict rows,
+    __global const real *restrict grad_positions, __global const real *restrict grad_colours,
+    __global const real *restrict grad_opacity_logits,
+    __global const real *restrict grad_log_scales, __global const real *restrict grad_quaternions,
+    __global real *restrict positions, __global real *restrict sh_constant,
+    __global real *restrict opacity_logits, __global real *restrict log_scales,
+    __global real *restrict quaternions, __global real *restrict m, __global real *restrict v,
+    __global uint *restrict last_step, __global real *restrict coefficients)
+{
+    if (counts[COUNT_FAILED])
+        return;
+    const uint count = counts[COUNT_VISIBLE];
+    FOR_EACH(i, max(count, (uint)CATCH_UP_EVERY)) {
+        const uint begun = (now - 1) / CATCH_UP_EVERY * CATCH_UP_EVERY + i; // t0 of this row
+        if (i < CATCH_UP_EVERY && begun < now) {
+            const real missed = now - begun;
+            const real c = exp(missed * (real)(LOG_BETA1 - LOG_BETA2 / 2)) / correction;
+            const real d = exp(missed * (real)(LOG_BETA1 - LOG_BETA2)) / (correction * correction);
+            const real16 terms = (real16)(rate_positions * c, rate_sh_constant * c, rate_sh_rest * c,
+                                          rate_opacity_logits * c, rate_log_scales * c,
+                                          rate_quaternions * c, first * c, first * d, (real8)(0));
+            const real8 before = begun + 1 < now ? vload8(i, coefficients) : (real8)(0);
+            vstore8(before + terms.lo, i, coefficients);
+        }
+        if (i >= count)
+            continue;
+        last_step[visible[i]] = now;
+        const uint row = rows[i];
+        if (row == NO_ROW)
+            continue;
+        __global real *own_m = m + (ulong)row * SMALL_COLUMNS;
+        __global real *own_v = v + (ulong)row * SMALL_COLUMNS;
+        step_real3(vload3(i, grad_positions), rate_positions, correction, 0, positions + 3ul * row,
+                   own_m + SMALL_POSITION, own_v + SMALL_POSITION);
+        step_real3(share * vload3(i, grad_colours), rate_sh_constant, correction, 0,
+                   sh_constant + 3ul * row, own_m + SMALL_CONSTANT, own_v + SMALL_CONSTANT);
+        step_real1(grad_opacity_logits[i], rate_opacity_logits, correction, 0, opacity_logits + row,
+                   own_m + SMALL_OPACITY, own_v + SMALL_OPACITY);
+        step_real3(vload3(i, grad_log_scales), rate_log_scales, correction, 0, log_scales + 3ul * row,
+                   own_m + SMALL_SCALE, own_v + SMALL_SCALE);
+        step_real4(vload4(i, grad_quaternions), rate_quaternions, correction, 0,
+                   quaternions + 4ul * row, own_m + SMALL_TURN, own_v + SMALL_TURN);
+    }
+}
+
+// |m| / sqrt(v) of whatever gradients, at most (1 - beta1) / sqrt((1 - beta2)(1 - beta1^2 / beta2))
+// by Cauchy and Schwarz, 7.27, and a hair more; times C it bounds how far a column may coast.
+#define MOST_M_BY_V 7.4
+
+// Whether the image may show a row that lags: at least what cull (project.cl) finds once the row has
+// caught up, from stale positions and scales and the bounds on how far these may coast.
+inline bool may_be_seen(__global const real *camera, real3 position, real3 log_scale,
+                        __global const real *coefficients)
+{
+    const real3 p = to_camera(camera, position);
+    const real near = camera[CAMERA_NEAR];
+    const real far_off = (real)(1.7321 * MOST_M_BY_V) * coefficients[LAG_POSITIONS];
+    if (!(p.z + far_off > near))
+        return false;
+    const real z = p.z - far_off;
+    if (!(z > near))
+        return true;
+    const real2 focal = vload2(0, camera + CAMERA_FOCAL) / z;
+    const real2 ratio = fmax(fabs(vload2(0, camera + CAMERA_RATIOS)),
+                             fabs(vload2(1, camera + CAMERA_RATIOS)));
+    const real2 reach = focal * exp(fmax(log_scale.x, fmax(log_scale.y, log_scale.z)) +
+                                    (real)MOST_M_BY_V * coefficients[LAG_SCALES]);
+    const real cutoff = 2.003 * log((real)ALPHA_STEPS); // of an opacity of 1, and a hair more
+    const real2 extent =
+        sqrt(cutoff * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS])) +
+        focal * far_off * (1 + fabs(p.xy) / p.z);
+    const real2 mean = vload2(0, camera + CAMERA_FOCAL) * p.xy / p.z +
+                       vload2(0, camera + CAMERA_CENTRE);
+    const real2 size = vload2(0, camera + CAMERA_SIZE);
+    return mean.x + extent.x > 0 && mean.y + extent.y > 0 && mean.x - extent.x < size.x &&
+           mean.y - extent.y < size.y;
+}
+
+// Whether a row is to catch up. A frozen one stays, and has missed nothing.
+inline bool is_due(uint row, uint now, bool keeps, bool has_frozen, bool by_camera,
+                   __global const real *camera, __global const uint *frozen,
+                   __global const real *positions, __global const real *log_scales,
+                   __global const real *coefficients, __global uint *last_step)
+{
+    const uint last = last_step[row];
+    if (last == now)
+        return false;
+    if (has_frozen && frozen[row]) {
+        if (keeps)
+            last_step[row] = now;
+        return false;
+    }
+    return !by_camera || may_be_seen(camera, vload3(row, positions), vload3(row, log_scales),
+                                     coefficients + (last % CATCH_UP_EVERY) * LAG_TERMS);
+}
+
+inline Lag lag_of(uint last, uint now, bool keeps, __global const real *coefficients)
+{
+    __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAG_TERMS;
+    const real missed = now - last;
+    Lag lag;
+    lag.decay1 = exp(missed * (real)LOG_BETA1);
+    lag.decay2 = exp(missed * (real)LOG_BETA2);
+    lag.epsilon = (real)ADAM_EPSILON * (c[LAG_D] / c[LAG_C]);
+    lag.keeps = keeps;
+    return lag;
+}
+
+inline void coast_small(uint row, Lag lag, __global const real *c, __global real *positions,
+                        __global real *sh_constant, __global real *opacity_logits,
+                        __global real *log_scales, __global real *quaternions, __global real *m,
+                        __global real *v)
+{
+    m += (ulong)row * SMALL_COLUMNS;
+    v += (ulong)row * SMALL_COLUMNS;
+    coast_real3(lag, c[LAG_POSITIONS], 0, positions + 3ul * row, m + SMALL_POSITION,
+                v + SMALL_POSITION);
+    coast_real3(lag, c[LAG_SH_CONSTANT], 0, sh_constant + 3ul * row, m + SMALL_CONSTANT,
+                v + SMALL_CONSTANT);
+    coast_real1(lag, c[LAG_OPACITY], 0, opacity_logits + row, m + SMALL_OPACITY, v + SMALL_OPACITY);
+    coast_real3(lag, c[LAG_SCALES], 0, log_scales + 3ul * row, m + SMALL_SCALE, v + SMALL_SCALE);
+    coast_real4(lag, c[LAG_TURNS], 0, quaternions + 4ul * row, m + SMALL_TURN, v + SMALL_TURN);
+}
 
 #if FORM_ITEM
 #include "item/adam.cl"
@@ -37,18 +227,12 @@ DEFINE_UPDATE(update1, real, LOAD_ONE, STORE_ONE)
 #include "group/adam.cl"
 #endif
 
-// places[i] of rows that no view has seen: NO_ROW, or STAYS where frozen[i] is not 0.
-__kernel void freeze_places(uint count, __global const uint *restrict frozen,
-                            __global uint *restrict places)
+// Columns begin to end - 1 of the moments of all rows become 0.
+__kernel void adam_clear(uint count, uint begin, uint end, __global real *restrict m,
+                         __global real *restrict v)
 {
-    FOR_EACH(i, count)
-        places[i] = frozen[i] ? STAYS : NO_ROW;
-}
-
-// places[visible[i]] = i, or STAYS where rows[i] is NO_ROW; places stays as it is elsewhere.
-__kernel void invert_rows(__global const uint *restrict counts, __global const uint *restrict visible,
-                          __global const uint *restrict rows, __global uint *restrict places)
-{
-    FOR_EACH(i, counts[COUNT_VISIBLE])
-        places[visible[i]] = rows[i] == NO_ROW ? STAYS : i;
+    FOR_EACH(i, count) {
+        for (uint column = begin; column < end; column++)
+            m[i * SMALL_COLUMNS + column] = v[i * SMALL_COLUMNS + column] = 0;
+    }
 }

@@ -20,21 +20,27 @@ __kernel void batch_mark(__global const uint *restrict counts, __global const ui
     }
 }
 
-// rows[v] = keys[visible[v]], of the rows that any view has seen
+// rows[v] = keys[visible[v]], of the rows that any view has seen; their flags become 0 for the next batch.
 __kernel void batch_rows(__global const uint *restrict counts, __global const uint *restrict visible,
-                         __global const uint *restrict keys, __global uint *restrict rows)
+                         __global const uint *restrict keys, __global uint *restrict flags,
+                         __global uint *restrict rows)
 {
-    FOR_EACH(v, counts[COUNT_VISIBLE])
+    FOR_EACH(v, counts[COUNT_VISIBLE]) {
         rows[v] = keys[visible[v]];
+        flags[visible[v]] = 0;
+    }
 }
 
-// mean[v, :] = sums[visible[v], :]
+// mean[v, :] = sums[visible[v], :], which becomes 0 for the next batch.
 __kernel void batch_take(uint width, __global const uint *restrict counts,
-                         __global const uint *restrict visible, __global const real *restrict sums,
+                         __global const uint *restrict visible, __global real *restrict sums,
                          __global real *restrict mean)
 {
-    FOR_EACH(i, (ulong)counts[COUNT_VISIBLE] * width)
-        mean[i] = sums[(ulong)visible[i / width] * width + i % width];
+    FOR_EACH(i, (ulong)counts[COUNT_VISIBLE] * width) {
+        const ulong from = (ulong)visible[i / width] * width + i % width;
+        mean[i] = sums[from];
+        sums[from] = 0;
+    }
 }
 
 #if FORM_ITEM

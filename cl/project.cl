@@ -13,7 +13,7 @@
 
 // depth_keys: uint[V], which sort splats front to back (positive floats order as their bits). A gaussian that
 // `cull` saw but that cannot be drawn, as its parameters have changed since, becomes a splat without tiles.
-__kernel void project(uint degree, __global const uint *restrict counts,
+__kernel void project(__global const uint *restrict counts,
                       __global const uint *restrict rows, __global const real *restrict camera,
                       __global const real *restrict positions,
                       __global const real *restrict sh_constant, __global const real *restrict sh_rest,
@@ -38,14 +38,12 @@ __kernel void project(uint degree, __global const uint *restrict counts,
         }
 
         real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
-#if SH_REST > 0
-        if (degree > 0) {
-            real basis[SH_SIZE];
-            const real3 d = normalize(vload3(row, positions) - vload3(0, camera + CAMERA_POSITION));
-            harmonics(d, degree, basis);
-            for (uint k = 0; k < SH_ACTIVE(degree); k++)
-                colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
-        }
+#if DEGREE > 0
+        real basis[SH_SIZE];
+        const real3 d = normalize(vload3(row, positions) - vload3(0, camera + CAMERA_POSITION));
+        harmonics(d, basis);
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            colour += basis[k] * vload3((ulong)row * SH_REST + k, sh_rest);
 #endif
         const real opacity = f.opacity * sqrt(f.area_ratio);
         vstore4((real4)(mean_pixel(camera, f.p), opacity, cutoff), 0, splat);
@@ -57,6 +55,9 @@ __kernel void project(uint degree, __global const uint *restrict counts,
 }
 
 // From the pair sums of each splat (sums: real[V, S], see splat.h) to gradients of the parameters.
+// The gradients of the harmonics are those of the colour, grad_colours, times each harmonic in the
+// direction of the gaussian, directions (unit vectors; not written where DEGREE is 0): see
+// harmonics_gradients.
 // grad_means gets the pixel gradient of the mean. Where any gradient or the colour is not finite the row
 // is left alone: active[v] is NO_ROW and `skipped` counts it. So it is, uncounted, where frozen[row]
 // is not 0 (WITH_FROZEN).
@@ -65,14 +66,14 @@ __kernel void project(uint degree, __global const uint *restrict counts,
 // the screen gradient of its mean in NDC units (pixel gradient x W/2, H/2; Kerbl et al. 2023), and how
 // many views saw it. Without these two choices the arrays are not touched.
 __kernel void project_adjoint(
-    uint degree, uint sum_count, real half_width, real half_height, __global uint *restrict counts,
+    uint sum_count, real half_width, real half_height, __global uint *restrict counts,
     __global const uint *restrict rows,
     __global const real *restrict camera, __global const real *restrict positions,
     __global const real *restrict sh_constant, __global const real *restrict sh_rest,
     __global const real *restrict opacity_logits, __global const real *restrict log_scales,
     __global const real *restrict quaternions, __global const real *restrict sums,
-    __global real *restrict grad_positions, __global real *restrict grad_sh_constant,
-    __global real *restrict grad_sh_rest, __global real *restrict grad_opacity_logits,
+    __global real *restrict grad_positions, __global real *restrict grad_colours,
+    __global real *restrict directions, __global real *restrict grad_opacity_logits,
     __global real *restrict grad_log_scales, __global real *restrict grad_quaternions,
     __global real *restrict grad_means, __global uint *restrict active,
     __global uint *restrict skipped, __global const uint *restrict frozen,
@@ -150,36 +151,30 @@ __kernel void project_adjoint(
         // colour; where it is not drawn nothing flows
         real3 grad_colour = vload3(0, sum + SUM_COLOUR);
         real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
-#if SH_REST > 0
+#if DEGREE > 0
         real basis[SH_SIZE], weight[SH_SIZE];
         const real3 offset = vload3(row, positions) - vload3(0, camera + CAMERA_POSITION);
         const real3 d = normalize(offset);
-        if (degree > 0) {
-            harmonics(d, degree, basis);
-            for (uint k = 0; k < SH_ACTIVE(degree); k++)
-                colour += basis[k] * vload3(row * SH_REST + k, sh_rest);
-        }
+        harmonics(d, basis);
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            colour += basis[k] * vload3((ulong)row * SH_REST + k, sh_rest);
 #endif
         grad_colour = select((real3)(0), grad_colour, drawn(colour));
-        const real3 grad_constant = (real)SH_C0 * grad_colour;
-#if SH_REST > 0
-        if (degree > 0) {
-            for (uint k = 0; k < SH_ACTIVE(degree); k++)
-                weight[k] = dot(grad_colour, vload3(row * SH_REST + k, sh_rest));
-            const real3 g = harmonics_gradient(d, degree, weight);
-            grad_position += (g - d * dot(d, g)) / length(offset);
-            for (uint k = 0; k < SH_ACTIVE(degree); k++)
-                vstore3(basis[k] * grad_colour, v * SH_REST + k, grad_sh_rest);
-        }
+#if DEGREE > 0
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            weight[k] = dot(grad_colour, vload3((ulong)row * SH_REST + k, sh_rest));
+        const real3 g = harmonics_gradient(d, weight);
+        grad_position += (g - d * dot(d, g)) / length(offset);
+        vstore3(d, v, directions);
 #endif
         vstore3(grad_position, v, grad_positions);
-        vstore3(grad_constant, v, grad_sh_constant);
+        vstore3(grad_colour, v, grad_colours);
         vstore3(grad_log_scale, v, grad_log_scales);
         vstore4(grad_quaternion, v, grad_quaternions);
         vstore2(grad_mean, v, grad_means);
         grad_opacity_logits[v] = grad_logit;
 
-        const real3 size = fabs(grad_position) + fabs(grad_constant) + fabs(grad_log_scale);
+        const real3 size = fabs(grad_position) + fabs(grad_colour) + fabs(grad_log_scale);
         const bool finite = size.x + size.y + size.z + fabs(grad_logit) +
                                     dot(fabs(grad_quaternion), (real4)(1)) < (real)GRADIENT_MAX &&
                             isfinite(colour.x + colour.y + colour.z);
@@ -197,5 +192,27 @@ __kernel void project_adjoint(
             seen_count[row] += 1;
         }
 #endif
+    }
+}
+
+// Gradients of the harmonics for those who need them in memory: grad_sh_constant: real[V, 3];
+// grad_sh_rest: real[V, SH_REST, 3], 0 for harmonics that are not active.
+__kernel void harmonics_gradients(__global const uint *restrict counts,
+                                  __global const real *restrict grad_colours,
+                                  __global const real *restrict directions,
+                                  __global real *restrict grad_sh_constant,
+                                  __global real *restrict grad_sh_rest)
+{
+    FOR_EACH(v, counts[COUNT_VISIBLE]) {
+        const real3 grad_colour = vload3(v, grad_colours);
+        vstore3((real)SH_C0 * grad_colour, v, grad_sh_constant);
+#if DEGREE > 0
+        real basis[SH_SIZE];
+        harmonics(vload3(v, directions), basis);
+        for (uint k = 0; k < SH_ACTIVE; k++)
+            vstore3(basis[k] * grad_colour, v * SH_REST + k, grad_sh_rest);
+#endif
+        for (uint k = SH_ACTIVE; k < SH_REST; k++)
+            vstore3((real3)(0), v * SH_REST + k, grad_sh_rest);
     }
 }

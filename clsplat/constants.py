@@ -37,6 +37,9 @@ ONE_MINUS_BETA2: Final = 0.001
 LOG_BETA1: Final = math.log(1 - ONE_MINUS_BETA1)
 LOG_BETA2: Final = math.log(1 - ONE_MINUS_BETA2)
 ADAM_EPSILON: Final = 1e-15  # Kerbl et al. (2023)
+SMALL_COLUMNS: Final = 14  # of a gaussian without the harmonics above the constant
+CATCH_UP_EVERY: Final = 100  # steps after which dense Adam moves the rows that no view saw, too
+LAG_TERMS: Final = 8  # columns of the sums by which a row catches up (cl/adam.cl)
 
 # numbers of a frame that stay on the device (cl/include/counts.h)
 COUNT_VISIBLE: Final = 0  # gaussians that the view sees

@@ -3,7 +3,8 @@
 from functools import partial
 
 from clsplat.gaussians import LEARNED
-from clsplat.optimise.adam import DeviceAdam, NumpyAdam
+from clsplat.optimise.adam import DeviceAdam
+from clsplat.optimise.numpy_adam import NumpyAdam
 
 from .measure import Bench
 from .workloads import CityFrame

@@ -65,6 +65,19 @@ class Array:
             raise ShapeError(f"cannot reshape {self.shape} to {shape}")
         return Array(self.device, self.buffer, shape, self.dtype, self.block)
 
+    def copied(self) -> Array:
+        """A persistent Array with the same values."""
+        copy = self.device.allocate(self.shape, self.dtype)
+        if self.nbytes:
+            cl.enqueue_copy(self.device.queue, copy.buffer, self.buffer, byte_count=self.nbytes)
+        return copy
+
+    def viewed(self, dtype: DTypeLike, *shape: int) -> Array:
+        """The same memory as another type, under a shape of as many bytes."""
+        if math.prod(shape) * np.dtype(dtype).itemsize != self.nbytes:
+            raise ShapeError(f"cannot view {self.dtype}{self.shape} as {dtype}{shape}")
+        return Array(self.device, self.buffer, shape, dtype)
+
     def download(self) -> NDArray[Any]:
         """A numpy copy; waits for everything queued before."""
         host = np.empty(self.shape, self.dtype)

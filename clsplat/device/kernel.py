@@ -26,6 +26,7 @@ Argument = str | tuple[Any, ...]  # see `Kernel`
 Factors = list[tuple[Any, Any]]  # of a size: quotients of two names or numbers
 SCALARS = {
     "int": np.int32, "uint": np.uint32, "ulong": np.uint64, "float": np.float32, "uchar": np.uint8}
+EITHER = {"moment": np.dtype(np.uint16)}  # arrays of this type in some builds, of real in others
 DEVICE_SIZES = {  # name -> attribute of Device
     "TILE": "tile", "SCAN_GROUP": "scan_group", "WAVE": "wave", "BUCKET": "bucket",
     "ADJOINT_GROUP": "adjoint_group"}
@@ -96,7 +97,7 @@ class Kernel:
     launch : of both forms, or `Forms` with one for each.
     arguments : in the order of the OpenCL signature; a string is a scalar of that type, a tuple an
         array: its type, then its shape, where equal letters must agree. `real` is float, or double
-        on a device opened for double precision.
+        on a device opened for double precision; for `moment` see EITHER.
 
     Attributes
     ----------
@@ -166,8 +167,10 @@ class Contract:
         # (name, dtype or None for the device's real, shape or None for a scalar)
         self._checks = [
             (name, None, None) if isinstance(a, str) else
-            (name, None if a[0] == "real" else np.dtype(SCALARS[a[0]]), a[1:])
+            (name, None if a[0] in ("real", *EITHER) else np.dtype(SCALARS[a[0]]), a[1:])
             for name, a in self.arguments.items()]
+        self._either = {name: EITHER[a[0]] for name, a in self.arguments.items()
+                        if a[0] in EITHER}
         self._fixed = {n: n for _, _, shape in self._checks for n in shape or ()
                        if isinstance(n, int)}
         known = {name for name, a in self.arguments.items() if isinstance(a, str)}.union(
@@ -200,7 +203,8 @@ class Contract:
                 sizes[name] = value
                 arguments.append(value)
                 continue
-            if value.dtype != (dtype or real):
+            if value.dtype != (dtype or real) and not (
+                    name in self._either and value.dtype == self._either[name]):
                 raise ShapeError(f"{self}: '{name}' is {value.dtype}, expected {dtype or real}")
             fits = len(value.shape) == len(shape)
             for axis, length in zip(shape, value.shape):
@@ -262,9 +266,12 @@ def _signature(built: cl.Kernel, index: int) -> tuple[Any, Any]:
 
 def _same_type(actual: str, declared: str) -> bool:
     """Whether the compiler's type name is the declared one; `real` stands for either precision."""
-    actual = actual.replace(" ", "").replace("unsignedint", "uint").replace("unsignedchar", "uchar")
+    actual = actual.replace(" ", "")
+    for kind in ("int", "char", "short"):
+        actual = actual.replace(f"unsigned{kind}", f"u{kind}")
     base, pointer = declared.rstrip("*"), declared.endswith("*")
-    bases = ("float", "double", "real") if base == "real" else (base,)
+    bases = {"real": ("float", "double", "real"),
+             "moment": ("float", "double", "real", "ushort", "moment")}.get(base, (base,))
     if pointer:  # wider loads of the same scalars are fine: float4* reads float rows
         return actual.endswith("*") and actual.rstrip("*").rstrip("0123456789") in bases
     return actual in bases

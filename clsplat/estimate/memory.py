@@ -126,7 +126,7 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     level, count, resident = None, gaussians.count, True
 
     def model_of(capacity: int) -> list[ArraySpec]:
-        return model_arrays(names, options.sh_degree, capacity, options.engine)
+        return model_arrays(names, options.sh_degree, capacity, options.engine, options.moments)
 
     for segment in segments:
         if segment.level != level:
@@ -159,11 +159,12 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
 
 
 def model_arrays(names: Iterable[str], sh_degree: int, capacity: int,
-                 engine: str) -> list[ArraySpec]:
+                 engine: str, moments: str) -> list[ArraySpec]:
     """The arrays of rows and moments, in the order in which growth replaces them."""
     rows = Model.arrays(names, sh_degree, capacity)
-    moments = ENGINES[engine].arrays({field.name: rows[field.name] for field in LEARNED})
-    return [spec for fields in (rows, *moments) for spec in fields.values()]
+    learned = {field.name: rows[field.name] for field in LEARNED}
+    moments_of = ENGINES[engine].arrays(learned, moments)
+    return [spec for fields in (rows, *moments_of) for spec in fields.values()]
 
 
 def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:

@@ -1,38 +1,67 @@
-"""Adam on the rows of the gaussians: one definition, two engines (cl/adam.cl).
+"""Adam on the rows of the gaussians, with moments on the device (cl/adam.cl).
 
-`DeviceAdam` has one fused kernel for each field. `NumpyAdam` is the readable reference and keeps
-the moments in host memory, for models whose moments do not fit the device. Both are dense, updating
-every row and its moments in each step as Adam does, or sparse: only the rows that the view sees.
-Dense learns faster (on our data sets 0.5 to 1 dB ahead after 1000 steps) and costs about the same.
-Neither changes a row whose gradient is not finite, nor its moments.
+`DeviceAdam` is dense, updating every row and its moments in each step as Adam does, or sparse: only
+the rows that the view sees. Dense learns faster (on our data sets 0.5 to 1 dB ahead after 1000
+steps) and costs about the same, since it is lazy: rows that no view saw keep parameters and moments
+until a view may see them or the model is read, and then catch up. `NumpyAdam` (numpy_adam.py) is
+the readable reference. Neither changes a row whose gradient is not finite, nor its moments, in that
+step.
 """
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import ADAM_EPSILON, FRAME_COUNTS, NO_ROW, ONE_MINUS_BETA1, ONE_MINUS_BETA2
-from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
+from clsplat.constants import (
+    CATCH_UP_EVERY,
+    FRAME_COUNTS,
+    LAG_TERMS,
+    ONE_MINUS_BETA1,
+    ONE_MINUS_BETA2,
+    SH_C0,
+    SMALL_COLUMNS,
+)
+from clsplat.device import Array, ArraySpec, Device, Kernel, each
 from clsplat.gaussians import LEARNED
-from clsplat.primitives.gather import gather, scatter
+from clsplat.optimise.half_moments import decoded, encoded
+from clsplat.primitives.gather import gather
 from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
+from clsplat.rendering.project import FieldGradients
 
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
 
-_ARGUMENTS = dict(stride="uint", used="uint", rate="real", correction="real",
-                  counts=("uint", FRAME_COUNTS))
-_MOMENTS = dict(gradient=("real", "V", "W"), parameter=("real", "N", "W"), m=("real", "N", "W"),
-                v=("real", "N", "W"))
-ROWS = Kernel("adam.cl", "adam_rows", Forms(item=each("V"), group=each("V used")), **_ARGUMENTS, rows=("uint", "V"), **_MOMENTS)
-ALL = Kernel("adam.cl", "adam_all", Forms(item=each("count"), group=each("count used")),
-             count="uint", **_ARGUMENTS, places=("uint", "N"), **_MOMENTS)
-INVERT = Kernel("adam.cl", "invert_rows", each("V"), counts=("uint", FRAME_COUNTS), visible=("uint", "V"),
-                rows=("uint", "V"), places=("uint", "N"))
-FREEZE_PLACES = Kernel("adam.cl", "freeze_places", each("count"), count="uint",
-                       frozen=("uint", "N"), places=("uint", "N"))
+SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of adam_small
+_PARAMETERS = dict(positions=("real", "N", 3), sh_constant=("real", "N", 3),
+                   opacity_logits=("real", "N"), log_scales=("real", "N", 3),
+                   quaternions=("real", "N", 4))
+_MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLUMNS))
+_COUNTS = dict(counts=("uint", FRAME_COUNTS))
+_LAG = dict(last_step=("uint", "N"), coefficients=("real", CATCH_UP_EVERY, LAG_TERMS))
+STEP_SMALL = Kernel(
+    "adam.cl", "adam_small", each("V"), now="uint", first="real", correction="real", share="real",
+    **{f"rate_{field.name}": "real" for field in LEARNED}, **_COUNTS, visible=("uint", "V"),
+    rows=("uint", "V"), grad_positions=("real", "V", 3),
+    grad_colours=("real", "V", 3), grad_opacity_logits=("real", "V"),
+    grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4), **_PARAMETERS, **_MOMENTS,
+    **_LAG)
+STEP_HARMONICS = Kernel(
+    "adam.cl", "adam_harmonics", each("V"), now="uint", rank_one="uint", rate="real",
+    correction="real", **_COUNTS, rows=("uint", "V"), grad_colours=("real", "V", 3),
+    directions=("real", "V", 3), gradient=("real", "G", "H", 3), sh_rest=("real", "N", "K", 3),
+    m=("moment", "N", "S"), v=("moment", "N", "S"))
+CATCH_UP = Kernel(
+    "adam.cl", "adam_catch_up", each("count"), count="uint", now="uint", keeps="uint",
+    has_frozen="uint", by_camera="uint", **_COUNTS, camera=("real", "C"), frozen=("uint", "F"),
+    coefficients=("real", CATCH_UP_EVERY, LAG_TERMS), positions=("real", "N", 3),
+    sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3), opacity_logits=("real", "N"),
+    log_scales=("real", "N", 3), quaternions=("real", "N", 4), **_MOMENTS,
+    m_rest=("moment", "N", "S"), v_rest=("moment", "N", "S"), last_step=("uint", "N"))
+CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
+               **_MOMENTS)
 
 
 def corrections(step: int) -> tuple[float, float]:
@@ -41,86 +70,191 @@ def corrections(step: int) -> tuple[float, float]:
     return 1 / (1 - beta1**step), 1 / float(np.sqrt(1 - beta2**step))
 
 
-def _flat(array: Array) -> Array:
-    return array.reshaped(len(array), math.prod(array.shape[1:]))
+def _defines(harmonics: int, degree: int, half: bool) -> tuple[tuple[str, int], ...]:
+    return ("SH_REST", harmonics), ("DEGREE", degree), ("HALF_MOMENTS", int(half))
 
 
 class DeviceAdam:
     """Adam with its moments on the device.
 
+    Parameters
+    ----------
+    device : of the rows.
+    rows : field name -> real[N, *row shape], the parameters.
+    dense : whether rows that a view does not see move, too.
+    moments : how moments of the harmonics above the constant are stored, "float" or "half"
+        (cl/include/moments.h); those of the other fields always are reals.
+
     Attributes
     ----------
-    m, v : field name -> moments, of the shape of the parameter.
-    dense : whether rows that a view does not see are updated too.
+    steps : the number of the last step.
     """
 
-    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False) -> None:
+    RECORDS = True  # whether a step can be recorded
+    NUMBERS = ("now", "before", "first", "correction",
+               *(f"rate_{field.name}" for field in LEARNED))
+
+    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False,
+                 moments: str = "float") -> None:
         self.device, self.dense, self.count = device, dense, len(rows["positions"])
-        self.m, self.v = ({name: device.zeros(*spec) for name, spec in moments.items()}
-                          for moments in self.arrays(rows))
+        self.half, self.harmonics = moments == "half", rows["sh_rest"].shape[1]
+        self._m, self._v, self._others = (
+            {name: device.zeros(*spec) for name, spec in specs.items()}
+            for specs in self.arrays(rows, moments))
+        self.steps, self._is_current = 0, True
+        self._degree = math.isqrt(self.harmonics + 1) - 1
 
     @staticmethod
-    def arrays(rows: Mapping[str, Array | ArraySpec]
-               ) -> tuple[dict[str, ArraySpec], dict[str, ArraySpec]]:
-        """The arrays of m and of v by field, for parameters of these shapes."""
-        moments = {name: ArraySpec(array.shape) for name, array in rows.items()}
-        return moments, moments
+    def arrays(rows: Mapping[str, Array | ArraySpec], moments: str = "float"
+               ) -> tuple[dict[str, ArraySpec], ...]:
+        """The arrays of m, of v and others, by name, for parameters of these shapes."""
+        count, harmonics, _ = rows["sh_rest"].shape
+        rest = (ArraySpec((count, -(-3 * harmonics // 4) * 4), np.uint16) if moments == "half"
+                else ArraySpec((count, 3 * harmonics)))
+        specs = {"small": ArraySpec((count, SMALL_COLUMNS)), "rest": rest}
+        return specs, specs, {"last_step": ArraySpec((count,), np.uint32),
+                              "coefficients": ArraySpec((CATCH_UP_EVERY, LAG_TERMS)),
+                              "no_gradient": ArraySpec((1, 1, 3)),
+                              "none_frozen": ArraySpec((1,), np.uint32),
+                              "no_counts": ArraySpec((FRAME_COUNTS,), np.uint32)}
 
     @staticmethod
     def frame_arrays(count: int, seen: int, sh_degree: int, dense: bool) -> list[FrameArray]:
         """The arrays that a step allocates for `count` rows, of which the view sees `seen`."""
-        return [FrameArray("places", (count,), np.uint32, "adam", "adam")] if dense else []
+        return []
 
     @staticmethod
     def numbers(step: int, rates: Mapping[str, float]) -> dict[str, float]:
-        """What `apply` needs of a step: its number from 1, and field name -> learning rate."""
-        first, second = corrections(step)
-        return {"correction": second, **{f"rate_{name}": r * first for name, r in rates.items()}}
+        """What `catch_up_seen` and `apply` need to know of a step.
+
+        Parameters
+        ----------
+        step : number of the step, from 1.
+        rates : field name -> learning rate.
+        """
+        first, correction = corrections(step)
+        return {"now": step, "before": step - 1, "first": first, "correction": correction,
+                **{f"rate_{field.name}": rates[field.name] * first for field in LEARNED}}
+
+    def catch_up_seen(self, rows: Mapping[str, Array], numbers: Mapping[str, float],
+                      degree: int, frozen: Array | None, camera: Array, counts: Array) -> None:
+        """Move rows that a view may see by the steps in which they had no gradient.
+
+        Parameters
+        ----------
+        rows, numbers, frozen : as for `apply`.
+        degree : of the active harmonics.
+        camera : real[27], packed, of the view.
+        counts : uint[FRAME_COUNTS]; nothing moves once a frame has failed.
+        """
+        if self.dense:
+            self._coast(rows, frozen, camera, True, numbers["before"], degree, counts)
 
     def apply(self, rows: Mapping[str, Array], gradients: Gradients, numbers: Mapping[str, float],
               used: Mapping[str, int], frozen: Array | None = None) -> None:
-        """Update parameters in place, unless the frame of the gradients has failed.
+        """Update the rows that have a gradient in place, unless their frame has failed.
 
         Parameters
         ----------
         rows : field name -> real[N, *row shape], the parameters.
-        gradients : of a view or a batch, without the rows of frozen gaussians.
+        gradients : of a view or a batch, without those of frozen gaussians.
         numbers : of `numbers`.
-        used : field name -> how many floats of a row may change, from the first.
-        frozen : uint[N], not 0 for rows that keep parameters and moments; None: no row does.
+        used : field name -> how many floats of a row may change, from the first: all but those of
+            the harmonics that are not active, whose number never falls.
+        frozen : gradients of frozen gaussians are left out already.
         """
-        device, seen, count = self.device, gradients.rows, len(rows["positions"])
-        counts = gradients.counts
-        if self.dense:
-            places = device.empty(count, np.uint32)
-            if frozen is None:
-                places.fill(NO_ROW)
-            else:
-                device.launch(FREEZE_PLACES, count=count, frozen=frozen, places=places)
-            device.launch(INVERT, counts=counts, visible=gradients.visible, rows=seen,
-                          places=places)
-        for name, parameter in rows.items():
-            if not used[name]:
-                continue
-            gradient = _flat(gradients.fields[name])
-            values = dict(
-                stride=gradient.shape[1], used=used[name], rate=numbers[f"rate_{name}"],
-                correction=numbers["correction"], counts=counts, gradient=gradient,
-                parameter=_flat(parameter), m=_flat(self.m[name].narrow(count)),
-                v=_flat(self.v[name].narrow(count)))
-            if self.dense:
-                device.launch(ALL, count=count, places=places, **values)
-            else:
-                device.launch(ROWS, rows=seen, **values)
+        device, fields, counts = self.device, gradients.fields, gradients.counts
+        degree, defines = _degree_of(used), self._defines(_degree_of(used))
+        by_colour, nothing = isinstance(fields, FieldGradients), self._others["no_gradient"]
+        colours = fields.grad_colours if isinstance(fields, FieldGradients) else (
+            fields["sh_constant"])
+        m, v = self._moments(len(rows["positions"]))
+        if degree:
+            device.launch(
+                STEP_HARMONICS, defines, now=numbers["now"], rank_one=int(by_colour),
+                rate=numbers["rate_sh_rest"], correction=numbers["correction"], counts=counts,
+                rows=gradients.rows, grad_colours=colours,
+                directions=fields.directions if isinstance(fields, FieldGradients) else colours,
+                gradient=nothing if by_colour else fields["sh_rest"],
+                sh_rest=rows["sh_rest"], m=m["rest"], v=v["rest"])
+        device.launch(
+            STEP_SMALL, defines, share=SH_C0 if by_colour else 1.0, counts=counts,
+            **{name: numbers[name] for name in self.NUMBERS if name != "before"},
+            visible=gradients.visible, rows=gradients.rows, grad_colours=colours,
+            **{f"grad_{field.name}": fields[field.name] for field in SMALL
+               if field.name != "sh_constant"},
+            **{field.name: rows[field.name] for field in SMALL}, m=m["small"], v=v["small"],
+            **self._lag_of(rows))
+
+    def advance(self, step: int, rows: Mapping[str, Array], used: Mapping[str, int],
+                frozen: Array | None, counts: Array) -> None:
+        """Note that a step was enqueued; every CATCH_UP_EVERY-th moves all rows that lag.
+
+        Parameters
+        ----------
+        step : its number.
+        rows, used, frozen : as they were for it.
+        counts : as for `catch_up_seen`.
+        """
+        self.steps, self._degree, self._is_current = step, _degree_of(used), not self.dense
+        if self.dense and step % CATCH_UP_EVERY == 0:
+            self._coast(rows, frozen, None, True, step, self._degree, counts)
+            self._is_current = True
 
     def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
              rates: Mapping[str, float], used: Mapping[str, int],
              frozen: Array | None = None) -> None:
-        """Take one step, number `step` from 1, with learning rates by field; see `apply`."""
-        self.apply(rows, gradients, self.numbers(step, rates), used, frozen)
+        """Take step number `step` with learning rates by field: `apply` and `advance`.
+
+        Where the engine is dense, rows that the gradients do not have are left for later, and the
+        rows that they have must have caught up with the step before.
+        """
+        self.apply(rows, gradients, self.numbers(step, rates), used)
+        self.advance(step, rows, used, frozen, gradients.counts)
+
+    def catch_up(self, rows: Mapping[str, Array], frozen: Array | None = None) -> None:
+        """Move all rows that lag behind the last step.
+
+        When this is done decides how results round, so it may depend on nothing but the steps; for
+        anything else there is `current`.
+        """
+        if not self._is_current:
+            self._coast(rows, frozen, None, True, self.steps, self._degree)
+            self._is_current = True
+
+    def current(self, rows: Mapping[str, Array], frozen: Array | None = None) -> dict[str, Array]:
+        """The rows after the last step, as copies where some have not caught up."""
+        if self._is_current:
+            return dict(rows)
+        copies = {**rows, **{field.name: rows[field.name].copied() for field in LEARNED}}
+        self._coast(copies, frozen, None, False, self.steps, self._degree)
+        return copies
+
+    def _coast(self, rows: Mapping[str, Array], frozen: Array | None, camera: Array | None,
+               keeps: bool, now: float, degree: int, counts: Array | None = None) -> None:
+        m, v = self._moments(len(rows["positions"]))
+        self.device.launch(
+            CATCH_UP, self._defines(degree), count=len(rows["positions"]), now=now,
+            keeps=int(keeps), has_frozen=int(frozen is not None), by_camera=int(camera is not None),
+            counts=self._others["no_counts"] if counts is None else counts,
+            camera=self._others["no_gradient"].reshaped(3) if camera is None else camera,
+            frozen=self._others["none_frozen"] if frozen is None else frozen,
+            **{field.name: rows[field.name] for field in LEARNED}, m=m["small"], v=v["small"],
+            m_rest=m["rest"], v_rest=v["rest"], **self._lag_of(rows))
+
+    def _defines(self, degree: int) -> tuple[tuple[str, int], ...]:
+        return _defines(self.harmonics, degree, self.half)
+
+    def _moments(self, count: int) -> list[dict[str, Array]]:
+        return [{name: array.narrow(count) for name, array in moments.items()}
+                for moments in (self._m, self._v)]
+
+    def _lag_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
+        return {"last_step": self._others["last_step"].narrow(len(rows["positions"])),
+                "coefficients": self._others["coefficients"]}
 
     def regrow(self, source: Array, kept: int, capacity: int) -> None:
-        """Rearrange the moments as growth rearranged the rows.
+        """Rearrange the moments as growth rearranged the rows, which must have caught up.
 
         Parameters
         ----------
@@ -128,127 +262,78 @@ class DeviceAdam:
         kept : how many rows keep their moments, from the first; the moments of others begin at 0.
         capacity : rows to allocate, at least M.
         """
-        for moments in (self.m, self.v):
+        device = self.device
+        for moments in (self._m, self._v):
             for name, old in moments.items():
-                new = self.device.zeros((capacity, *old.shape[1:]))
-                moments[name] = gather(self.device, old.narrow(self.count), source.narrow(kept),
-                                       new)
+                new = device.zeros((capacity, *old.shape[1:]), old.dtype)
+                gather(device, self._as_reals(old.narrow(self.count)), source.narrow(kept),
+                       self._as_reals(new))
+                moments[name] = new
+        self._others["last_step"] = device.allocate((capacity,), np.uint32)
+        self._others["last_step"].fill(self.steps)
         self.count = len(source)
 
-    def reset(self, name: str) -> None:
-        """Set the moments of one field to 0."""
-        self.m[name].fill(0)
-        self.v[name].fill(0)
-
-    def download(self, count: int) -> tuple[HostArrays, HostArrays]:
-        """The first `count` rows of m and v in host memory, by field."""
-        m, v = ({name: array.narrow(count).download() for name, array in moments.items()}
-                for moments in (self.m, self.v))
-        return m, v
-
-    def upload(self, m: HostArrays, v: HostArrays) -> None:
-        """Overwrite the moments with host arrays by field."""
-        for own, source in ((self.m, m), (self.v, v)):
-            for name, values in source.items():
-                own[name].write(values)
-
-
-class NumpyAdam:
-    """Adam with its moments in host memory; only gradients and parameters are copied in each step.
-
-    Attributes
-    ----------
-    m, v, dense : as of `DeviceAdam`, in host memory.
-    """
-
-    @staticmethod
-    def arrays(rows: Mapping[str, Array | ArraySpec]
-               ) -> tuple[dict[str, ArraySpec], dict[str, ArraySpec]]:
-        """As `DeviceAdam.arrays`: none on the device."""
-        return {}, {}
-
-    @staticmethod
-    def frame_arrays(count: int, seen: int, sh_degree: int, dense: bool) -> list[FrameArray]:
-        """As `DeviceAdam.frame_arrays`; parameters are copied to the host and back."""
-        moved = count if dense else seen
-        return [FrameArray("touched", (moved,), np.uint32, "adam", "adam"),
-                *(FrameArray(field.name, (moved, *field.row_shape(sh_degree)), None, "adam", "adam")
-                  for field in LEARNED)]
-
-    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False) -> None:
-        self.device, self.dense = device, dense
-        self.m: HostArrays = {
-            name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
-        self.v: HostArrays = {
-            name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
-
-    def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
-             rates: Mapping[str, float], used: Mapping[str, int],
-             frozen: Array | None = None) -> None:
-        """As `DeviceAdam.step`."""
-        count = len(rows["positions"])
-        seen = gradients.rows.download()
-        usable = seen != NO_ROW
-        touched = seen[usable]
-        if self.dense:
-            unchanged = np.zeros(count, bool) if frozen is None else frozen.download() > 0
-            unchanged[gradients.visible.download()[~usable]] = True
-            touched = np.flatnonzero(~unchanged).astype(np.uint32)
-            places = np.searchsorted(touched, seen[usable])
-        touched_device = self.device.upload(touched)
-        for field in LEARNED:
-            name, columns = field.name, slice(0, used[field.name])
-            if not used[name] or not len(touched):
-                continue
-            parameter = gather(self.device, rows[name], touched_device)
-            values, gradient = parameter.download(), gradients.fields[name].download()
-            if self.dense:
-                spread = np.zeros_like(values)
-                spread[places] = gradient[usable]
-                gradient = spread
-            else:
-                gradient = gradient[usable]
-            flat = values.reshape(len(values), -1)
-            m, v = (moments[name].reshape(len(moments[name]), -1) for moments in (self.m, self.v))
-            flat[:, columns], m[touched, columns], v[touched, columns] = adam_update(
-                flat[:, columns], gradient.reshape(len(values), -1)[:, columns],
-                m[touched, columns], v[touched, columns], step, rates[name])
-            parameter.write(values)
-            scatter(self.device, parameter, touched_device, rows[name])
-
-    def regrow(self, source: Array, kept: int, capacity: int) -> None:
-        """As `DeviceAdam.regrow`."""
-        kept_rows = source.narrow(kept).download()
-        for moments in (self.m, self.v):
-            for name, old in moments.items():
-                moments[name] = np.zeros((capacity, *old.shape[1:]), old.dtype)
-                moments[name][:kept] = old[kept_rows]
+    def _as_reals(self, array: Array) -> Array:
+        """Memory of moments as reals, to be copied; rows of halves fill whole reals."""
+        width = array.shape[1] * array.dtype.itemsize // self.device.real.itemsize
+        return array.viewed(self.device.real, len(array), width)
 
     def reset(self, name: str) -> None:
         """Set the moments of one field to 0."""
-        self.m[name][:] = 0
-        self.v[name][:] = 0
+        if name == "sh_rest":
+            for moments in (self._m, self._v):
+                moments["rest"].fill(0)
+            return
+        begin = _begin(name)
+        width = next(field.width(0) for field in SMALL if field.name == name)
+        self.device.launch(CLEAR, self._defines(0), count=len(self._m["small"]), begin=begin,
+                           end=begin + width, m=self._m["small"], v=self._v["small"])
 
     def download(self, count: int) -> tuple[HostArrays, HostArrays]:
-        """As `DeviceAdam.download`."""
-        m, v = ({name: array[:count].copy() for name, array in moments.items()}
-                for moments in (self.m, self.v))
-        return m, v
+        """The first `count` rows of m and v in host memory, by field, each after its last step."""
+        small = [moments["small"].narrow(count).download() for moments in (self._m, self._v)]
+        rest = [moments["rest"].narrow(count).download() for moments in (self._m, self._v)]
+        if self.half:
+            rest = [values.astype(self.device.real)[:, :3 * self.harmonics]
+                    for values in decoded(*rest)]
+        return tuple({  # type: ignore[return-value]  # two of them
+            field.name: others.reshape(count, self.harmonics, 3) if field.name == "sh_rest" else
+            np.ascontiguousarray(columns[:, _begin(field.name):][:, :field.width(0)]).reshape(
+                count, *field.row_shape(0))
+            for field in LEARNED} for columns, others in zip(small, rest))
 
     def upload(self, m: HostArrays, v: HostArrays) -> None:
-        """As `DeviceAdam.upload`."""
-        for own, source in ((self.m, m), (self.v, v)):
-            for name, values in source.items():
-                own[name][:len(values)] = values
+        """Overwrite the moments with host arrays by field, those of rows that have caught up."""
+        count = len(m["positions"])
+        rest: list[NDArray[Any]] = [
+            moments["sh_rest"].reshape(count, 3 * self.harmonics) for moments in (m, v)]
+        if self.half:
+            rest = list(encoded(rest[0], rest[1], self._m["rest"].shape[1]))
+        for own, source, others in zip((self._m, self._v), (m, v), rest):
+            own["small"].write(np.column_stack([
+                source[field.name].reshape(count, -1) for field in SMALL]))
+            own["rest"].write(others)
+        self._others["last_step"].fill(self.steps)
+        self._is_current = True
+
+    def lag(self, count: int) -> dict[str, NDArray[Any]]:
+        """How far each row has come, in host memory, for a checkpoint."""
+        return {"last_step": self._others["last_step"].narrow(count).download(),
+                "coefficients": self._others["coefficients"].download()}
+
+    def load_lag(self, arrays: Mapping[str, NDArray[Any]], step: int) -> None:
+        """Restore what `lag` returned, after `upload` and after this number of steps."""
+        for name, values in arrays.items():
+            self._others[name].write(values)
+        self.steps, self._is_current = step, not self.dense
 
 
-def adam_update(parameter: NDArray[np.floating], gradient: NDArray[np.floating],
-                m: NDArray[np.floating], v: NDArray[np.floating], step: int, rate: float
-                ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """(parameter, m, v) after one step of Adam (Kingma & Ba 2015); all arrays have one shape."""
-    first, second = corrections(step)
-    one = parameter.dtype.type
-    m = m + one(ONE_MINUS_BETA1) * (gradient - m)
-    v = v + one(ONE_MINUS_BETA2) * (gradient * gradient - v)
-    moved = one(rate * first) * m / (np.sqrt(v) * one(second) + one(ADAM_EPSILON))
-    return parameter - moved, m, v
+def _begin(name: str) -> int:
+    """The first of a field's columns among the small ones."""
+    names = [field.name for field in SMALL]
+    return sum(field.width(0) for field in SMALL[:names.index(name)])
+
+
+def _degree_of(used: Mapping[str, int]) -> int:
+    """The degree of the active harmonics."""
+    return math.isqrt(used["sh_rest"] // 3 + 1) - 1

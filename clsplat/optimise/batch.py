@@ -2,15 +2,14 @@
 with four views in each step)."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from clsplat.constants import FRAME_COUNTS
-from clsplat.device import Array, Device, Forms, Kernel, each
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
 from clsplat.device.kernel import Argument
-from clsplat.gaussians import LEARNED
-from clsplat.primitives.compact import compact, new_counts
+from clsplat.primitives.compact import compact
 from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
 
@@ -21,40 +20,13 @@ ADD = Kernel("batch.cl", "batch_add", Forms(item=each("V"), group=each("V W")),
              width="uint", share="real", **_COUNTS, rows=("uint", "V"),
              gradient=("real", "V", "W"), sums=("real", "N", "W"))
 ROWS = Kernel("batch.cl", "batch_rows", each("V"), **_COUNTS, visible=("uint", "V"),
-              keys=("uint", "N"), rows=("uint", "V"))
+              keys=("uint", "N"), flags=("uint", "N"), rows=("uint", "V"))
 TAKE = Kernel("batch.cl", "batch_take", each("V W"), width="uint", **_COUNTS,
               visible=("uint", "V"), sums=("real", "N", "W"), mean=("real", "V", "W"))
 
 
-def frame_arrays(count: int, seen: int, sh_degree: int) -> list[FrameArray]:
-    """The arrays of `batch_mean` besides those of one view: sums, and gradients of the view before.
-
-    Parameters
-    ----------
-    count : gaussians.
-    seen : gaussians that a view sees.
-    sh_degree : of the stored spherical harmonics.
-    """
-    def fields(rows: int, what: str, first: str, last: str) -> list[FrameArray]:
-        return [FrameArray(f"{what}_{field.name}", (rows, *field.row_shape(sh_degree)), None, first,
-                           last) for field in LEARNED]
-
-    def indices(rows: int, names: str, first: str, last: str) -> list[FrameArray]:
-        return [FrameArray(name, (rows,), np.uint32, first, last) for name in names.split()]
-
-    return [*indices(count, "flags keys", "cull", "adam"), *fields(count, "sum", "cull", "adam"),
-            *fields(seen, "before", "cull", "project adjoint"),
-            *indices(seen, "before_rows", "cull", "project adjoint"),
-            *indices(seen, "before_visible", "cull", "project adjoint"),
-            FrameArray("before_means", (seen, 2), None, "cull", "project adjoint"),
-            *indices(count, "visible rows", "adam", "adam"),
-            *fields(seen, "mean", "adam", "adam")]
-
-
-def batch_mean(device: Device, count: int, views: int, by_view: Iterable[Gradients],
-               used: Mapping[str, int], counts: Array | None = None, room: int | None = None
-               ) -> Gradients:
-    """The gradients of the mean of the losses of several views, without those by screen means.
+class BatchMean:
+    """Gradients of the mean of the losses of several views, without those by screen means.
 
     The gradient of a gaussian is zero in a view that does not see it, and is left out if it is not
     finite in one of the views.
@@ -62,39 +34,72 @@ def batch_mean(device: Device, count: int, views: int, by_view: Iterable[Gradien
     Parameters
     ----------
     device : the device of the gradients.
-    count : gaussians of the model.
+    rows : field name -> real[N, *row shape], the parameters, for their shapes.
     views : how many views.
-    by_view : the gradients of each view, whose counts need to hold only until the next.
-    used : field name -> how many floats of a row change; fields of 0 are left out.
-    counts : uint[FRAME_COUNTS], whose COUNT_VISIBLE becomes the number of gaussians that a view
-        sees; None: new ones.
-    room : the largest such number that is expected, so that nothing waits for the device; where
-        there are more, the frame fails (cl/include/counts.h). None: exact sizes; waits.
     """
-    flags, keys = device.empty(count, np.uint32), device.empty(count, np.uint32)
-    flags.fill(0)
-    sums: dict[str, Array] = {}
-    for gradients in by_view:
-        device.launch(MARK, counts=gradients.counts, visible=gradients.visible,
-                      rows=gradients.rows, flags=flags, keys=keys)
-        for name, gradient in gradients.fields.items():
-            if not used[name]:
-                continue
-            if name not in sums:
-                sums[name] = device.empty((count, *gradient.shape[1:]))
-                sums[name].fill(0)
-            width = math.prod(gradient.shape[1:])
-            device.launch(ADD, width=width, share=1 / views, counts=gradients.counts,
-                          rows=gradients.rows, gradient=gradient.reshaped(len(gradient), width),
-                          sums=sums[name].reshaped(count, width))
-    counts = new_counts(device) if counts is None else counts
-    visible = compact(device, flags, counts, room)
-    rows, fields = device.empty(len(visible), np.uint32), {}
-    device.launch(ROWS, counts=counts, visible=visible, keys=keys, rows=rows)
-    for name, values in sums.items():
-        width = math.prod(values.shape[1:])
-        fields[name] = device.empty((len(visible), *values.shape[1:]))
-        device.launch(TAKE, width=width, counts=counts, visible=visible,
-                      sums=values.reshaped(count, width),
-                      mean=fields[name].reshaped(len(visible), width))
-    return Gradients(fields, None, rows, visible, counts)
+
+    def __init__(self, device: Device, rows: Mapping[str, Array], views: int) -> None:
+        self.device, self.views, self.count = device, views, len(rows["positions"])
+        arrays = {name: device.zeros(*spec) for name, spec in self.arrays(rows).items()}
+        self._flags, self._keys = arrays.pop("flags"), arrays.pop("keys")
+        self._sums = arrays
+
+    @staticmethod
+    def arrays(rows: Mapping[str, Array | ArraySpec]) -> dict[str, ArraySpec]:
+        """The arrays for parameters of these shapes; all are zero between batches."""
+        indices = ArraySpec((rows["positions"].shape[0],), np.uint32)
+        return {"flags": indices, "keys": indices,
+                **{name: ArraySpec(array.shape) for name, array in rows.items()}}
+
+    @staticmethod
+    def frame_arrays(count: int, seen: int, rows: Mapping[str, ArraySpec]) -> list[FrameArray]:
+        """The short-lived arrays for `count` gaussians, of which a view sees `seen`."""
+        return [*(FrameArray(f"mean_{name}", (count, *spec.shape[1:]), None, "adam", "adam")
+                  for name, spec in rows.items()),
+                *(FrameArray(f"grad_{name}", (seen, *spec.shape[1:]), None, "adam", "adam")
+                  for name, spec in rows.items() if name.startswith("sh_")),
+                *(FrameArray(name, (count,), np.uint32, "adam", "adam")
+                  for name in ("visible", "rows")),
+                FrameArray("totals", (count // 1024 + 1,), np.uint32, "adam", "adam")]
+
+    def add(self, gradients: Gradients, used: Mapping[str, int]) -> None:
+        """Add the gradients of a view.
+
+        Parameters
+        ----------
+        gradients : of the view.
+        used : field name -> how many floats of a row change; fields of 0 are left out.
+        """
+        device, counts = self.device, gradients.counts
+        device.launch(MARK, counts=counts, visible=gradients.visible, rows=gradients.rows,
+                      flags=self._flags, keys=self._keys)
+        for name, sums in self._sums.items():
+            if used[name]:
+                gradient, width = gradients.fields[name], math.prod(sums.shape[1:])
+                device.launch(ADD, width=width, share=1 / self.views, counts=counts,
+                              rows=gradients.rows, gradient=gradient.reshaped(len(gradient), width),
+                              sums=sums.reshaped(self.count, width))
+
+    def mean(self, counts: Array, used: Mapping[str, int], room: int | None) -> Gradients:
+        """The mean of the views that were added; begins the next batch.
+
+        Parameters
+        ----------
+        counts : uint[FRAME_COUNTS], whose COUNT_VISIBLE becomes the number of gaussians that any of
+            the views saw; after a frame that failed, 0.
+        used : as for `add`.
+        room : as for `compact`.
+        """
+        device = self.device
+        visible = compact(device, self._flags, counts, room)
+        rows, fields = device.empty(len(visible), np.uint32), {}
+        device.launch(ROWS, counts=counts, visible=visible, keys=self._keys, flags=self._flags,
+                      rows=rows)
+        for name, sums in self._sums.items():
+            if used[name]:
+                width = math.prod(sums.shape[1:])
+                fields[name] = device.empty((len(visible), *sums.shape[1:]))
+                device.launch(TAKE, width=width, counts=counts, visible=visible,
+                              sums=sums.reshaped(self.count, width),
+                              mean=fields[name].reshaped(len(visible), width))
+        return Gradients(fields, None, rows, visible, counts)

@@ -18,5 +18,8 @@ class OptimiseOptions:
     engine: str = option("auto", "Optimisation", "where Adam's moments are kept: device, or numpy "
                          "in host memory; auto: on the device where they fit",
                          choices=("auto", "device", "numpy"))
+    moments: str = option("float", "Optimisation", "how Adam's moments of the spherical harmonics "
+                          "are stored on the device: float, or half, which saves a quarter of the "
+                          "memory of the model", choices=("float", "half"))
     opacity_rate: float = option(0.025, "Optimisation", "learning rate of the opacity logits",
                                  minimum=0.0)

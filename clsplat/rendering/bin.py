@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.constants import (
+    COUNT_FAILED,
     COUNT_NEEDED_PAIRS,
     COUNT_PAIRS,
     COUNT_VISIBLE,
@@ -180,7 +181,7 @@ def _number_of_pairs(counts: Array, visible: int, limit: int, width: int, height
     read = counts.download()
     needed = int(max(read[COUNT_PAIRS], read[COUNT_NEEDED_PAIRS]))
     if needed > limit:
-        read[:] = 0
+        read[[COUNT_FAILED, COUNT_NEEDED_PAIRS]] = 0
         read[COUNT_VISIBLE] = visible
         counts.write(read)
         raise TooManyPairs(f"{needed} pairs of tile and splat in one {width} x {height} image, "

@@ -85,7 +85,10 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
         FrameArray("pair_grads", (pairs, columns), None, "blend adjoint", "blend adjoint"),
         FrameArray("splat_grads", (splats, columns), None, "blend adjoint", "project adjoint"),
         *(FrameArray(f"grad_{field.name}", (splats, *field.row_shape(sh_degree)), None,
-                     "project adjoint", "adam") for field in LEARNED),
+                     "project adjoint", "adam") for field in LEARNED
+          if field.name not in ("sh_constant", "sh_rest")),
+        FrameArray("grad_colours", (splats, 3), None, "project adjoint", "adam"),
+        FrameArray("directions", (splats, 3), None, "project adjoint", "adam"),
         FrameArray("grad_means", (splats, 2), None, "project adjoint", "adam"),
         *_uints("active", splats, "project adjoint", "adam")]
     if NEEDS_ORDER.of(device):

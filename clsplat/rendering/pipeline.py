@@ -1,6 +1,6 @@
 """The whole of rendering: gaussians to an image, and the image's gradient back to gaussians."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,14 +91,15 @@ class Gradients:
 
     Attributes
     ----------
-    fields : name -> real[V, *row shape].
+    fields : name -> real[V, *row shape]; of one view a `FieldGradients`, which computes those by
+        the harmonics when they are asked for.
     means : real[V, 2], by the mean of the splat, pixels; None for a mean of several views.
     rows : uint[V], the row of each gaussian, or NO_ROW where the gradient is not finite.
     visible : uint[V], the row of each gaussian, whatever its gradient.
     counts : uint[FRAME_COUNTS]; only the first counts[COUNT_VISIBLE] of the V exist.
     """
 
-    fields: dict[str, Array]
+    fields: Mapping[str, Array]
     means: Array | None
     rows: Array
     visible: Array

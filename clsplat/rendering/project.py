@@ -1,7 +1,7 @@
 """Gaussians to splats, and the adjoint (cl/project.cl)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,19 +21,62 @@ _PARAMETERS = dict(opacity_logits=("real", "N"), log_scales=("real", "N", 3),
                    quaternions=("real", "N", 4))
 _COLOURS = dict(sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3))
 _PLACES = dict(camera=("real", CAMERA_REALS), positions=("real", "N", 3))
-PROJECT = Kernel("project.cl", "project", each("V"), degree="uint",
+PROJECT = Kernel("project.cl", "project", each("V"),
                  counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS,
                  **_PARAMETERS, splats=("real", "V", SPLAT_REALS), depth_keys=("uint", "V"))
-ADJOINT = Kernel("project.cl", "project_adjoint", each("V"), degree="uint", sum_count="uint",
-                 half_width="real", half_height="real",
-                 counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS,
-                 **_PARAMETERS, sums=("real", "V", "S"),
-                 grad_positions=("real", "V", 3), grad_sh_constant=("real", "V", 3),
-                 grad_sh_rest=("real", "V", "K", 3), grad_opacity_logits=("real", "V"),
+_BY_COLOUR = dict(grad_colours=("real", "V", 3), directions=("real", "V", 3))
+ADJOINT = Kernel("project.cl", "project_adjoint", each("V"), sum_count="uint",
+                 half_width="real", half_height="real", counts=("uint", FRAME_COUNTS),
+                 rows=("uint", "V"), **_PLACES, **_COLOURS, **_PARAMETERS, sums=("real", "V", "S"),
+                 grad_positions=("real", "V", 3), **_BY_COLOUR, grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1),
                  frozen=("uint", "F"), grad_norm_sum=("real", "G"), seen_count=("uint", "H"))
+HARMONICS = Kernel("project.cl", "harmonics_gradients", each("V"), counts=("uint", FRAME_COUNTS),
+                   **_BY_COLOUR, grad_sh_constant=("real", "V", 3),
+                   grad_sh_rest=("real", "V", "K", 3))
 CAMERA = ArraySpec((CAMERA_REALS,))
+
+
+class FieldGradients(Mapping[str, Array]):
+    """Gradients by field, real[V, *row shape]; those by the harmonics are computed when asked for.
+
+    The gradient by a harmonic is the gradient by the colour times the harmonic, so 6 floats of a
+    gaussian stand for 48.
+
+    Parameters
+    ----------
+    device : of the arrays.
+    stored : field name -> gradient, without sh_constant and sh_rest.
+    grad_colours : real[V, 3], by the colours.
+    directions : real[V, 3], unit vectors from the camera.
+    harmonics : stored harmonics above the constant, 0, 3, 8 or 15.
+    defines : of the build of `project`, for the active degree.
+    counts : uint[FRAME_COUNTS], of the frame.
+    """
+
+    def __init__(self, device: Device, stored: Mapping[str, Array], grad_colours: Array,
+                 directions: Array, harmonics: int, defines: Defines, counts: Array) -> None:
+        self.device, self._stored, self.harmonics = device, dict(stored), harmonics
+        self.counts = counts
+        self.grad_colours, self.directions, self._defines = grad_colours, directions, defines
+
+    def __getitem__(self, name: str) -> Array:
+        if name in ("sh_constant", "sh_rest") and name not in self._stored:
+            count = len(self.grad_colours)
+            constant = self.device.empty((count, 3))
+            rest = self.device.empty((count, self.harmonics, 3))
+            self.device.launch(HARMONICS, self._defines, counts=self.counts,
+                               grad_colours=self.grad_colours, directions=self.directions,
+                               grad_sh_constant=constant, grad_sh_rest=rest)
+            self._stored.update(sh_constant=constant, sh_rest=rest)
+        return self._stored[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return (field.name for field in LEARNED)
+
+    def __len__(self) -> int:
+        return len(LEARNED)
 
 
 def pack_camera(device: Device, camera: Camera, near: float, low_pass: float = LOW_PASS) -> Array:
@@ -76,8 +119,8 @@ def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: A
     """
     splats = device.empty((len(visible), SPLAT_REALS))
     depth_keys = device.empty(len(visible), np.uint32)
-    device.launch(PROJECT, defines, degree=sh_degree, counts=counts, rows=visible, camera=camera,
-                  splats=splats, depth_keys=depth_keys, **_learned(rows))
+    device.launch(PROJECT, _of_degree(defines, sh_degree), counts=counts, rows=visible,
+                  camera=camera, splats=splats, depth_keys=depth_keys, **_learned(rows))
     return splats, depth_keys
 
 
@@ -85,7 +128,7 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
                     sh_degree: int, defines: Defines, splat_grads: Array, skipped: Array,
                     size: tuple[int, int] = (0, 0), frozen: Array | None = None,
                     statistics: tuple[Array, Array] | None = None
-                    ) -> tuple[dict[str, Array], Array, Array]:
+                    ) -> tuple[FieldGradients, Array, Array]:
     """Gradients by the gaussians from gradients by their splats.
 
     Parameters
@@ -100,24 +143,32 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
 
     Returns
     -------
-    Field name -> real[V, *row shape]; real[V, 2], by the means in pixels; uint[V], the row of each
-    gradient, or NO_ROW where it is not finite or left out.
+    The gradients by field; real[V, 2], by the means in pixels; uint[V], the row of each gradient, or NO_ROW where it is not finite or left out.
     """
     choices = ("WITH_FROZEN", int(frozen is not None)), ("WITH_STATISTICS",
                                                          int(statistics is not None))
     norms, seen = statistics or (splat_grads.reshaped(math.prod(splat_grads.shape)), skipped)
-    count = len(visible)
-    gradients = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED}
+    count, defines = len(visible), (*_of_degree(defines, sh_degree), *choices)
+    stored = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED
+              if f.name not in ("sh_constant", "sh_rest")}
+    grad_colours, directions = device.empty((count, 3)), device.empty((count, 3))
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
-    device.launch(ADJOINT, (*defines, *choices), degree=sh_degree, sum_count=splat_grads.shape[1],
-                  half_width=size[0] / 2, half_height=size[1] / 2,
+    device.launch(ADJOINT, defines, sum_count=splat_grads.shape[1], half_width=size[0] / 2,
+                  half_height=size[1] / 2, counts=counts, rows=visible, camera=camera,
+                  **_learned(rows), sums=splat_grads,
+                  **{f"grad_{name}": g for name, g in stored.items()}, grad_colours=grad_colours,
+                  directions=directions, grad_means=grad_means, active=active, skipped=skipped,
                   frozen=skipped if frozen is None else frozen, grad_norm_sum=norms,
-                  seen_count=seen,
-                  counts=counts, rows=visible, camera=camera, **_learned(rows), sums=splat_grads,
-                  **{f"grad_{name}": g for name, g in gradients.items()},
-                  grad_means=grad_means, active=active, skipped=skipped)
+                  seen_count=seen)
+    gradients = FieldGradients(device, stored, grad_colours, directions,
+                               rows["sh_rest"].shape[1], defines, counts)
     return gradients, grad_means, active
 
 
 def _learned(rows: Rows) -> dict[str, Array]:
     return {field.name: rows[field.name] for field in LEARNED}
+
+
+def _of_degree(defines: Defines, degree: int) -> Defines:
+    """The defines of the build for an active degree of the spherical harmonics."""
+    return *defines, ("DEGREE", degree)

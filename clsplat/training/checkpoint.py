@@ -43,7 +43,8 @@ class Checkpoint:
         """
         session, step = self.session, self.session.step
         m, v = step.model.adam.download(step.model.count)
-        parts = {"row": step.model.download().rows, "m": m, "v": v, "statistics": {
+        parts = {"row": step.model.download(stored=True).rows, "m": m, "v": v,
+                 "adam": step.model.adam.lag(step.model.count), "statistics": {
             "grad_norm_sum": step.statistics.grad_norm_sum.download(),
             "seen_count": step.statistics.seen_count.download()}}
         if step.frozen is not None:
@@ -67,6 +68,8 @@ class Checkpoint:
         session, step = self.session, self.session.step
         session.use_level(state["level"])
         step.model.adam.upload(_fields(arrays, "m", LEARNED), _fields(arrays, "v", LEARNED))
+        step.model.adam.load_lag({name: arrays[f"adam.{name}"]
+                                  for name in ("last_step", "coefficients")}, state["iteration"])
         step.statistics.grad_norm_sum.write(arrays["statistics.grad_norm_sum"])
         step.statistics.seen_count.write(arrays["statistics.seen_count"])
         if step.frozen is not None:

@@ -14,12 +14,11 @@ from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
 from clsplat.covisibility.source_views import ViewSpread, choose_source_views, view_spread
 from clsplat.device import Device
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts, schedule_of
 from clsplat.schedule.simulate import largest, simulate
-from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM
+from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM, model_bytes
 from clsplat.training.photos import at_level, decoded
 
 SAMPLED_PHOTOS = 64
@@ -189,8 +188,7 @@ def _engine(scene: Scene, views: Sequence[View], options: TrainOptions, device: 
     pixels = sum(view.camera.width * view.camera.height for view in views)
     facts = SceneFacts(smallest_size(views), len(scene.points), 1.0, lambda: iter(()), pixels)
     count = largest(simulate(schedule_of(options.schedule)(options, facts)))
-    floats = sum(field.width(options.sh_degree) for field in LEARNED)
-    needed = 3 * floats * GROWTH_ROOM * count * device.real.itemsize
+    needed = model_bytes(device, options.sh_degree, int(GROWTH_ROOM * count), options.moments)
     available = device.handle.global_mem_size
     value = "device" if needed < DEVICE_SHARE * available else "numpy"
     return Decision(value, f"{value}: parameters and moments take up to {needed / 2**20:,.0f} MiB "

@@ -47,7 +47,7 @@ class Evaluator:
         begin = time.perf_counter()
         with self.clock.paused():
             progress.phase("evaluating")
-            result = evaluate_views(session.renderer, session.model.rows,
+            result = evaluate_views(session.renderer, session.model.current_rows(),
                                     session.options.sh_degree, session.test_views)
         self.latest_seconds = time.perf_counter() - begin
         self._all_seconds += self.latest_seconds

@@ -29,7 +29,7 @@ def save_snapshot(run: RunFolder, session: Session) -> None:
     The header has the level's factor, the steps taken and the scene frequencies, in 1 / world unit.
     """
     unit = session.scene.unit
-    frequency = scene_frequency(session.device, session.model.rows, unit)
+    frequency = scene_frequency(session.device, session.model.current_rows(), unit)
     run.save_snapshot(
         session.level, session.model.download().scaled(unit), session.scene.offset,
         (*_comments(session), f"level {session.level:g}",
@@ -53,7 +53,7 @@ def draw_report(run: RunFolder, session: Session, per_view: list[dict[str, Any]]
     """
     try:
         write_report(run, pictures=pictures_of(
-            session.renderer, session.model.rows, session.options.sh_degree,
+            session.renderer, session.model.current_rows(), session.options.sh_degree,
             session.test_views, session.train_views, per_view))
     except ClsplatError:
         raise

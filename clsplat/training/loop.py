@@ -264,6 +264,7 @@ class Training:
         observes = self._due(session.schedule.observe_every)
         if not (observes or self._due(LOG_EVERY)):
             return None
+        session.model.catch_up()
         frequency = scene_frequency(session.device, session.model.rows, session.scene.unit)
         if observes:
             decision = session.schedule.observe(session.iteration, frequency)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from clsplat.densify.grow import Growth
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
-from clsplat.optimise.adam import DeviceAdam, NumpyAdam
+from clsplat.optimise.adam import DeviceAdam
+from clsplat.optimise.numpy_adam import NumpyAdam
 from clsplat.primitives.gather import gather
 
 GROWTH_ROOM = 1.5  # capacity over need, so that most growth needs no reallocation
@@ -27,6 +28,7 @@ class Model:
     gaussians : the initial ones.
     engine : where moments are kept, "device" or "numpy"; "auto": on the device if they fit now.
     dense : whether Adam updates all rows or only those that a view saw.
+    moments : how moments are stored on the device, "float" or "half".
 
     Attributes
     ----------
@@ -34,20 +36,22 @@ class Model:
     capacity : number of rows that are allocated.
     adam : the engine.
     layout : another object after each change of the arrays or of the number of gaussians.
+    frozen : uint[count], not 0 for gaussians that are not trained; None: all are trained.
     """
 
     def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto",
-                 dense: bool = False) -> None:
+                 dense: bool = False, moments: str = "float") -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
         self.capacity = 0
+        self.frozen: Array | None = None
         self.adopt(gaussians)
-        floats = sum(field.width(self.sh_degree) for field in LEARNED)
-        needed = 3 * floats * self.capacity * device.real.itemsize
         if engine == "auto":
+            needed = model_bytes(device, self.sh_degree, self.capacity, moments)
             fits = needed < DEVICE_SHARE * device.handle.global_mem_size
             engine = "device" if fits else "numpy"
         self.adam = ENGINES[engine](
-            device, {field.name: self._arrays[field.name] for field in LEARNED}, dense)
+            device, {field.name: self._arrays[field.name] for field in LEARNED}, dense,
+            moments)
 
     @staticmethod
     def arrays(names: Iterable[str], sh_degree: int, capacity: int) -> dict[str, ArraySpec]:
@@ -67,16 +71,32 @@ class Model:
 
     @property
     def rows(self) -> dict[str, Array]:
-        """Field name -> real[count, *row shape]; views of the arrays."""
+        """Field name -> real[count, *row shape]; views of the arrays.
+
+        Gaussians that no view saw may lag behind the last step (`catch_up`, `current_rows`).
+        """
         return {name: array.narrow(self.count) for name, array in self._arrays.items()}
 
-    def download(self) -> Gaussians:
-        """Copy the rows to the host."""
-        rows = {name: array.download() for name, array in self.rows.items()}
-        return Gaussians(rows, self.sh_degree)
+    def catch_up(self) -> None:
+        """Bring all gaussians up to the last step.
+
+        This rounds, so when it is done must follow from the options alone.
+        """
+        self.adam.catch_up(self.rows, self.frozen)
+
+    def current_rows(self) -> dict[str, Array]:
+        """The rows after the last step, for whoever looks at the model at any time: copies, unless
+        all have caught up."""
+        return self.adam.current(self.rows, self.frozen)
+
+    def download(self, stored: bool = False) -> Gaussians:
+        """Copy the rows to the host: `current_rows`, or for a checkpoint the stored ones."""
+        rows = self.rows if stored else self.current_rows()
+        return Gaussians({name: array.download() for name, array in rows.items()}, self.sh_degree)
 
     def regrow(self, growth: Growth) -> None:
         """Replace the rows as a round of growth requires; new rows have no moments."""
+        self.catch_up()
         count = len(growth.source)
         self.device.trim()  # frames of another number of gaussians need other sizes
         self.capacity = grown_capacity(self.capacity, count)
@@ -97,10 +117,18 @@ class Model:
         logit : the limit.
         which : [N]; the gaussians to change, None for all.
         """
+        self.catch_up()
         logits = self.rows["opacity_logits"]
         values = logits.download()
         logits.write(np.minimum(values, logit, out=values, where=True if which is None else which))
         self.adam.reset("opacity_logits")
+
+
+def model_bytes(device: Device, sh_degree: int, count: int, moments: str) -> int:
+    """Bytes of parameters and moments on a device."""
+    rows = Model.arrays([field.name for field in LEARNED], sh_degree, count)
+    return sum(spec.nbytes(device.real) for specs in (rows, *DeviceAdam.arrays(rows, moments))
+               for spec in specs.values())
 
 
 def grown_capacity(capacity: int, count: int) -> int:

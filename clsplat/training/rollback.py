@@ -24,6 +24,7 @@ class Rollback:
     def __init__(self, step: Step, iteration: int) -> None:
         model = step.model
         self.iteration = iteration
+        model.catch_up()
         self._gaussians, self._moments = model.download(), model.adam.download(model.count)
 
     def restore_if_better(self, step: Step, samples: Sequence[tuple[Array, Array]]) -> bool:
@@ -40,7 +41,7 @@ class Rollback:
         """
         now, model = _loss(step, samples), step.model
         step.model = Model(step.device, self._gaussians, step.options.engine,
-                           step.options.optimizer == "dense")
+                           step.options.optimizer == "dense", step.options.moments)
         if not _loss(step, samples) < now:
             step.model = model
             return False

@@ -134,7 +134,8 @@ class Session:
         self.options = options = prepared.options
         self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased,
                                  options.background)
-        model = Model(device, gaussians, options.engine, options.optimizer == "dense")
+        model = Model(device, gaussians, options.engine, options.optimizer == "dense",
+                      options.moments)
         exposures = None
         if options.exposure == "on":
             # blocks that learned their own would not agree

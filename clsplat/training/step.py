@@ -17,6 +17,7 @@ from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.loss.terms import terms_of
+from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.rates import learning_rates
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Gradients, Renderer, Room
@@ -67,7 +68,6 @@ class Step:
         self._graphs: dict[Any, Graph] = {}
         self._recorded_for: tuple[Any, ...] = 4 * (None,)
         self._samples: dict[Unit, tuple[TrainingSample, bool]] = {}
-        self.frozen: Array | None = None
         self.freeze()
         self._earlier_pairs = 0  # of the run, before this process
 
@@ -83,6 +83,11 @@ class Step:
     def model(self, model: Model) -> None:
         self.settle()
         self._model = model
+
+    @property
+    def frozen(self) -> Array | None:
+        """uint[N] on the device; not 0 for gaussians that are not trained; None: all are."""
+        return self._model.frozen
 
     @property
     def exposures(self) -> Exposures | None:
@@ -143,6 +148,9 @@ class Step:
         for slot, sample in zip(range(views), samples):
             def unit(slot: int = slot, sample: TrainingSample = sample) -> None:
                 measured[slot] = self._take(plan, sample, numbers, slot)
+                if slot == views - 1:
+                    self._model.adam.advance(iteration, self._learned(), self._used(plan.degree),
+                                             self.frozen, self.units.counts)
             self._samples[unit] = sample, any(t.needs_depth for t in self._terms_for(plan, sample))
             self.units.submit(unit)
         return measured
@@ -174,16 +182,21 @@ class Step:
         if any(new is not old for new, old in zip(state, self._recorded_for)):
             self._graphs.clear()
             self._recorded_for = state
+            if self.options.batch > 1:
+                self._batch = BatchMean(self.device, self._learned(), self.options.batch)
         source = sample.source
         inputs: dict[str, Input] = {
             "camera": sample.camera, "photo": sample.photo, "view": IntInput(sample.view),
-            **{name: FloatInput(value) for name, value in numbers.items()}}
+            **{name: IntInput(value) if isinstance(value, int) else FloatInput(value)
+               for name, value in numbers.items()}}
         if source:
             inputs |= {"source": source.photo, "geometries": source.geometries,
                        "colours": source.colours, "pair": IntInput(source.pair)}
         weights = tuple(term.weight(plan) for term in self._terms_for(plan, sample))
         key = (slot, plan.degree, plan.gathers, weights, sample.photo.shape,
                source and source.photo.shape)
+        if not self._model.adam.RECORDS:
+            return self._enqueue(plan, sample, numbers, slot, None)
         if graph := self._graphs.get(key):
             graph.replay(**inputs)
         else:
@@ -197,22 +210,23 @@ class Step:
         return measured
 
     def _enqueue(self, plan: Plan, sample: TrainingSample, numbers: Mapping[str, Any], slot: int,
-                 room: Room) -> Measured:
+                 room: Room | None) -> Measured:
         """The work of a sample, kernel after kernel."""
         views, used = self.options.batch, self._used(plan.degree)
         measured: Measured = {}
+        self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self.frozen,
+                                       sample.camera, self.units.counts)
         gradients = self._gradients_of(plan, sample, measured, room)
         if views > 1:
-            self._batch.add(gradients, used, slot)
+            self._batch.add(gradients, used)
             if slot < views - 1:
                 return measured
-            gradients = self._batch.mean(room)
-        learned = {field.name: self._model.rows[field.name] for field in LEARNED}
-        self._model.adam.apply(learned, gradients, numbers, used, self.frozen)
+            gradients = self._batch.mean(self.units.counts, used, room and self.count)
+        self._model.adam.apply(self._learned(), gradients, numbers, used, self.frozen)
         return measured
 
-    def _gradients_of(self, plan: Plan, sample: TrainingSample, measured: Measured, room: Room
-                      ) -> Gradients:
+    def _gradients_of(self, plan: Plan, sample: TrainingSample, measured: Measured,
+                      room: Room | None) -> Gradients:
         """The gradients of one sample; adds to `measured` and to the statistics."""
         rows, exposures, counts = self._model.rows, self._exposures, self.units.counts
         _, height, width = sample.photo.shape
@@ -228,6 +242,10 @@ class Step:
             exposures.step(sample.view, partials, counts)
         return self.renderer.adjoint(rows, frame, grad.image, grad.depth, grad.transmittance,
                                      self.frozen, self._statistics.sums if plan.gathers else None)
+
+    def _learned(self) -> dict[str, Array]:
+        rows = self._model.rows
+        return {field.name: rows[field.name] for field in LEARNED}
 
     def _used(self, degree: int) -> dict[str, int]:
         """Field -> floats of a row that are trained: without inactive spherical harmonics."""

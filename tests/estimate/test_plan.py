@@ -142,7 +142,7 @@ def test_blocks_are_those_of_the_pool(own_device):
             0, block_bytes(size)) and block_bytes(size) >= size
 
 
-PARTS = [{}, {"exposure": "on", "reproject": "on"}, {"batch": 3},
+PARTS = [{}, {"exposure": "on", "reproject": "on"}, {"batch": 3}, {"moments": "half"},
          {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]
 
 
@@ -173,7 +173,8 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
             session.step.statistics.clear(count)
             capacity, pool = grown_capacity(capacity, count), Pool(device.real)
         lasting = [photo_array(session.photos.views[0])] + other_arrays(prepared, count)
-        lasting += model_arrays(LEARNED_NAMES, degree, capacity, prepared.options.engine)
+        lasting += model_arrays(LEARNED_NAMES, degree, capacity, prepared.options.engine,
+                                prepared.options.moments)
         for index in (0, 3):
             trial.prepare(index, regularises)()
             camera = session.photos.views[index].camera

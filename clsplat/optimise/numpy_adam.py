@@ -1,0 +1,176 @@
+"""Adam with moments in host memory: the readable reference, and the engine of models whose moments
+do not fit the device."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.constants import (
+    ADAM_EPSILON,
+    CATCH_UP_EVERY,
+    LAG_TERMS,
+    NO_ROW,
+    ONE_MINUS_BETA1,
+    ONE_MINUS_BETA2,
+)
+from clsplat.device import Array, ArraySpec, Device
+from clsplat.errors import InputError
+from clsplat.gaussians import LEARNED
+from clsplat.optimise.adam import HostArrays, corrections
+from clsplat.primitives.gather import gather, scatter
+from clsplat.rendering.frame_arrays import FrameArray
+from clsplat.rendering.pipeline import Gradients
+
+
+class NumpyAdam:
+    """Adam with its moments in host memory; only gradients and parameters are copied in each step.
+
+    Attributes
+    ----------
+    m, v : field name -> moments, of the shape of the parameter.
+    dense : whether rows that a view does not see are updated, too, in the same step.
+    """
+
+    RECORDS = False  # whether a step can be recorded: this one waits for the device
+
+    @staticmethod
+    def arrays(rows: Mapping[str, Array | ArraySpec], moments: str = "float"
+               ) -> tuple[dict[str, ArraySpec], ...]:
+        """As `DeviceAdam.arrays`: none on the device."""
+        return {}, {}, {}
+
+    @staticmethod
+    def frame_arrays(count: int, seen: int, sh_degree: int, dense: bool) -> list[FrameArray]:
+        """As `DeviceAdam.frame_arrays`; parameters are copied to the host and back."""
+        moved, bands = count if dense else seen, (sh_degree + 1)**2 - 1
+        # the gradient of sh_constant takes the block of a parameter that is let go
+        return [FrameArray("touched", (moved,), np.uint32, "adam", "adam"),
+                FrameArray("grad_sh_rest", (seen, bands, 3), None, "adam", "adam"),
+                *(FrameArray(field.name, (moved, *field.row_shape(sh_degree)), None, "adam", "adam")
+                  for field in LEARNED)]
+
+    def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False,
+                 moments: str = "float") -> None:
+        self.device, self.dense, self.steps = device, dense, 0
+        self.m: HostArrays = {
+            name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
+        self.v: HostArrays = {
+            name: np.zeros(array.shape, array.dtype) for name, array in rows.items()}
+
+    @staticmethod
+    def numbers(step: int, rates: Mapping[str, float]) -> dict[str, float]:
+        """As `DeviceAdam.numbers`."""
+        return {"now": step, **{f"rate_{name}": rate for name, rate in rates.items()}}
+
+    def catch_up_seen(self, rows: Mapping[str, Array], numbers: Mapping[str, float], degree: int,
+                      frozen: Array | None, camera: Array, counts: Array) -> None:
+        """As `DeviceAdam.catch_up_seen`: no row lags."""
+
+    def advance(self, step: int, rows: Mapping[str, Array], used: Mapping[str, int],
+                frozen: Array | None, counts: Array) -> None:
+        """As `DeviceAdam.advance`."""
+        self.steps = step
+
+    def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
+             rates: Mapping[str, float], used: Mapping[str, int],
+             frozen: Array | None = None) -> None:
+        """As `DeviceAdam.step`."""
+        self.apply(rows, gradients, self.numbers(step, rates), used, frozen)
+        self.steps = step
+
+    def apply(self, rows: Mapping[str, Array], gradients: Gradients, numbers: Mapping[str, float],
+              used: Mapping[str, int], frozen: Array | None = None) -> None:
+        """As `DeviceAdam.apply`, but waits, and moves all rows where the engine is dense.
+
+        Parameters
+        ----------
+        rows, gradients, numbers, used : as for `DeviceAdam.apply`.
+        frozen : uint[N], not 0 for rows that keep parameters and moments; None: no row does.
+        """
+        count, step = len(rows["positions"]), int(numbers["now"])
+        seen = gradients.rows.download()
+        usable = seen != NO_ROW
+        touched = seen[usable]
+        if self.dense:
+            unchanged = np.zeros(count, bool) if frozen is None else frozen.download() > 0
+            unchanged[gradients.visible.download()[~usable]] = True
+            touched = np.flatnonzero(~unchanged).astype(np.uint32)
+            places = np.searchsorted(touched, seen[usable])
+        touched_device = self.device.upload(touched)
+        for field in LEARNED:
+            name, columns = field.name, slice(0, used[field.name])
+            if not used[name] or not len(touched):
+                continue
+            parameter = gather(self.device, rows[name], touched_device)
+            values, gradient = parameter.download(), gradients.fields[name].download()
+            if self.dense:
+                spread = np.zeros_like(values)
+                spread[places] = gradient[usable]
+                gradient = spread
+            else:
+                gradient = gradient[usable]
+            flat = values.reshape(len(values), -1)
+            m, v = (moments[name].reshape(len(moments[name]), -1) for moments in (self.m, self.v))
+            flat[:, columns], m[touched, columns], v[touched, columns] = adam_update(
+                flat[:, columns], gradient.reshape(len(values), -1)[:, columns],
+                m[touched, columns], v[touched, columns], step, numbers[f"rate_{name}"])
+            parameter.write(values)
+            scatter(self.device, parameter, touched_device, rows[name])
+
+    def catch_up(self, rows: Mapping[str, Array], frozen: Array | None = None) -> None:
+        """As `DeviceAdam.catch_up`: no row lags."""
+
+    def current(self, rows: Mapping[str, Array], frozen: Array | None = None) -> dict[str, Array]:
+        """As `DeviceAdam.current`: the rows themselves."""
+        return dict(rows)
+
+    def regrow(self, source: Array, kept: int, capacity: int) -> None:
+        """As `DeviceAdam.regrow`."""
+        kept_rows = source.narrow(kept).download()
+        for moments in (self.m, self.v):
+            for name, old in moments.items():
+                moments[name] = np.zeros((capacity, *old.shape[1:]), old.dtype)
+                moments[name][:kept] = old[kept_rows]
+
+    def reset(self, name: str) -> None:
+        """Set the moments of one field to 0."""
+        self.m[name][:] = 0
+        self.v[name][:] = 0
+
+    def download(self, count: int) -> tuple[HostArrays, HostArrays]:
+        """As `DeviceAdam.download`."""
+        m, v = ({name: array[:count].copy() for name, array in moments.items()}
+                for moments in (self.m, self.v))
+        return m, v
+
+    def upload(self, m: HostArrays, v: HostArrays) -> None:
+        """As `DeviceAdam.upload`."""
+        for own, source in ((self.m, m), (self.v, v)):
+            for name, values in source.items():
+                own[name][:len(values)] = values
+
+    def lag(self, count: int) -> dict[str, NDArray[Any]]:
+        """As `DeviceAdam.lag`."""
+        return {"last_step": np.full(count, self.steps, np.uint32),
+                "coefficients": np.zeros((CATCH_UP_EVERY, LAG_TERMS), self.device.real)}
+
+    def load_lag(self, arrays: Mapping[str, NDArray[Any]], step: int) -> None:
+        """As `DeviceAdam.load_lag`; InputError where a row lags."""
+        if self.dense and (arrays["last_step"] != step).any():
+            raise InputError("the checkpoint was written with Adam's moments on the device, and "
+                             "not all rows are up to date: go on with --engine device")
+        self.steps = step
+
+
+def adam_update(parameter: NDArray[np.floating], gradient: NDArray[np.floating],
+                m: NDArray[np.floating], v: NDArray[np.floating], step: int, rate: float
+                ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
+    """(parameter, m, v) after one step of Adam (Kingma & Ba 2015); all arrays have one shape."""
+    first, second = corrections(step)
+    one = parameter.dtype.type
+    m = m + one(ONE_MINUS_BETA1) * (gradient - m)
+    v = v + one(ONE_MINUS_BETA2) * (gradient * gradient - v)
+    moved = one(rate * first) * m / (np.sqrt(v) * one(second) + one(ADAM_EPSILON))
+    return parameter - moved, m, v
