@@ -286,7 +286,7 @@ class Step:
         """Determine which gaussians are frozen."""
         if self.trains:
             rows = (self.model.rows[name].download() for name in ("positions", "log_scales"))
-            self.frozen = self.device.upload((~self.trains(*rows)).astype(np.uint32))
+            self._model.frozen = self.device.upload((~self.trains(*rows)).astype(np.uint32))
 
     def _grow(self, iteration: int, plan: Plan, schedule: Schedule,
               scoring_views: Callable[[], list[tuple[Array, Array]]]) -> dict[str, int]:
