@@ -5,6 +5,9 @@
 // of a splat's sums over all lanes, through local memory, in a fixed order.
 #include "subtiles.h"
 #define ROW_OF(INDEX) ((__global const real4 *)splats + (ulong)(INDEX) * (SPLAT_REALS / 4))
+#if BUCKET % 32 || ADJOINT_GROUP % WAVE || TILE * TILE % ADJOINT_GROUP
+#error "BUCKET is a multiple of 32, ADJOINT_GROUP one of WAVE and a divisor of a tile's pixels"
+#endif
 #define WORDS (PIXELS / 32) // of a bit mask with a bit a staged splat
 
 // Switches that tools/studies/blend_variants.py times. Of a sub-tile that an ellipse reaches, some pixel
