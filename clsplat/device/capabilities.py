@@ -10,12 +10,6 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike
 
-_SHUFFLE = """
-__kernel void probe(__global float *x) {
-    float v = (float)get_local_id(0), w;
-    asm volatile("shfl.sync.up.b32 %0, %1, 1, 0x0, 0xffffffff;" : "=f"(w) : "f"(v));
-    x[get_local_id(0)] = w;
-}"""
 _DOUBLE = """
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 __kernel void probe(__global float *x) {
@@ -74,14 +68,9 @@ def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool
     """The preprocessor names of optional features, and whether each one works."""
     lane = np.arange(32, dtype=np.float32)
     tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
-             "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp(-0.18 * lane)),
-             "HAVE_PTX_SHUFFLE": (_SHUFFLE, np.maximum(lane - 1, 0))}
+             "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp(-0.18 * lane))}
     works = {}
     for name, (source, expected) in tests.items():
-        # inline PTX makes some compilers of other vendors abort
-        if name == "HAVE_PTX_SHUFFLE" and "nvidia" not in handle.vendor.lower():
-            works[name] = False
-            continue
         try:
             works[name] = _run(context, handle, source, expected)
         except cl.Error:
