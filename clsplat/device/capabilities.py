@@ -52,16 +52,17 @@ def probe_working(handle: cl.Device) -> str:
 
 
 def probe_wave(context: cl.Context, handle: cl.Device) -> int:
-    """How many lanes run in step, 32 or 64; 32 for CPUs, where it does not matter.
-
-    It is what the compiler prefers work-groups to be a multiple of: 32 on NVIDIA, 64 or 32 on AMD.
+    """How many lanes run in step, 32 or 64: what the compiler prefers work-groups to be a multiple
+    of; 32 on NVIDIA, 64 or 32 on AMD, and 32 for all that are no GPUs, where it hardly matters.
     """
+    if not handle.type & cl.device_type.GPU:
+        return 32
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
         kernel = cl.Kernel(cl.Program(context, _PLAIN).build(), "probe")
     multiple = kernel.get_work_group_info(
         cl.kernel_work_group_info.PREFERRED_WORK_GROUP_SIZE_MULTIPLE, handle)
-    return 64 if multiple == 64 and handle.type & cl.device_type.GPU else 32
+    return 64 if multiple == 64 else 32
 
 
 def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool]:
