@@ -5,6 +5,9 @@
 // of a splat's sums over all lanes, through local memory, in a fixed order.
 #include "subtiles.h"
 #define ROW_OF(INDEX) ((__global const real4 *)splats + (ulong)(INDEX) * (SPLAT_REALS / 4))
+#if BUCKET % 32 || ADJOINT_GROUP % WAVE || TILE * TILE % ADJOINT_GROUP
+#error "BUCKET is a multiple of 32, ADJOINT_GROUP one of WAVE and a divisor of a tile's pixels"
+#endif
 #define WORDS (PIXELS / 32) // of a bit mask with a bit a staged splat
 
 // Switches that tools/studies/blend_variants.py times. Of a sub-tile that an ellipse reaches, some pixel
@@ -168,46 +171,60 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
         open_subtiles = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    real t[OWNED], rest[OWNED]; // in front of the splat: transmittance; cotangent . all from there on
-    real3 grad[OWNED];
     int last[OWNED];
-#if WITH_DEPTH
-    real grad_z[OWNED];
-#endif
     uint own_open = 0;
 #pragma unroll
     for (int i = 0; i < OWNED; i++) {
         const int slot = i * ADJOINT_GROUP + lane;
         const int column = x0 + slot_column(slot), row = y0 + slot_row(slot);
-        const long pixel = (long)row * width + column;
-        last[i] = column < width && row < height ? last_contributor[pixel] : -1;
-        t[i] = rest[i] = 0;
-        grad[i] = (real3)(0);
-#if WITH_DEPTH
-        grad_z[i] = 0;
-#endif
-        if (last[i] >= first) {
-            const real4 before = checkpoints[(ulong)bucket * PIXELS + slot];
-            const real3 all =
-                (real3)(image[pixel], image[plane + pixel], image[2 * plane + pixel]);
-            grad[i] = (real3)(grad_image[pixel], grad_image[plane + pixel],
-                              grad_image[2 * plane + pixel]);
-            t[i] = before.x;
-            rest[i] = dot(grad[i], all - before.yzw);
-#if WITH_DEPTH
-            grad_z[i] = grad_depth[pixel];
-            rest[i] += grad_z[i] *
-                (depth[pixel] - depth_checkpoints[(ulong)bucket * PIXELS + slot]);
-            rest[i] += grad_transmittance[pixel] * transmittance[pixel];
-#endif
-            own_open |= 1u << slot / WAVE;
-        }
+        last[i] = -1;
+        if (column < width && row < height)
+            last[i] = last_contributor[(long)row * width + column];
+        own_open |= (uint)(last[i] >= first) << slot / WAVE;
     }
     if (own_open)
         atomic_or(&open_subtiles, own_open);
     barrier(CLK_LOCAL_MEM_FENCE);
 
     const uint open = open_subtiles;
+    real t[OWNED], rest[OWNED]; // in front of the splat: transmittance; cotangent . all from there on
+    real3 grad[OWNED];
+#if WITH_DEPTH
+    real grad_z[OWNED];
+#endif
+#pragma unroll
+    for (int i = 0; i < OWNED; i++) {
+        t[i] = rest[i] = 0;
+        grad[i] = (real3)(0);
+#if WITH_DEPTH
+        grad_z[i] = 0;
+#endif
+        if (!open)
+            continue;
+        // no branch by pixel, so that all loads are under way at once; what has ended reads pixel 0
+        const int slot = i * ADJOINT_GROUP + lane;
+        const bool live = last[i] >= first;
+        const long pixel =
+            live ? (long)(y0 + slot_row(slot)) * width + x0 + slot_column(slot) : 0;
+        const real4 before = checkpoints[(ulong)bucket * PIXELS + slot];
+        const real3 all = (real3)(image[pixel], image[plane + pixel], image[2 * plane + pixel]);
+        const real3 cotangent = (real3)(grad_image[pixel], grad_image[plane + pixel],
+                                        grad_image[2 * plane + pixel]);
+        real behind = dot(cotangent, all - before.yzw);
+#if WITH_DEPTH
+        const real before_z = depth_checkpoints[(ulong)bucket * PIXELS + slot];
+        const real cotangent_z = grad_depth[pixel];
+        behind += cotangent_z * (depth[pixel] - before_z);
+        behind += grad_transmittance[pixel] * transmittance[pixel];
+        if (live)
+            grad_z[i] = cotangent_z;
+#endif
+        if (live) {
+            grad[i] = cotangent;
+            t[i] = before.x;
+            rest[i] = behind;
+        }
+    }
     for (int j = lane; j < count; j += ADJOINT_GROUP) {
         emission[j] = emission_indices[first + j];
         if (open) {

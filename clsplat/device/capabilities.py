@@ -10,12 +10,6 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike
 
-_SHUFFLE = """
-__kernel void probe(__global float *x) {
-    float v = (float)get_local_id(0), w;
-    asm volatile("shfl.sync.up.b32 %0, %1, 1, 0x0, 0xffffffff;" : "=f"(w) : "f"(v));
-    x[get_local_id(0)] = w;
-}"""
 _DOUBLE = """
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 __kernel void probe(__global float *x) {
@@ -58,30 +52,26 @@ def probe_working(handle: cl.Device) -> str:
 
 
 def probe_wave(context: cl.Context, handle: cl.Device) -> int:
-    """How many lanes run in step, 32 or 64; 32 for CPUs, where it does not matter.
-
-    It is what the compiler prefers work-groups to be a multiple of: 32 on NVIDIA, 64 or 32 on AMD.
+    """How many lanes run in step, 32 or 64: what the compiler prefers work-groups to be a multiple
+    of; 32 on NVIDIA, 64 or 32 on AMD, and 32 for all that are no GPUs, where it hardly matters.
     """
+    if not handle.type & cl.device_type.GPU:
+        return 32
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
         kernel = cl.Kernel(cl.Program(context, _PLAIN).build(), "probe")
     multiple = kernel.get_work_group_info(
         cl.kernel_work_group_info.PREFERRED_WORK_GROUP_SIZE_MULTIPLE, handle)
-    return 64 if multiple == 64 and handle.type & cl.device_type.GPU else 32
+    return 64 if multiple == 64 else 32
 
 
 def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool]:
     """The preprocessor names of optional features, and whether each one works."""
     lane = np.arange(32, dtype=np.float32)
     tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
-             "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp(-0.18 * lane)),
-             "HAVE_PTX_SHUFFLE": (_SHUFFLE, np.maximum(lane - 1, 0))}
+             "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp(-0.18 * lane))}
     works = {}
     for name, (source, expected) in tests.items():
-        # inline PTX makes some compilers of other vendors abort
-        if name == "HAVE_PTX_SHUFFLE" and "nvidia" not in handle.vendor.lower():
-            works[name] = False
-            continue
         try:
             works[name] = _run(context, handle, source, expected)
         except cl.Error:

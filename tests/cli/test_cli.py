@@ -274,7 +274,7 @@ def test_eval_summary_labels_both():
 def entry(index, works, **more):
     able = {"compute_units": 2, "memory_bytes": 3 << 30, "largest_buffer_bytes": 1 << 30,
             "local_bytes": 32 << 10, "opencl_c": "OpenCL C 1.2", "HAVE_DOUBLE": True,
-            "HAVE_PTX_SHUFFLE": False}
+            "HAVE_NATIVE_EXP": False}
     return types.SimpleNamespace(
         index=index, platform="Platform", name=f"name {index}", type="cpu", works=works,
         reason="" if works else "does not build", cure="" if works else "reinstall it",

@@ -64,6 +64,22 @@ def test_a_kernel_that_does_not_build_names_its_file(float_device):
         float_device._build(Kernel("sort.cl", "sort_count", each("count"), count="uint"), ())
 
 
+def test_waves_have_32_or_64_lanes(float_device):
+    """32 on a CPU, where the choice only decides what is skipped together."""
+    assert float_device.wave in ((32,) if float_device.is_cpu else (32, 64))
+    assert float_device.adjoint_group % float_device.wave == float_device.bucket % 32 == 0
+
+
+def test_a_kernel_is_built_again_for_other_sizes(float_device, monkeypatch):
+    kernel = Kernel("gather.cl", "gather", each("count"), **TYPES)
+    first = float_device._build(kernel, ())
+    assert float_device._build(kernel, ()) is first
+    for name in ("tile", "scan_group", "wave", "bucket", "adjoint_group"):
+        with monkeypatch.context() as patch:
+            patch.setattr(float_device, name, 2 * getattr(float_device, name))
+            assert float_device._build(kernel, ()) is not first
+
+
 @pytest.mark.parametrize("launch, expected", [
     (items("count"), (7, 1)), (items("count/3 2"), (6, 1)), (items("N/TILE"), (1, 1)),
     (items("count", "5"), (10, 5)), (groups("count", "SCAN_GROUP"), (7 * 64, 64)),

@@ -1,6 +1,6 @@
 """Time variants of the group form of blending and its adjoint, on the city of the benchmarks.
 
-    python -m tools.studies.blend_variants [--device auto] [--gaussians 200k,1M,4M] [--only NAME ...]
+    python -m tools.studies.blend_variants [--device auto] [--gaussians 200k,1M,4M] [--only NAME]
 
 Prints the median time on the device of each kernel, and how far the image and the sums of splats
 are from those of the first variant. Variants are timed in turns, so that other work on the machine
