@@ -212,7 +212,7 @@ def test_slots_past_the_visible_splats_have_no_pairs(device, small_groups):
     rows, _ = shuffled(rows_of(100, 61, 37))
     order = np.argsort(rows[:70, SPLAT_DEPTH], kind="stable")
     fewer = Binned(device, rows[:70], 61, 37, order)
-    rows[70:] = np.nan
+    rows[70:] = giants(rows[:30].copy(), range(30))
     padded = Binned(device, rows, 61, 37, np.append(order, np.full(30, UNWRITTEN)), visible=70)
     assert np.array_equal(padded.splats, fewer.splats)
     assert np.array_equal(padded.ranges, fewer.ranges)
