@@ -270,6 +270,8 @@ class Step:
         -------
         How many gaussians were cloned, split and pruned; None without growth.
         """
+        if plan.grows or plan.resets_opacity:
+            self.model.catch_up()
         event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
         if plan.resets_opacity:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
