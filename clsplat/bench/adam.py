@@ -83,12 +83,14 @@ def gradients_of(device: Device, count: int, share: float) -> Gradients:
 def lazy(bench: Bench, city: CityFrame, moments: str) -> DeviceAdam:
     """An engine whose sums by which rows catch up are not zero."""
     adam = DeviceAdam(bench.device, city.rows, True, moments)
-    adam.load_lag({"coefficients": np.full((CATCH_UP_EVERY, LAG_TERMS), 1e-9)}, 0)
+    count = len(city.rows["positions"])
+    adam.load_lag({**adam.lag(count), "coefficients": np.full((CATCH_UP_EVERY, LAG_TERMS), 1e-9)},
+                  0)
     return adam
 
 
 def catch_up(adam: DeviceAdam, rows: Rows, frozen: Array | None, camera: Array | None = None
              ) -> None:
     """Let all rows that are not frozen miss LAG steps, and catch up."""
-    adam.load_lag({}, adam.steps + LAG)
+    adam.steps, adam.is_current = adam.steps + LAG, False
     adam.catch_up(rows, frozen, camera)

@@ -31,6 +31,7 @@ from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
 from clsplat.rendering.project import FieldGradients
 
+LAG = ("last_step", "coefficients", "is_current")  # what checkpoints keep of lazy rows
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
 
 SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of adam_small
@@ -101,6 +102,7 @@ class DeviceAdam:
     Attributes
     ----------
     steps : the number of the last step.
+    is_current : whether no row lags behind it.
     """
 
     def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False,
@@ -110,7 +112,7 @@ class DeviceAdam:
         self._m, self._v, self._others = (
             {name: device.zeros(*spec) for name, spec in specs.items()}
             for specs in self.arrays(rows, moments))
-        self.steps, self._is_current = 0, True
+        self.steps, self.is_current = 0, True
         self._degree = math.isqrt(self.harmonics + 1) - 1
 
     @staticmethod
@@ -173,7 +175,7 @@ class DeviceAdam:
                if field.name != "sh_constant"},
             **{field.name: rows[field.name] for field in SMALL}, m=m["small"], v=v["small"],
             **self._lag_of(rows))
-        self.steps, self._is_current = step, not self.dense
+        self.steps, self.is_current = step, not self.dense
         if step % CATCH_UP_EVERY == 0:
             self.catch_up(rows, frozen)
 
@@ -189,13 +191,13 @@ class DeviceAdam:
         rows, frozen : as for `step`.
         camera : real[27], packed; of the rows that it may see. None: of all rows.
         """
-        if not self._is_current:
+        if not self.is_current:
             self._coast(rows, frozen, camera, keeps=True)
-            self._is_current = camera is None
+            self.is_current = camera is None
 
     def current(self, rows: Mapping[str, Array], frozen: Array | None = None) -> dict[str, Array]:
         """The rows after the last step, as copies where some have not caught up."""
-        if self._is_current:
+        if self.is_current:
             return dict(rows)
         copies = {**rows, **{field.name: rows[field.name].copied() for field in LEARNED}}
         self._coast(copies, frozen, None, keeps=False)
@@ -285,18 +287,19 @@ class DeviceAdam:
                 source[field.name].reshape(count, -1) for field in SMALL]))
             own["rest"].write(others)
         self._others["last_step"].fill(self.steps)
-        self._is_current = True
+        self.is_current = True
 
     def lag(self, count: int) -> dict[str, NDArray[Any]]:
         """How far each row has come, in host memory, for a checkpoint."""
         return {"last_step": self._others["last_step"].narrow(count).download(),
-                "coefficients": self._others["coefficients"].download()}
+                "coefficients": self._others["coefficients"].download(),
+                "is_current": np.array([self.is_current], np.uint8)}
 
     def load_lag(self, arrays: Mapping[str, NDArray[Any]], step: int) -> None:
         """Restore what `lag` returned, after `upload` and after this number of steps."""
-        for name, values in arrays.items():
-            self._others[name].write(values)
-        self.steps, self._is_current = step, not self.dense
+        for name in ("last_step", "coefficients"):
+            self._others[name].write(arrays[name])
+        self.steps, self.is_current = step, bool(arrays["is_current"][0])
 
 
 def _begin(name: str) -> int:

@@ -173,7 +173,7 @@ def coasted(device, begun, missed, scale):
     nothing = Gradients({field.name: device.empty((0, *field.row_shape(DEGREE)))
                          for field in LEARNED}, None, device.empty(0, np.uint32),
                         device.empty(0, np.uint32))
-    run.engine.load_lag({"last_step": np.array([begun], np.uint32)}, begun)
+    run.engine.load_lag({**run.engine.lag(1), "last_step": np.array([begun], np.uint32)}, begun)
     expected = run.expected["opacity_logits"]
     m, v = m["opacity_logits"], v["opacity_logits"]
     for step in range(begun + 1, begun + missed + 1):
