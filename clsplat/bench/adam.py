@@ -1,5 +1,5 @@
-"""A step of Adam on the gradients of a frame: its two launches and what lazy rows catch up with, for
-several shares of visible rows; sparse and dense, with moments as floats and as halves, and numpy."""
+"""Adam: a step's two launches, and how rows that lag catch up, for several shares of visible rows,
+with moments as floats and as halves; and the numpy engine."""
 
 from functools import partial
 

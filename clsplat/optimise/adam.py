@@ -259,8 +259,9 @@ class DeviceAdam:
             return
         begin = _begin(name)
         width = next(field.width(0) for field in SMALL if field.name == name)
-        self.device.launch(CLEAR, self._defines, count=len(self._m["small"]), begin=begin,
-                           end=begin + width, m=self._m["small"], v=self._v["small"])
+        m, v = self._moments(self.count)
+        self.device.launch(CLEAR, self._defines, count=self.count, begin=begin, end=begin + width,
+                           m=m["small"], v=v["small"])
 
     def download(self, count: int) -> tuple[HostArrays, HostArrays]:
         """The first `count` rows of m and v in host memory, by field, each after its last step."""
