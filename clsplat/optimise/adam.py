@@ -32,6 +32,7 @@ from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Gradients
 from clsplat.rendering.project import FieldGradients
 
+LAG = ("last_step", "coefficients", "is_current")  # what checkpoints keep of lazy rows
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
 
 SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of adam_small
@@ -88,6 +89,7 @@ class DeviceAdam:
     Attributes
     ----------
     steps : the number of the last step.
+    is_current : whether no row lags behind it.
     """
 
     RECORDS = True  # whether a step can be recorded
@@ -101,7 +103,7 @@ class DeviceAdam:
         self._m, self._v, self._others = (
             {name: device.zeros(*spec) for name, spec in specs.items()}
             for specs in self.arrays(rows, moments))
-        self.steps, self._is_current = 0, True
+        self.steps, self.is_current = 0, True
         self._degree = math.isqrt(self.harmonics + 1) - 1
 
     @staticmethod
@@ -196,10 +198,10 @@ class DeviceAdam:
         rows, used, frozen : as they were for it.
         counts : as for `catch_up_seen`.
         """
-        self.steps, self._degree, self._is_current = step, _degree_of(used), not self.dense
+        self.steps, self._degree, self.is_current = step, _degree_of(used), not self.dense
         if self.dense and step % CATCH_UP_EVERY == 0:
             self._coast(rows, frozen, None, True, step, self._degree, counts)
-            self._is_current = True
+            self.is_current = True
 
     def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
              rates: Mapping[str, float], used: Mapping[str, int],
@@ -218,13 +220,13 @@ class DeviceAdam:
         When this is done decides how results round, so it may depend on nothing but the steps; for
         anything else there is `current`.
         """
-        if not self._is_current:
+        if not self.is_current:
             self._coast(rows, frozen, None, True, self.steps, self._degree)
-            self._is_current = True
+            self.is_current = True
 
     def current(self, rows: Mapping[str, Array], frozen: Array | None = None) -> dict[str, Array]:
         """The rows after the last step, as copies where some have not caught up."""
-        if self._is_current:
+        if self.is_current:
             return dict(rows)
         copies = {**rows, **{field.name: rows[field.name].copied() for field in LEARNED}}
         self._coast(copies, frozen, None, False, self.steps, self._degree)
@@ -286,8 +288,9 @@ class DeviceAdam:
             return
         begin = _begin(name)
         width = next(field.width(0) for field in SMALL if field.name == name)
-        self.device.launch(CLEAR, self._defines(0), count=len(self._m["small"]), begin=begin,
-                           end=begin + width, m=self._m["small"], v=self._v["small"])
+        m, v = self._moments(self.count)
+        self.device.launch(CLEAR, self._defines(0), count=self.count, begin=begin, end=begin + width,
+                           m=m["small"], v=v["small"])
 
     def download(self, count: int) -> tuple[HostArrays, HostArrays]:
         """The first `count` rows of m and v in host memory, by field, each after its last step."""
@@ -314,18 +317,19 @@ class DeviceAdam:
                 source[field.name].reshape(count, -1) for field in SMALL]))
             own["rest"].write(others)
         self._others["last_step"].fill(self.steps)
-        self._is_current = True
+        self.is_current = True
 
     def lag(self, count: int) -> dict[str, NDArray[Any]]:
         """How far each row has come, in host memory, for a checkpoint."""
         return {"last_step": self._others["last_step"].narrow(count).download(),
-                "coefficients": self._others["coefficients"].download()}
+                "coefficients": self._others["coefficients"].download(),
+                "is_current": np.array([self.is_current], np.uint8)}
 
     def load_lag(self, arrays: Mapping[str, NDArray[Any]], step: int) -> None:
         """Restore what `lag` returned, after `upload` and after this number of steps."""
-        for name, values in arrays.items():
-            self._others[name].write(values)
-        self.steps, self._is_current = step, not self.dense
+        for name in ("last_step", "coefficients"):
+            self._others[name].write(arrays[name])
+        self.steps, self.is_current = step, bool(arrays["is_current"][0])
 
 
 def _begin(name: str) -> int:

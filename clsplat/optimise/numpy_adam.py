@@ -154,7 +154,8 @@ class NumpyAdam:
     def lag(self, count: int) -> dict[str, NDArray[Any]]:
         """As `DeviceAdam.lag`."""
         return {"last_step": np.full(count, self.steps, np.uint32),
-                "coefficients": np.zeros((CATCH_UP_EVERY, LAG_TERMS), self.device.real)}
+                "coefficients": np.zeros((CATCH_UP_EVERY, LAG_TERMS), self.device.real),
+                "is_current": np.ones(1, np.uint8)}
 
     def load_lag(self, arrays: Mapping[str, NDArray[Any]], step: int) -> None:
         """As `DeviceAdam.load_lag`; InputError where a row lags."""

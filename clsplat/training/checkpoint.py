@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
 from clsplat.io.run import OPTIONS, RunFolder
+from clsplat.optimise.adam import LAG
 from clsplat.options import checked
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
@@ -68,8 +69,8 @@ class Checkpoint:
         session, step = self.session, self.session.step
         session.use_level(state["level"])
         step.model.adam.upload(_fields(arrays, "m", LEARNED), _fields(arrays, "v", LEARNED))
-        step.model.adam.load_lag({name: arrays[f"adam.{name}"]
-                                  for name in ("last_step", "coefficients")}, state["iteration"])
+        step.model.adam.load_lag({name: arrays[f"adam.{name}"] for name in LAG},
+                                 state["iteration"])
         step.statistics.grad_norm_sum.write(arrays["statistics.grad_norm_sum"])
         step.statistics.seen_count.write(arrays["statistics.seen_count"])
         if step.frozen is not None:
