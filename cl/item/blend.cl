@@ -25,12 +25,17 @@ inline real16 load_row(__global const real *row, int columns)
     return vload16(0, values);
 }
 
-// Rows [*begin, *end) of the tile that the ellipse reaches.
-inline void rows_reached(__global const real *splat, real first_y, int rows, int *begin, int *end)
+// Rows are blended BLOCK at a time, so that the operations of one fill the waits of another. A row of a
+// block that an ellipse does not reach adds nothing, as its excess is below zero.
+#define BLOCK 4
+#define EACH_ROW for (int k = 0; k < BLOCK; k++)
+
+// Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h), so that no
+// pixel whose excess rounds to zero is left out.
+inline bool reaches_block(__global const real *splat, real block_y)
 {
-    const real up = splat[SPLAT_MEAN + 1] - first_y, extent = splat[SPLAT_EXTENT_Y];
-    *begin = (int)clamp(ceil(up - extent), (real)0, (real)rows);
-    *end = (int)clamp(floor(up + extent) + 1, (real)0, (real)rows);
+    const real extent = splat[SPLAT_EXTENT_Y] * 1.001 + (0.01 + 0.5 * (BLOCK - 1));
+    return fabs(block_y + 0.5 * (BLOCK - 1) - splat[SPLAT_MEAN + 1]) <= extent;
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -41,67 +46,74 @@ void blend(BLEND_ARGUMENTS)
     const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
     const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const real16 x = IOTA + (real)(x0 + 0.5);
-    const real first_y = y0 + 0.5;
-    real16 t[TILE], red[TILE], green[TILE], blue[TILE]; // t < 0: the pixel has ended, |t| remains
-    mask16 latest[TILE]; // the last pair a pixel can have seen; beyond it nothing reaches it
-#if WITH_DEPTH
-    real16 z[TILE];
-#endif
-    for (int r = 0; r < rows; r++) {
-        t[r] = select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns));
-        red[r] = green[r] = blue[r] = 0;
-        latest[r] = (int)end - 1;
-#if WITH_DEPTH
-        z[r] = 0;
-#endif
-    }
-    int open_rows = (1 << rows) - 1;
-    for (uint i = begin; i < end && open_rows; i++) {
-        SPLAT_IN_ROWS(sorted_splats[i]);
-        int r, r_end;
-        rows_reached(splat, first_y, rows, &r, &r_end);
-        for (; r < r_end; r++) {
-            if (!(open_rows >> r & 1))
-                continue;
-            const real dy = first_y + r - mean_y;
-            const real16 power = power_x + dy * (c * dy - shear);
-            const mask16 live = TO_MASK(power >= cut) & TO_MASK(t[r] > 0);
-            if (!any16(live))
-                continue;
-            const real16 alpha = select((real16)0, cut_alpha(opacity * exp_power(power)), live);
-            real16 w = alpha * t[r], next = t[r] - w;
-            const mask16 ends = live & TO_MASK(next < (real)TRANSMITTANCE_MIN);
-            if (any16(ends)) {
-                w = select(w, (real16)0, ends);
-                next = select(next, -t[r], ends);
-                latest[r] = select(latest[r], (mask16)i - 1, ends);
-                if (!any16(TO_MASK(next > 0)))
-                    open_rows &= ~(1 << r);
-            }
-            red[r] += w * splat[SPLAT_COLOUR];
-            green[r] += w * splat[SPLAT_COLOUR + 1];
-            blue[r] += w * splat[SPLAT_COLOUR + 2];
-#if WITH_DEPTH
-            z[r] += w * splat[SPLAT_DEPTH];
-#endif
-            t[r] = next;
-        }
-    }
     const long plane = (long)width * height;
-    for (int r = 0; r < rows; r++) {
-        const long pixel = (long)(y0 + r) * width + x0;
-        const real16 rest = fabs(t[r]);
-        store_row(red[r] + rest * background[0], image + pixel, columns);
-        store_row(green[r] + rest * background[1], image + plane + pixel, columns);
-        store_row(blue[r] + rest * background[2], image + 2 * plane + pixel, columns);
-        store_row(rest, transmittance + pixel, columns);
+    for (int r0 = 0; r0 < rows; r0 += BLOCK) {
+        const int height_left = rows - r0;
+        const real block_y = y0 + r0 + 0.5;
+        real16 t[BLOCK], red[BLOCK], green[BLOCK], blue[BLOCK]; // t < 0: the pixel has ended, |t| remains
+        mask16 latest[BLOCK]; // the last pair a pixel can have seen; beyond it nothing reaches it
 #if WITH_DEPTH
-        store_row(z[r], depth + pixel, columns);
+        real16 z[BLOCK];
 #endif
-        int indices[16];
-        vstore16(convert_int16(latest[r]), 0, indices);
-        for (int i = 0; i < columns; i++)
-            last_contributor[pixel + i] = indices[i];
+        EACH_ROW {
+            t[k] = k < height_left ? select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns)) : -1;
+            red[k] = green[k] = blue[k] = 0;
+            latest[k] = (int)end - 1;
+#if WITH_DEPTH
+            z[k] = 0;
+#endif
+        }
+        bool open = true;
+        for (uint i = begin; i < end && open; i++) {
+            SPLAT_IN_ROWS(sorted_splats[i]);
+            if (!reaches_block(splat, block_y))
+                continue;
+            real16 excess[BLOCK], w[BLOCK], next[BLOCK];
+            mask16 live[BLOCK], ends[BLOCK];
+            EACH_ROW {
+                const real dy = block_y + k - mean_y;
+                excess[k] = excess_x + dy * (c * dy - shear);
+                live[k] = TO_MASK(excess[k] >= 0) & TO_MASK(t[k] > 0);
+            }
+            EACH_ROW w[k] = select((real16)0, cut_alpha(alpha_of(excess[k])), live[k]) * t[k];
+            EACH_ROW {
+                next[k] = t[k] - w[k];
+                ends[k] = live[k] & TO_MASK(next[k] < (real)TRANSMITTANCE_MIN);
+            }
+            if (any16(ends[0] | ends[1] | ends[2] | ends[3])) {
+                EACH_ROW {
+                    w[k] = select(w[k], (real16)0, ends[k]);
+                    next[k] = select(next[k], -t[k], ends[k]);
+                    latest[k] = select(latest[k], (mask16)i - 1, ends[k]);
+                }
+                open = any16(TO_MASK(next[0] > 0) | TO_MASK(next[1] > 0) | TO_MASK(next[2] > 0) |
+                             TO_MASK(next[3] > 0));
+            }
+            EACH_ROW {
+                red[k] += w[k] * splat[SPLAT_COLOUR];
+                green[k] += w[k] * splat[SPLAT_COLOUR + 1];
+                blue[k] += w[k] * splat[SPLAT_COLOUR + 2];
+#if WITH_DEPTH
+                z[k] += w[k] * splat[SPLAT_DEPTH];
+#endif
+                t[k] = next[k];
+            }
+        }
+        for (int k = 0; k < min(BLOCK, height_left); k++) {
+            const long pixel = (long)(y0 + r0 + k) * width + x0;
+            const real16 rest = fabs(t[k]);
+            store_row(red[k] + rest * background[0], image + pixel, columns);
+            store_row(green[k] + rest * background[1], image + plane + pixel, columns);
+            store_row(blue[k] + rest * background[2], image + 2 * plane + pixel, columns);
+            store_row(rest, transmittance + pixel, columns);
+#if WITH_DEPTH
+            store_row(z[k], depth + pixel, columns);
+#endif
+            int indices[16];
+            vstore16(convert_int16(latest[k]), 0, indices);
+            for (int i = 0; i < columns; i++)
+                last_contributor[pixel + i] = indices[i];
+        }
     }
 }
 
@@ -142,6 +154,13 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
         }
         latest[r] = convert_mask16(vload16(0, indices));
     }
+    for (int r = rows; r < TILE; r++) { // below the image: no splat reaches them
+        t[r] = behind[r] = grad_red[r] = grad_green[r] = grad_blue[r] = 0;
+        latest[r] = -1;
+#if WITH_DEPTH
+        grad_z[r] = 0;
+#endif
+    }
     for (int i = end - 1; i >= begin; i--) {
         __global real *sum = pair_grads + (ulong)emission_indices[i] * SUMS;
         if (i > newest) {
@@ -150,44 +169,51 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
             continue;
         }
         SPLAT_IN_ROWS(sorted_splats[i]);
-        real16 s_red = 0, s_green = 0, s_blue = 0, s_opacity = 0, s_z = 0;
+        real16 s_red = 0, s_green = 0, s_blue = 0, s_z = 0;
         real16 s_p = 0, s_y = 0, s_yy = 0; // dx is the same in every row: its products come last
-        int r, r_end;
-        rows_reached(splat, first_y, rows, &r, &r_end);
-        for (; r < r_end; r++) {
-            const real dy = first_y + r - mean_y;
-            const real16 power = power_x + dy * (c * dy - shear);
-            const mask16 live = TO_MASK(power >= cut) & TO_MASK(latest[r] >= (mask16)i);
-            if (!any16(live))
+        for (int r0 = 0; r0 < TILE; r0 += BLOCK) {
+            if (!reaches_block(splat, first_y + r0))
                 continue;
-            const real16 e = exp_power(power), raw = opacity * e;
-            const real16 alpha = select((real16)0, cut_alpha(raw), live);
-            const real16 inverse = 1 / (1 - alpha);
-            const real16 before = t[r] * inverse, w = alpha * before;
-            real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
-                           grad_green[r] * splat[SPLAT_COLOUR + 1] +
-                           grad_blue[r] * splat[SPLAT_COLOUR + 2];
+            real16 raw[BLOCK], alpha[BLOCK], inverse[BLOCK];
+            mask16 live[BLOCK];
+            EACH_ROW {
+                const real dy = first_y + (r0 + k) - mean_y;
+                raw[k] = excess_x + dy * (c * dy - shear);
+                live[k] = TO_MASK(raw[k] >= 0) & TO_MASK(latest[r0 + k] >= (mask16)i);
+            }
+            EACH_ROW raw[k] = alpha_of(raw[k]);
+            EACH_ROW {
+                alpha[k] = select((real16)0, cut_alpha(raw[k]), live[k]);
+                inverse[k] = 1 / (1 - alpha[k]);
+            }
+            EACH_ROW {
+                const int r = r0 + k;
+                const real dy = first_y + r - mean_y;
+                const real16 before = t[r] * inverse[k], w = alpha[k] * before;
+                real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
+                               grad_green[r] * splat[SPLAT_COLOUR + 1] +
+                               grad_blue[r] * splat[SPLAT_COLOUR + 2];
 #if WITH_DEPTH
-            light += grad_z[r] * splat[SPLAT_DEPTH];
-            s_z += w * grad_z[r];
+                light += grad_z[r] * splat[SPLAT_DEPTH];
+                s_z += w * grad_z[r];
 #endif
-            s_red += w * grad_red[r];
-            s_green += w * grad_green[r];
-            s_blue += w * grad_blue[r];
-            const real16 grad_alpha = before * light - behind[r] * inverse;
-            const real16 grad_raw =
-                select((real16)0, grad_alpha * cut_alpha_slope(raw), live);
-            behind[r] += w * light;
-            t[r] = before;
-            s_opacity += grad_raw * e;
-            const real16 grad_power = grad_raw * raw;
-            s_p += grad_power;
-            s_y += grad_power * dy;
-            s_yy += grad_power * (dy * dy);
+                s_red += w * grad_red[r];
+                s_green += w * grad_green[r];
+                s_blue += w * grad_blue[r];
+                const real16 grad_alpha = before * light - behind[r] * inverse[k];
+                const real16 grad_power = select(
+                    (real16)0, grad_alpha * cut_alpha_slope(raw[k]) * raw[k], live[k]);
+                behind[r] += w * light;
+                t[r] = before;
+                s_p += grad_power;
+                s_y += grad_power * dy;
+                s_yy += grad_power * (dy * dy);
+            }
         }
-        // in the order of splat.h
-        vstore8(sum16_each(s_red, s_green, s_blue, s_opacity, s_p * dx, s_y, s_p * dx * dx,
-                           s_y * dx), 0, sum);
+        // in the order of splat.h; alpha is the opacity times the falloff, so the gradient by its
+        // logarithm is that by the power
+        vstore8(sum16_each(s_red, s_green, s_blue, s_p / splat[SPLAT_OPACITY], s_p * dx, s_y,
+                           s_p * dx * dx, s_y * dx), 0, sum);
         sum[SUM_YY] = sum16(s_yy);
 #if WITH_DEPTH
         sum[SUM_DEPTH] = sum16(s_z);
