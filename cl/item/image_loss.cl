@@ -8,16 +8,16 @@
 #define MAPS 3
 
 // The 16 values that begin K after the first of A, which B continues.
-#define AFTER_1(A, B) (real16)(A.s12345678, A.s9abc, A.sdef, B.s0)
-#define AFTER_2(A, B) (real16)(A.s23456789, A.sabcd, A.sef, B.s01)
-#define AFTER_3(A, B) (real16)(A.s3456789a, A.sbcde, A.sf, B.s012)
-#define AFTER_4(A, B) (real16)(A.s456789ab, A.scdef, B.s0123)
-#define AFTER_5(A, B) (real16)(A.s56789abc, A.sdef, B.s0, B.s1234)
-#define AFTER_6(A, B) (real16)(A.s6789abcd, A.sef, B.s01, B.s2345)
-#define AFTER_7(A, B) (real16)(A.s789abcde, A.sf, B.s012, B.s3456)
-#define AFTER_8(A, B) (real16)(A.hi, B.lo)
-#define AFTER_9(A, B) (real16)(A.s9abc, A.sdef, B.s0, B.s12345678)
-#define AFTER_10(A, B) (real16)(A.sabcd, A.sef, B.s01, B.s23456789)
+#define AFTER_1(A, B) (real16)(A.s1, A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0)
+#define AFTER_2(A, B) (real16)(A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1)
+#define AFTER_3(A, B) (real16)(A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2)
+#define AFTER_4(A, B) (real16)(A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3)
+#define AFTER_5(A, B) (real16)(A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4)
+#define AFTER_6(A, B) (real16)(A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5)
+#define AFTER_7(A, B) (real16)(A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6)
+#define AFTER_8(A, B) (real16)(A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7)
+#define AFTER_9(A, B) (real16)(A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7, B.s8)
+#define AFTER_10(A, B) (real16)(A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7, B.s8, B.s9)
 
 // The window is symmetric: what lies at the same distance is added first.
 inline real16 window(real16 v0, real16 v1, real16 v2, real16 v3, real16 v4, real16 v5, real16 v6,
