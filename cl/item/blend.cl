@@ -25,6 +25,28 @@ inline real16 load_row(__global const real *row, int columns)
     return vload16(0, values);
 }
 
+inline void store_indices(int16 value, __global int *row, int columns)
+{
+    if (columns >= TILE) {
+        vstore16(value, 0, row);
+        return;
+    }
+    int values[16];
+    vstore16(value, 0, values);
+    for (int i = 0; i < columns; i++)
+        row[i] = values[i];
+}
+
+inline int16 load_indices(__global const int *row, int columns)
+{
+    if (columns >= TILE)
+        return vload16(0, row);
+    int values[16];
+    for (int i = 0; i < 16; i++)
+        values[i] = i < columns ? row[i] : -1;
+    return vload16(0, values);
+}
+
 // Rows are blended BLOCK at a time, so that the operations of one fill the waits of another. A row of a
 // block that an ellipse does not reach adds nothing, as its excess is below zero.
 #define BLOCK 4
@@ -109,10 +131,7 @@ void blend(BLEND_ARGUMENTS)
 #if WITH_DEPTH
             store_row(z[k], depth + pixel, columns);
 #endif
-            int indices[16];
-            vstore16(convert_int16(latest[k]), 0, indices);
-            for (int i = 0; i < columns; i++)
-                last_contributor[pixel + i] = indices[i];
+            store_indices(convert_int16(latest[k]), last_contributor + pixel, columns);
         }
     }
 }
@@ -128,39 +147,41 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
     const long plane = (long)width * height;
     const real16 x = IOTA + (real)(x0 + 0.5);
     const real first_y = y0 + 0.5;
-    // t: transmittance behind the current splat; behind: grad . light from behind it
+    // t: transmittance behind the current splat; behind: grad . colour of what lies behind it
     real16 t[TILE], behind[TILE], grad_red[TILE], grad_green[TILE], grad_blue[TILE];
     mask16 latest[TILE];
 #if WITH_DEPTH
     real16 grad_z[TILE];
 #endif
-    int newest = -1;
-    for (int r = 0; r < rows; r++) {
+    int16 newest_each = -1;
+    for (int r = 0; r < TILE; r++) {
+        if (r >= rows) { // below the image
+            t[r] = behind[r] = grad_red[r] = grad_green[r] = grad_blue[r] = 0;
+            latest[r] = -1;
+#if WITH_DEPTH
+            grad_z[r] = 0;
+#endif
+            continue;
+        }
         const long pixel = (long)(y0 + r) * width + x0;
         t[r] = load_row(transmittance + pixel, columns);
         grad_red[r] = load_row(grad_image + pixel, columns);
         grad_green[r] = load_row(grad_image + plane + pixel, columns);
         grad_blue[r] = load_row(grad_image + 2 * plane + pixel, columns);
-        behind[r] = t[r] * (grad_red[r] * background[0] + grad_green[r] * background[1] +
-                            grad_blue[r] * background[2]);
+        behind[r] = grad_red[r] * background[0] + grad_green[r] * background[1] +
+                    grad_blue[r] * background[2];
 #if WITH_DEPTH
         grad_z[r] = load_row(grad_depth + pixel, columns);
-        behind[r] += t[r] * load_row(grad_transmittance + pixel, columns);
+        behind[r] += load_row(grad_transmittance + pixel, columns);
 #endif
-        int indices[16];
-        for (int i = 0; i < 16; i++) {
-            indices[i] = i < columns ? last_contributor[pixel + i] : -1;
-            newest = max(newest, indices[i]);
-        }
-        latest[r] = convert_mask16(vload16(0, indices));
+        const int16 indices = load_indices(last_contributor + pixel, columns);
+        newest_each = max(newest_each, indices);
+        latest[r] = convert_mask16(indices);
     }
-    for (int r = rows; r < TILE; r++) { // below the image: no splat reaches them
-        t[r] = behind[r] = grad_red[r] = grad_green[r] = grad_blue[r] = 0;
-        latest[r] = -1;
-#if WITH_DEPTH
-        grad_z[r] = 0;
-#endif
-    }
+    const int8 newest8 = max(newest_each.lo, newest_each.hi);
+    const int4 newest4 = max(newest8.lo, newest8.hi);
+    const int2 newest2 = max(newest4.lo, newest4.hi);
+    const int newest = max(newest2.x, newest2.y);
     for (int i = end - 1; i >= begin; i--) {
         __global real *sum = pair_grads + (ulong)emission_indices[i] * SUMS;
         if (i > newest) {
@@ -170,10 +191,13 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
         }
         SPLAT_IN_ROWS(sorted_splats[i]);
         real16 s_red = 0, s_green = 0, s_blue = 0, s_z = 0;
-        real16 s_p = 0, s_y = 0, s_yy = 0; // dx is the same in every row: its products come last
+        // of the gradients g by the power, row after row, their sum, the sum of these sums, and of those
+        real16 s_p = 0, s_s = 0, s_t = 0;
+        int r_end = 0;
         for (int r0 = 0; r0 < TILE; r0 += BLOCK) {
             if (!reaches_block(splat, first_y + r0))
                 continue;
+            r_end = r0 + BLOCK;
             real16 raw[BLOCK], alpha[BLOCK], inverse[BLOCK];
             mask16 live[BLOCK];
             EACH_ROW {
@@ -181,14 +205,13 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 raw[k] = excess_x + dy * (c * dy - shear);
                 live[k] = TO_MASK(raw[k] >= 0) & TO_MASK(latest[r0 + k] >= (mask16)i);
             }
-            EACH_ROW raw[k] = alpha_of(raw[k]);
             EACH_ROW {
+                raw[k] = alpha_of(raw[k]);
                 alpha[k] = select((real16)0, cut_alpha(raw[k]), live[k]);
                 inverse[k] = 1 / (1 - alpha[k]);
             }
             EACH_ROW {
                 const int r = r0 + k;
-                const real dy = first_y + r - mean_y;
                 const real16 before = t[r] * inverse[k], w = alpha[k] * before;
                 real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
                                grad_green[r] * splat[SPLAT_COLOUR + 1] +
@@ -200,19 +223,26 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 s_red += w * grad_red[r];
                 s_green += w * grad_green[r];
                 s_blue += w * grad_blue[r];
-                const real16 grad_alpha = before * light - behind[r] * inverse[k];
-                const real16 grad_power = select(
-                    (real16)0, grad_alpha * cut_alpha_slope(raw[k]) * raw[k], live[k]);
-                behind[r] += w * light;
+                const real16 contrast = light - behind[r];
+#if SMOOTH_CUTOFF
+                s_p += select((real16)0, before * contrast * raw[k] * cut_alpha_slope(raw[k]), live[k]);
+#else // below its limit, alpha is raw
+                s_p += select((real16)0, w * contrast,
+                              live[k] & TO_MASK(raw[k] <= (real)ALPHA_MAX));
+#endif
+                s_s += s_p;
+                s_t += s_s;
+                behind[r] += alpha[k] * contrast;
                 t[r] = before;
-                s_p += grad_power;
-                s_y += grad_power * dy;
-                s_yy += grad_power * (dy * dy);
             }
         }
-        // in the order of splat.h; alpha is the opacity times the falloff, so the gradient by its
-        // logarithm is that by the power
-        vstore8(sum16_each(s_red, s_green, s_blue, s_p / splat[SPLAT_OPACITY], s_p * dx, s_y,
+        // A row that is m rows above r_end is in s_s m times and in s_t m (m + 1) / 2 times; its dy is
+        // below_dy - m.
+        const real below_dy = first_y + r_end - mean_y;
+        const real16 s_y = below_dy * s_p - s_s;
+        const real16 s_yy = below_dy * (s_y - s_s) + 2 * s_t - s_s;
+        // in the order of splat.h; dx is the same in every row; alpha is the opacity times exp(power)
+        vstore8(sum16_each(s_red, s_green, s_blue, s_p * (1 / splat[SPLAT_OPACITY]), s_p * dx, s_y,
                            s_p * dx * dx, s_y * dx), 0, sum);
         sum[SUM_YY] = sum16(s_yy);
 #if WITH_DEPTH
