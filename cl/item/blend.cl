@@ -191,13 +191,10 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
         }
         SPLAT_IN_ROWS(sorted_splats[i]);
         real16 s_red = 0, s_green = 0, s_blue = 0, s_z = 0;
-        // of the gradients g by the power, row after row, their sum, the sum of these sums, and of those
-        real16 s_p = 0, s_s = 0, s_t = 0;
-        int r_end = 0;
+        real16 s_p = 0, s_y = 0, s_yy = 0; // dx is the same in every row: its products come last
         for (int r0 = 0; r0 < TILE; r0 += BLOCK) {
             if (!reaches_block(splat, first_y + r0))
                 continue;
-            r_end = r0 + BLOCK;
             real16 raw[BLOCK], alpha[BLOCK], inverse[BLOCK];
             mask16 live[BLOCK];
             EACH_ROW {
@@ -225,23 +222,22 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 s_blue += w * grad_blue[r];
                 const real16 contrast = light - behind[r];
 #if SMOOTH_CUTOFF
-                s_p += select((real16)0, before * contrast * raw[k] * cut_alpha_slope(raw[k]), live[k]);
+                const real16 grad_power = select(
+                    (real16)0, before * contrast * raw[k] * cut_alpha_slope(raw[k]), live[k]);
 #else // below its limit, alpha is raw
-                s_p += select((real16)0, w * contrast,
-                              live[k] & TO_MASK(raw[k] <= (real)ALPHA_MAX));
+                const real16 grad_power = select(
+                    (real16)0, w * contrast, live[k] & TO_MASK(raw[k] <= (real)ALPHA_MAX));
 #endif
-                s_s += s_p;
-                s_t += s_s;
+                const real dy = first_y + r - mean_y;
+                const real16 grad_dy = grad_power * dy;
+                s_p += grad_power;
+                s_y += grad_dy;
+                s_yy += grad_dy * dy;
                 behind[r] += alpha[k] * contrast;
                 t[r] = before;
             }
         }
-        // A row that is m rows above r_end is in s_s m times and in s_t m (m + 1) / 2 times; its dy is
-        // below_dy - m.
-        const real below_dy = first_y + r_end - mean_y;
-        const real16 s_y = below_dy * s_p - s_s;
-        const real16 s_yy = below_dy * (s_y - s_s) + 2 * s_t - s_s;
-        // in the order of splat.h; dx is the same in every row; alpha is the opacity times exp(power)
+        // in the order of splat.h; alpha is the opacity times exp(power)
         vstore8(sum16_each(s_red, s_green, s_blue, s_p * (1 / splat[SPLAT_OPACITY]), s_p * dx, s_y,
                            s_p * dx * dx, s_y * dx), 0, sum);
         sum[SUM_YY] = sum16(s_yy);
