@@ -48,9 +48,22 @@ inline int16 load_indices(__global const int *row, int columns)
 }
 
 // Rows are blended BLOCK at a time, so that the operations of one fill the waits of another. A row of a
-// block that an ellipse does not reach adds nothing, as its excess is below zero.
+// block that an ellipse does not reach adds nothing, as its excess is below zero. EACH_ROW writes its
+// argument once for each row k: PoCL would not unroll a loop, nor keep arrays in registers.
 #define BLOCK 4
-#define EACH_ROW for (int k = 0; k < BLOCK; k++)
+#define EACH_ROW(...)                                                                              \
+    ONE_ROW(0, __VA_ARGS__) ONE_ROW(1, __VA_ARGS__) ONE_ROW(2, __VA_ARGS__) ONE_ROW(3, __VA_ARGS__)
+#define ONE_ROW(K, ...)                                                                            \
+    {                                                                                              \
+        const int k = K;                                                                           \
+        __VA_ARGS__                                                                                \
+    }
+
+#if WITH_DEPTH
+#define IF_DEPTH(...) __VA_ARGS__
+#else
+#define IF_DEPTH(...)
+#endif
 
 // Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h), so that no
 // pixel whose excess rounds to zero is left out.
@@ -77,14 +90,11 @@ void blend(BLEND_ARGUMENTS)
 #if WITH_DEPTH
         real16 z[BLOCK];
 #endif
-        EACH_ROW {
+        EACH_ROW(
             t[k] = k < height_left ? select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns)) : -1;
             red[k] = green[k] = blue[k] = 0;
             latest[k] = (int)end - 1;
-#if WITH_DEPTH
-            z[k] = 0;
-#endif
-        }
+            IF_DEPTH(z[k] = 0;))
         bool open = true;
         for (uint i = begin; i < end && open; i++) {
             SPLAT_IN_ROWS(sorted_splats[i]);
@@ -92,49 +102,48 @@ void blend(BLEND_ARGUMENTS)
                 continue;
             real16 excess[BLOCK], w[BLOCK], next[BLOCK];
             mask16 live[BLOCK], ends[BLOCK];
-            EACH_ROW {
+            EACH_ROW(
                 const real dy = block_y + k - mean_y;
                 excess[k] = excess_x + dy * (c * dy - shear);
-                live[k] = TO_MASK(excess[k] >= 0) & TO_MASK(t[k] > 0);
-            }
-            EACH_ROW w[k] = select((real16)0, cut_alpha(alpha_of(excess[k])), live[k]) * t[k];
-            EACH_ROW {
+                live[k] = TO_MASK(excess[k] >= 0) & TO_MASK(t[k] > 0);)
+            EACH_ROW(w[k] = select((real16)0, cut_alpha(alpha_of(excess[k])), live[k]) * t[k];)
+            EACH_ROW(
                 next[k] = t[k] - w[k];
-                ends[k] = live[k] & TO_MASK(next[k] < (real)TRANSMITTANCE_MIN);
-            }
+                ends[k] = live[k] & TO_MASK(next[k] < (real)TRANSMITTANCE_MIN);)
             if (any16(ends[0] | ends[1] | ends[2] | ends[3])) {
-                EACH_ROW {
+                EACH_ROW(
                     w[k] = select(w[k], (real16)0, ends[k]);
                     next[k] = select(next[k], -t[k], ends[k]);
-                    latest[k] = select(latest[k], (mask16)i - 1, ends[k]);
-                }
+                    latest[k] = select(latest[k], (mask16)i - 1, ends[k]);)
                 open = any16(TO_MASK(next[0] > 0) | TO_MASK(next[1] > 0) | TO_MASK(next[2] > 0) |
                              TO_MASK(next[3] > 0));
             }
-            EACH_ROW {
+            EACH_ROW(
                 red[k] += w[k] * splat[SPLAT_COLOUR];
                 green[k] += w[k] * splat[SPLAT_COLOUR + 1];
                 blue[k] += w[k] * splat[SPLAT_COLOUR + 2];
-#if WITH_DEPTH
-                z[k] += w[k] * splat[SPLAT_DEPTH];
-#endif
-                t[k] = next[k];
-            }
+                IF_DEPTH(z[k] += w[k] * splat[SPLAT_DEPTH];)
+                t[k] = next[k];)
         }
-        for (int k = 0; k < min(BLOCK, height_left); k++) {
+        EACH_ROW(if (k < height_left) {
             const long pixel = (long)(y0 + r0 + k) * width + x0;
             const real16 rest = fabs(t[k]);
             store_row(red[k] + rest * background[0], image + pixel, columns);
             store_row(green[k] + rest * background[1], image + plane + pixel, columns);
             store_row(blue[k] + rest * background[2], image + 2 * plane + pixel, columns);
             store_row(rest, transmittance + pixel, columns);
-#if WITH_DEPTH
-            store_row(z[k], depth + pixel, columns);
-#endif
+            IF_DEPTH(store_row(z[k], depth + pixel, columns);)
             store_indices(convert_int16(latest[k]), last_contributor + pixel, columns);
-        }
+        })
     }
 }
+
+// The gradient by the power, of a row of the adjoint: as long as alpha is raw, w is before * raw.
+#if SMOOTH_CUTOFF
+#define GRAD_POWER before * contrast * raw[k] * cut_alpha_slope(raw[k])
+#else
+#define GRAD_POWER select(w * contrast, (real16)0, TO_MASK(raw[k] > (real)ALPHA_MAX))
+#endif
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
@@ -197,45 +206,33 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 continue;
             real16 raw[BLOCK], alpha[BLOCK], inverse[BLOCK];
             mask16 live[BLOCK];
-            EACH_ROW {
+            EACH_ROW(
                 const real dy = first_y + (r0 + k) - mean_y;
                 raw[k] = excess_x + dy * (c * dy - shear);
-                live[k] = TO_MASK(raw[k] >= 0) & TO_MASK(latest[r0 + k] >= (mask16)i);
-            }
-            EACH_ROW {
+                live[k] = TO_MASK(raw[k] >= 0) & TO_MASK(latest[r0 + k] >= (mask16)i);)
+            EACH_ROW(
                 raw[k] = alpha_of(raw[k]);
                 alpha[k] = select((real16)0, cut_alpha(raw[k]), live[k]);
-                inverse[k] = 1 / (1 - alpha[k]);
-            }
-            EACH_ROW {
+                inverse[k] = 1 / (1 - alpha[k]);)
+            EACH_ROW(
                 const int r = r0 + k;
                 const real16 before = t[r] * inverse[k], w = alpha[k] * before;
                 real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
                                grad_green[r] * splat[SPLAT_COLOUR + 1] +
                                grad_blue[r] * splat[SPLAT_COLOUR + 2];
-#if WITH_DEPTH
-                light += grad_z[r] * splat[SPLAT_DEPTH];
-                s_z += w * grad_z[r];
-#endif
+                IF_DEPTH(light += grad_z[r] * splat[SPLAT_DEPTH]; s_z += w * grad_z[r];)
                 s_red += w * grad_red[r];
                 s_green += w * grad_green[r];
                 s_blue += w * grad_blue[r];
                 const real16 contrast = light - behind[r];
-#if SMOOTH_CUTOFF
-                const real16 grad_power = select(
-                    (real16)0, before * contrast * raw[k] * cut_alpha_slope(raw[k]), live[k]);
-#else // below its limit, alpha is raw
-                const real16 grad_power = select(
-                    (real16)0, w * contrast, live[k] & TO_MASK(raw[k] <= (real)ALPHA_MAX));
-#endif
+                const real16 grad_power = select((real16)0, GRAD_POWER, live[k]);
                 const real dy = first_y + r - mean_y;
                 const real16 grad_dy = grad_power * dy;
                 s_p += grad_power;
                 s_y += grad_dy;
                 s_yy += grad_dy * dy;
                 behind[r] += alpha[k] * contrast;
-                t[r] = before;
-            }
+                t[r] = before;)
         }
         // in the order of splat.h; alpha is the opacity times exp(power)
         vstore8(sum16_each(s_red, s_green, s_blue, s_p * (1 / splat[SPLAT_OPACITY]), s_p * dx, s_y,
