@@ -1,8 +1,11 @@
-// exp for the powers that matter, -6 to 0, of the width `vreal`. EXP_KIND, a choice at build time:
-// 0 exp, 1 native_exp, 3 to 6 the degree of our polynomial (docs/notebook/numerics.md).
-// Default: native_exp in the group form where it was seen accurate, else degree 6.
+// The exponential of the powers that matter, -6 to 0, of the width `vreal`. EXP_KIND, a choice at build
+// time: 0 exp, 1 native_exp, 3 to 6 the degree of our polynomial (docs/notebook/numerics.md).
+// Default: degree 4 in the item form, whose error is that of float; in the group form native_exp
+// where it was seen accurate, else degree 6.
 #ifndef EXP_KIND
-#if HAVE_NATIVE_EXP && !FORM_ITEM
+#if FORM_ITEM
+#define EXP_KIND 4
+#elif HAVE_NATIVE_EXP
 #define EXP_KIND 1
 #else
 #define EXP_KIND 6
@@ -11,7 +14,7 @@
 
 // The polynomial of 2^f, |f| <= 1/2, times a constant: ours of degree 3, 4, 5 (least maximum) and 6
 // (least squares), whose largest relative errors are 7.5e-5, 2.6e-6, 7.5e-8 and 3e-9; the last is
-// exact to rounding. Sums and products are left to the compiler to fuse: PoCL's mad is two operations.
+// exact to rounding. Compilers fuse these products and sums; PoCL's mad is two operations.
 #if !REAL_IS_DOUBLE && EXP_KIND > 1
 inline vreal exp2_of_fraction(vreal f, real scale)
 {
@@ -47,21 +50,8 @@ inline vreal exp2_of_fraction(vreal f, real scale)
 }
 #endif
 
-// exp of what is at most 0. Adding 1.5 2^23 rounds to an integer and leaves it in the low bits.
-inline vreal exp_power(vreal x)
-{
-#if REAL_IS_DOUBLE || EXP_KIND == 0
-    return exp(x);
-#elif EXP_KIND == 1
-    return native_exp(x);
-#else
-    const vreal t = max(x, (vreal)-87) * (vreal)1.4426950408889634;
-    const vreal shifted = t + (vreal)12582912;
-    const vreal p = exp2_of_fraction(t - (shifted - (vreal)12582912), 1);
-    return p * AS_VREAL((AS_INTS(shifted) + 127) << 23);
-#endif
-}
-
+#define ROUNDING 12582912.0 // adding 1.5 2^23 rounds to an integer and leaves it in the low bits
+#if FORM_ITEM
 // scale 2^x, the scale a constant, for -80 < x < 80; anything elsewhere. The integer is added to the
 // exponent of what the polynomial gives.
 inline vreal exp2_scaled(vreal x, real scale)
@@ -71,8 +61,23 @@ inline vreal exp2_scaled(vreal x, real scale)
 #elif EXP_KIND == 1
     return scale * native_exp2(x);
 #else
-    const vreal shifted = x + (vreal)12582912;
-    const vreal p = exp2_of_fraction(x - (shifted - (vreal)12582912), scale);
+    const vreal shifted = x + (vreal)ROUNDING;
+    const vreal p = exp2_of_fraction(x - (shifted - (vreal)ROUNDING), scale);
     return AS_VREAL(AS_INTS(p) + (AS_INTS(shifted) << 23));
 #endif
 }
+#else
+inline vreal exp_power(vreal x)
+{
+#if REAL_IS_DOUBLE || EXP_KIND == 0
+    return exp(x);
+#elif EXP_KIND == 1
+    return native_exp(x);
+#else
+    const vreal t = max(x, (vreal)-87) * (vreal)1.4426950408889634;
+    const vreal shifted = t + (vreal)ROUNDING;
+    const vreal p = exp2_of_fraction(t - (shifted - (vreal)ROUNDING), 1);
+    return p * AS_VREAL((AS_INTS(shifted) + 127) << 23);
+#endif
+}
+#endif
