@@ -51,6 +51,7 @@ inline int16 load_indices(__global const int *row, int columns)
 // block that an ellipse does not reach adds nothing, as its excess is below zero. EACH_ROW writes its
 // argument once for each row k: PoCL would not unroll a loop, nor keep arrays in registers.
 #define BLOCK 4
+#define CHUNK 16 // pairs whose terms along x are kept for all blocks
 #define EACH_ROW(...)                                                                              \
     ONE_ROW(0, __VA_ARGS__) ONE_ROW(1, __VA_ARGS__) ONE_ROW(2, __VA_ARGS__) ONE_ROW(3, __VA_ARGS__)
 #define ONE_ROW(K, ...)                                                                            \
@@ -82,59 +83,95 @@ void blend(BLEND_ARGUMENTS)
     const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const real16 x = IOTA + (real)(x0 + 0.5);
     const long plane = (long)width * height;
-    for (int r0 = 0; r0 < rows; r0 += BLOCK) {
-        const int height_left = rows - r0;
-        const real block_y = y0 + r0 + 0.5;
-        real16 t[BLOCK], red[BLOCK], green[BLOCK], blue[BLOCK]; // t < 0: the pixel has ended, |t| remains
-        mask16 latest[BLOCK]; // the last pair a pixel can have seen; beyond it nothing reaches it
+    real16 t_of[TILE], red_of[TILE], green_of[TILE], blue_of[TILE]; // t < 0: the pixel has ended, |t| remains
+    mask16 latest_of[TILE]; // the last pair a pixel can have seen; beyond it nothing reaches it
 #if WITH_DEPTH
-        real16 z[BLOCK];
+    real16 z_of[TILE];
 #endif
-        EACH_ROW(
-            t[k] = k < height_left ? select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns)) : -1;
-            red[k] = green[k] = blue[k] = 0;
-            latest[k] = (int)end - 1;
-            IF_DEPTH(z[k] = 0;))
-        bool open = true;
-        for (uint i = begin; i < end && open; i++) {
+    for (int r = 0; r < TILE; r++) {
+        t_of[r] = r < rows ? select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns)) : -1;
+        red_of[r] = green_of[r] = blue_of[r] = 0;
+        latest_of[r] = (int)end - 1;
+#if WITH_DEPTH
+        z_of[r] = 0;
+#endif
+    }
+    int open_blocks = (1 << (rows + BLOCK - 1) / BLOCK) - 1;
+    for (uint first = begin; first < end && open_blocks; first += CHUNK) {
+        const uint last = min(first + CHUNK, end);
+        real16 excess_x_of[CHUNK], shear_of[CHUNK];
+        for (uint i = first; i < last; i++) {
             SPLAT_IN_ROWS(sorted_splats[i]);
-            if (!reaches_block(splat, block_y))
+            excess_x_of[i - first] = excess_x;
+            shear_of[i - first] = shear;
+        }
+        for (int r0 = 0; r0 < rows; r0 += BLOCK) {
+            if (!(open_blocks >> r0 / BLOCK & 1))
                 continue;
-            real16 excess[BLOCK], w[BLOCK], next[BLOCK];
-            mask16 live[BLOCK], ends[BLOCK];
+            const real block_y = y0 + r0 + 0.5;
+            real16 t[BLOCK], red[BLOCK], green[BLOCK], blue[BLOCK];
+            mask16 latest[BLOCK];
+            IF_DEPTH(real16 z[BLOCK];)
             EACH_ROW(
-                const real dy = block_y + k - mean_y;
-                excess[k] = excess_x + dy * (c * dy - shear);
-                live[k] = TO_MASK(excess[k] >= 0) & TO_MASK(t[k] > 0);)
-            EACH_ROW(w[k] = select((real16)0, cut_alpha(alpha_of(excess[k])), live[k]) * t[k];)
-            EACH_ROW(
-                next[k] = t[k] - w[k];
-                ends[k] = live[k] & TO_MASK(next[k] < (real)TRANSMITTANCE_MIN);)
-            if (any16(ends[0] | ends[1] | ends[2] | ends[3])) {
+                t[k] = t_of[r0 + k];
+                red[k] = red_of[r0 + k];
+                green[k] = green_of[r0 + k];
+                blue[k] = blue_of[r0 + k];
+                latest[k] = latest_of[r0 + k];
+                IF_DEPTH(z[k] = z_of[r0 + k];))
+            bool open = true;
+            for (uint i = first; i < last && open; i++) {
+                __global const real *splat = splats + (ulong)sorted_splats[i] * SPLAT_REALS;
+                if (!reaches_block(splat, block_y))
+                    continue;
+                const real c = (real)(-0.5 * LOG2_E) * splat[SPLAT_CONIC + 2];
+                const real mean_y = splat[SPLAT_MEAN + 1];
+                const real16 excess_x = excess_x_of[i - first], shear = shear_of[i - first];
+                real16 excess[BLOCK], w[BLOCK], next[BLOCK];
+                mask16 live[BLOCK], ends[BLOCK];
                 EACH_ROW(
-                    w[k] = select(w[k], (real16)0, ends[k]);
-                    next[k] = select(next[k], -t[k], ends[k]);
-                    latest[k] = select(latest[k], (mask16)i - 1, ends[k]);)
-                open = any16(TO_MASK(next[0] > 0) | TO_MASK(next[1] > 0) | TO_MASK(next[2] > 0) |
-                             TO_MASK(next[3] > 0));
+                    const real dy = block_y + k - mean_y;
+                    excess[k] = excess_x + dy * (c * dy - shear);
+                    live[k] = TO_MASK(excess[k] >= 0) & TO_MASK(t[k] > 0);)
+                EACH_ROW(w[k] = select((real16)0, cut_alpha(alpha_of(excess[k])), live[k]) * t[k];)
+                EACH_ROW(
+                    next[k] = t[k] - w[k];
+                    ends[k] = live[k] & TO_MASK(next[k] < (real)TRANSMITTANCE_MIN);)
+                if (any16(ends[0] | ends[1] | ends[2] | ends[3])) {
+                    EACH_ROW(
+                        w[k] = select(w[k], (real16)0, ends[k]);
+                        next[k] = select(next[k], -t[k], ends[k]);
+                        latest[k] = select(latest[k], (mask16)i - 1, ends[k]);)
+                    open = any16(TO_MASK(next[0] > 0) | TO_MASK(next[1] > 0) |
+                                 TO_MASK(next[2] > 0) | TO_MASK(next[3] > 0));
+                }
+                EACH_ROW(
+                    red[k] += w[k] * splat[SPLAT_COLOUR];
+                    green[k] += w[k] * splat[SPLAT_COLOUR + 1];
+                    blue[k] += w[k] * splat[SPLAT_COLOUR + 2];
+                    IF_DEPTH(z[k] += w[k] * splat[SPLAT_DEPTH];)
+                    t[k] = next[k];)
             }
             EACH_ROW(
-                red[k] += w[k] * splat[SPLAT_COLOUR];
-                green[k] += w[k] * splat[SPLAT_COLOUR + 1];
-                blue[k] += w[k] * splat[SPLAT_COLOUR + 2];
-                IF_DEPTH(z[k] += w[k] * splat[SPLAT_DEPTH];)
-                t[k] = next[k];)
+                t_of[r0 + k] = t[k];
+                red_of[r0 + k] = red[k];
+                green_of[r0 + k] = green[k];
+                blue_of[r0 + k] = blue[k];
+                latest_of[r0 + k] = latest[k];
+                IF_DEPTH(z_of[r0 + k] = z[k];))
+            if (!open)
+                open_blocks &= ~(1 << r0 / BLOCK);
         }
-        EACH_ROW(if (k < height_left) {
-            const long pixel = (long)(y0 + r0 + k) * width + x0;
-            const real16 rest = fabs(t[k]);
-            store_row(red[k] + rest * background[0], image + pixel, columns);
-            store_row(green[k] + rest * background[1], image + plane + pixel, columns);
-            store_row(blue[k] + rest * background[2], image + 2 * plane + pixel, columns);
-            store_row(rest, transmittance + pixel, columns);
-            IF_DEPTH(store_row(z[k], depth + pixel, columns);)
-            store_indices(convert_int16(latest[k]), last_contributor + pixel, columns);
-        })
+    }
+    for (int r = 0; r < rows; r++) {
+        const long pixel = (long)(y0 + r) * width + x0;
+        const real16 rest = fabs(t_of[r]);
+        store_row(red_of[r] + rest * background[0], image + pixel, columns);
+        store_row(green_of[r] + rest * background[1], image + plane + pixel, columns);
+        store_row(blue_of[r] + rest * background[2], image + 2 * plane + pixel, columns);
+        store_row(rest, transmittance + pixel, columns);
+        IF_DEPTH(store_row(z_of[r], depth + pixel, columns);)
+        store_indices(convert_int16(latest_of[r]), last_contributor + pixel, columns);
     }
 }
 
