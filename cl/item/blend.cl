@@ -247,6 +247,8 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 const real dy = first_y + (r0 + k) - mean_y;
                 raw[k] = excess_x + dy * (c * dy - shear);
                 live[k] = TO_MASK(raw[k] >= 0) & TO_MASK(latest[r0 + k] >= (mask16)i);)
+            if (!any16(live[0] | live[1] | live[2] | live[3]))
+                continue;
             EACH_ROW(
                 raw[k] = alpha_of(raw[k]);
                 alpha[k] = select((real16)0, cut_alpha(raw[k]), live[k]);
