@@ -4,8 +4,8 @@
 //
 // SSIM (Wang et al. 2004): 11-tap Gaussian window, sigma 1.5, zero padding, per channel.
 // image: real[3, H, W], the render x; photo: uchar[3, H, W], y = photo / 255; partials: real[items, 2],
-// sums of |x - y| and of SSIM, one row a work-item or group, added up in order by reduce.cl; grad_image:
-// real[3, H, W]. The gradient convolves three maps with the window, which is its own adjoint: per
+// sums of |x - y| and of SSIM, one row a work-item or group, added up in order by reduce.cl;
+// grad_image: real[3, H, W]. The gradient convolves three maps with the window, which is its own adjoint: per
 // channel the gradients of SSIM by the window means of x, x^2 and x y.
 //
 // Item form: `image_loss` does both, and keeps the maps in the cache. Group form: `image_loss` writes
@@ -39,8 +39,8 @@ inline vreal ssim(vreal x, vreal y, vreal squares, vreal xy, vreal *by_x, vreal 
     return value;
 }
 
-// Declares where the part number INDEX of the launch lies, an int, parts being WIDTH x HEIGHT pixels of a
-// channel: `channel` and corner x0, y0.
+// Declares where the part number INDEX of the launch lies, an int, parts being WIDTH x HEIGHT pixels
+// of a channel: `channel` and corner x0, y0.
 #define LOCATE_PART(INDEX, WIDTH, HEIGHT)                                                          \
     const int across = (width + (WIDTH) - 1) / (WIDTH), down = (height + (HEIGHT) - 1) / (HEIGHT); \
     const int channel = (INDEX) / (across * down);                                                 \

@@ -5,7 +5,7 @@ DEFINE_GROUP_SUM(group_sum, real)
 #define WIDE (TILE + 2 * RADIUS)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void image_loss(int width, int height, int strip, __global const real *restrict image,
+void image_loss(int width, int height, __global const real *restrict image,
                 __global const uchar *restrict photo, __global real *restrict partials,
                 __global real *restrict maps)
 {

@@ -66,8 +66,8 @@ inline int16 load_indices(__global const int *row, int columns)
 #define IF_DEPTH(...)
 #endif
 
-// Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h), so that no
-// pixel whose excess rounds to zero is left out.
+// Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h), so
+// that no pixel whose excess rounds to zero is left out.
 inline bool reaches_block(__global const real *splat, real block_y)
 {
     const real extent = splat[SPLAT_EXTENT_Y] * 1.001 + (0.01 + 0.5 * (BLOCK - 1));
@@ -83,7 +83,8 @@ void blend(BLEND_ARGUMENTS)
     const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const real16 x = IOTA + (real)(x0 + 0.5);
     const long plane = (long)width * height;
-    real16 t_of[TILE], red_of[TILE], green_of[TILE], blue_of[TILE]; // t < 0: the pixel has ended, |t| remains
+    // t < 0: the pixel has ended, |t| remains
+    real16 t_of[TILE], red_of[TILE], green_of[TILE], blue_of[TILE];
     mask16 latest_of[TILE]; // the last pair a pixel can have seen; beyond it nothing reaches it
 #if WITH_DEPTH
     real16 z_of[TILE];

@@ -1,23 +1,44 @@
-// Item form of image_loss.cl (see there), for CPUs: value and gradient in one pass, so that the maps never
-// leave the cache. A work-item slides down a strip of 16 VECTORS columns and `strip` rows of a channel.
-// At row y the sums across the image join a ring of the last TAPS rows; the maps of row y - RADIUS are
+// Item form of image_loss.cl (see there), for CPUs: value and gradient in one pass, so that the maps
+// never leave the cache. A work-item slides down a strip of 16 VECTORS columns and `strip` rows of a
+// channel. At row y the sums across the image join a ring of the last TAPS rows; the maps of row y - RADIUS are
 // complete, and their sums across join another ring; the gradient of row y - 2 RADIUS is complete.
 #define VECTORS 4
 #define IMAGE_VECTORS (VECTORS + 2) // from 2 RADIUS columns before the strip on
 #define MAP_VECTORS (VECTORS + 1)   // from RADIUS columns before it on
 #define MAPS 3
 
-// The 16 values that begin K after the first of A, which B continues.
-#define AFTER_1(A, B) (real16)(A.s1, A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0)
-#define AFTER_2(A, B) (real16)(A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1)
-#define AFTER_3(A, B) (real16)(A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2)
-#define AFTER_4(A, B) (real16)(A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3)
-#define AFTER_5(A, B) (real16)(A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4)
-#define AFTER_6(A, B) (real16)(A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5)
-#define AFTER_7(A, B) (real16)(A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6)
-#define AFTER_8(A, B) (real16)(A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7)
-#define AFTER_9(A, B) (real16)(A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7, B.s8)
-#define AFTER_10(A, B) (real16)(A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7, B.s8, B.s9)
+// The 16 values that begin K after the first of A, which B continues; spelled out, LLVM 14 makes one
+// shuffle of them.
+#define AFTER_1(A, B)                                                                              \
+    (real16)(A.s1, A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8,                                       \
+             A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0)
+#define AFTER_2(A, B)                                                                              \
+    (real16)(A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9,                                       \
+             A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1)
+#define AFTER_3(A, B)                                                                              \
+    (real16)(A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa,                                       \
+             A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2)
+#define AFTER_4(A, B)                                                                              \
+    (real16)(A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb,                                       \
+             A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3)
+#define AFTER_5(A, B)                                                                              \
+    (real16)(A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc,                                       \
+             A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4)
+#define AFTER_6(A, B)                                                                              \
+    (real16)(A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd,                                       \
+             A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5)
+#define AFTER_7(A, B)                                                                              \
+    (real16)(A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se,                                       \
+             A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6)
+#define AFTER_8(A, B)                                                                              \
+    (real16)(A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf,                                       \
+             B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7)
+#define AFTER_9(A, B)                                                                              \
+    (real16)(A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0,                                       \
+             B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7, B.s8)
+#define AFTER_10(A, B)                                                                             \
+    (real16)(A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1,                                       \
+             B.s2, B.s3, B.s4, B.s5, B.s6, B.s7, B.s8, B.s9)
 
 // The window is symmetric: what lies at the same distance is added first.
 inline real16 window(real16 v0, real16 v1, real16 v2, real16 v3, real16 v4, real16 v5, real16 v6,
@@ -97,8 +118,8 @@ inline void store_row(real16 value, __global real *row, int columns)
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void image_loss(int width, int height, int strip, __global const real *restrict image,
-                __global const uchar *restrict photo, __global real *restrict partials,
+void image_loss(int width, int height, __global const real *restrict image,
+                __global const uchar *restrict photo, __global real *restrict partials, int strip,
                 real l1_scale, real ssim_scale, __global real *restrict grad_image)
 {
     LOCATE_PART(get_global_id(0), 16 * VECTORS, strip);

@@ -1,5 +1,7 @@
 """L1 and D-SSIM against a photo, with the gradient (cl/image_loss.cl)."""
 
+from typing import Any
+
 import numpy as np
 
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
@@ -13,12 +15,14 @@ STRIP_ROWS = 256  # image rows of a work-item of the item form, which reads 20 m
 
 _SIZE = dict(width="int", height="int")
 _IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", 3, "H", "W"))
-_MAPS = dict(maps=("real", 3, 3, "H", "W"))
-_GRADIENT = dict(l1_scale="real", ssim_scale="real", grad_image=("real", 3, "H", "W"))
+_MAPS: dict[str, Any] = dict(maps=("real", 3, 3, "H", "W"))
+_GRADIENT: dict[str, Any] = dict(l1_scale="real", ssim_scale="real",
+                                 grad_image=("real", 3, "H", "W"))
 _TILES = "3 W/TILE H/TILE", "TILE TILE"
 VALUE = Kernel("image_loss.cl", "image_loss",
-               Forms(item=items("3 W/64 H/strip", **_GRADIENT), group=groups(*_TILES, **_MAPS)),
-               **_SIZE, strip="int", **_IMAGES, partials=("real", "P", 2))
+               Forms(item=items("3 W/64 H/strip", strip="int", **_GRADIENT),
+                     group=groups(*_TILES, **_MAPS)),
+               **_SIZE, **_IMAGES, partials=("real", "P", 2))
 ADJOINT = Kernel("image_loss.cl", "image_loss_adjoint", Forms(item=None, group=groups(*_TILES)),
                  **_SIZE, **_IMAGES, **_MAPS, **_GRADIENT)
 
