@@ -3,14 +3,13 @@
 //   loss = (1 - w) mean |x - y| + w (1 - mean SSIM(x, y))        (Kerbl et al. 2023, section 5.1)
 //
 // SSIM (Wang et al. 2004): 11-tap Gaussian window, sigma 1.5, zero padding, per channel.
-// image: real[3, H, W], the render x; photo: uchar[3, H, W], y = photo / 255; maps: real[M, 3, H, W],
-// per channel the gradients of SSIM by the window means of x, x^2 and x y; partials: real[items, 2],
-// sums of |x - y| and of SSIM, one row a work-item or group, added up in order by reduce.cl. A launch
-// does the M channels from `first_channel` on: all three on a GPU, one on a CPU, whose cache then
-// holds the maps between the two kernels.
+// image: real[3, H, W], the render x; photo: uchar[3, H, W], y = photo / 255; partials: real[items, 2],
+// sums of |x - y| and of SSIM, one row a work-item or group, added up in order by reduce.cl;
+// grad_image: real[3, H, W]. The gradient convolves three maps with the window, which is its own adjoint: per
+// channel the gradients of SSIM by the window means of x, x^2 and x y.
 //
-// `image_loss` writes maps and partials; `image_loss_adjoint` convolves the maps (the window is its
-// own adjoint) to grad_image: real[3, H, W].
+// Item form: `image_loss` does both, and keeps the maps in the cache. Group form: `image_loss` writes
+// partials and maps: real[3, 3, H, W]; `image_loss_adjoint` convolves these to grad_image.
 #include "real.h"
 #include "vector.h"
 
@@ -32,19 +31,19 @@ inline vreal ssim(vreal x, vreal y, vreal squares, vreal xy, vreal *by_x, vreal 
     const vreal a1 = 2 * x * y + (real)C1, a2 = 2 * (xy - x * y) + (real)C2;
     const vreal b1 = x * x + y * y + (real)C1;
     const vreal b2 = squares - (x * x + y * y) + (real)C2;
-    const vreal inverse = 1 / (b1 * b2);
+    const vreal inverse = 1 / (b1 * b2); // the only division: 1 / b1 is b2 times this
     const vreal value = a1 * a2 * inverse;
-    *by_x = 2 * (y * (a2 - a1) * inverse - x * value * (1 / b1 - 1 / b2));
-    *by_xx = -value / b2;
+    *by_x = 2 * inverse * (y * (a2 - a1) - x * value * (b2 - b1));
+    *by_xx = -value * b1 * inverse;
     *by_xy = 2 * a1 * inverse;
     return value;
 }
 
-// Declares where the part number INDEX of the launch lies, an int, parts being WIDTH x HEIGHT pixels of a
-// channel: `place` among the channels of the launch, corner x0, y0.
+// Declares where the part number INDEX of the launch lies, an int, parts being WIDTH x HEIGHT pixels
+// of a channel: `channel` and corner x0, y0.
 #define LOCATE_PART(INDEX, WIDTH, HEIGHT)                                                          \
     const int across = (width + (WIDTH) - 1) / (WIDTH), down = (height + (HEIGHT) - 1) / (HEIGHT); \
-    const int place = (INDEX) / (across * down), channel = first_channel + place;                  \
+    const int channel = (INDEX) / (across * down);                                                 \
     const int x0 = (INDEX) % across * (WIDTH), y0 = (INDEX) / across % down * (HEIGHT);            \
     const long plane = (long)width * height
 

@@ -5,9 +5,9 @@ DEFINE_GROUP_SUM(group_sum, real)
 #define WIDE (TILE + 2 * RADIUS)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void image_loss(int width, int height, int strip, int first_channel,
-                __global const real *restrict image, __global const uchar *restrict photo,
-                __global real *restrict maps, __global real *restrict partials)
+void image_loss(int width, int height, __global const real *restrict image,
+                __global const uchar *restrict photo, __global real *restrict partials,
+                __global real *restrict maps)
 {
     __local real xs[WIDE * WIDE], ys[WIDE * WIDE], rows[MEANS][WIDE * TILE], scratch[GROUP];
     const int group = get_group_id(0), lane = get_local_id(0);
@@ -44,21 +44,19 @@ void image_loss(int width, int height, int strip, int first_channel,
     const int centre = (lane / TILE + RADIUS) * WIDE + lane % TILE + RADIUS;
     if (inside)
         for (int m = 0; m < 3; m++)
-            maps[(place * 3 + m) * plane + (long)y * width + x] = by[m];
+            maps[(channel * 3 + m) * plane + (long)y * width + x] = by[m];
     const real l1_sum = group_sum(inside ? fabs(xs[centre] - ys[centre]) : 0, scratch);
     const real ssim_sum = group_sum(inside ? value : 0, scratch);
     if (lane == 0) {
-        const int own = first_channel * across * down + group;
-        partials[2 * own] = l1_sum;
-        partials[2 * own + 1] = ssim_sum;
+        partials[2 * group] = l1_sum;
+        partials[2 * group + 1] = ssim_sum;
     }
 }
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void image_loss_adjoint(int width, int height, int strip, int first_channel, real l1_scale,
-                        real ssim_scale,
-                        __global const real *restrict image, __global const uchar *restrict photo,
-                        __global const real *restrict maps, __global real *restrict grad_image)
+void image_loss_adjoint(int width, int height, __global const real *restrict image,
+                        __global const uchar *restrict photo, __global const real *restrict maps,
+                        real l1_scale, real ssim_scale, __global real *restrict grad_image)
 {
     __local real wide[3][WIDE * WIDE], rows[3][WIDE * TILE];
     const int group = get_group_id(0), lane = get_local_id(0);
@@ -68,7 +66,7 @@ void image_loss_adjoint(int width, int height, int strip, int first_channel, rea
         const bool inside = x >= 0 && y >= 0 && x < width && y < height;
         for (int m = 0; m < 3; m++)
             wide[m][i] =
-                inside ? maps[(place * 3 + m) * plane + (long)y * width + x] : 0;
+                inside ? maps[(channel * 3 + m) * plane + (long)y * width + x] : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     FOR_GROUP(i, WIDE * TILE) {

@@ -26,12 +26,21 @@ inline vreal cut_alpha_slope(vreal raw)
 #endif
 }
 
-// Declares what the rows of a tile share of a splat, its columns at the pixels x of type real16. In a row
-// at distance dy = y - mean_y the power is power_x + dy (c dy - shear), and nothing is below `cut`.
+#if FORM_ITEM
+// Declares what the rows of a tile share of a splat, its columns at the pixels x of type real16. In a
+// row at distance dy = y - mean_y, excess_x + dy (c dy - shear) is the excess: the binary logarithm of
+// alpha / ALPHA_MIN. Below zero a pixel is skipped; `alpha_of` is alpha before it is cut.
+#define LOG2_E 1.4426950408889634
 #define SPLAT_IN_ROWS(INDEX)                                                                       \
     __global const real *splat = splats + (ulong)(INDEX) * SPLAT_REALS;                            \
-    const real cut = -0.5 * splat[SPLAT_CUTOFF], opacity = splat[SPLAT_OPACITY];                   \
-    const real a = -0.5 * splat[SPLAT_CONIC], b = splat[SPLAT_CONIC + 1];                          \
-    const real c = -0.5 * splat[SPLAT_CONIC + 2], mean_y = splat[SPLAT_MEAN + 1];                  \
-    const real16 dx = x - splat[SPLAT_MEAN];                                                       \
-    const real16 power_x = a * dx * dx, shear = b * dx
+    const real mean_y = splat[SPLAT_MEAN + 1];                                                     \
+    const real a = (real)(-0.5 * LOG2_E) * splat[SPLAT_CONIC];                                     \
+    const real b = (real)LOG2_E * splat[SPLAT_CONIC + 1];                                          \
+    const real c = (real)(-0.5 * LOG2_E) * splat[SPLAT_CONIC + 2];                                 \
+    const real16 dx = x - splat[SPLAT_MEAN], shear = b * dx;                                       \
+    const real16 excess_x = a * dx * dx + (real)(0.5 * LOG2_E) * splat[SPLAT_CUTOFF]
+inline real16 alpha_of(real16 excess)
+{
+    return exp2_scaled(excess, (real)ALPHA_MIN);
+}
+#endif

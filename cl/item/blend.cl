@@ -25,12 +25,53 @@ inline real16 load_row(__global const real *row, int columns)
     return vload16(0, values);
 }
 
-// Rows [*begin, *end) of the tile that the ellipse reaches.
-inline void rows_reached(__global const real *splat, real first_y, int rows, int *begin, int *end)
+inline void store_indices(int16 value, __global int *row, int columns)
 {
-    const real up = splat[SPLAT_MEAN + 1] - first_y, extent = splat[SPLAT_EXTENT_Y];
-    *begin = (int)clamp(ceil(up - extent), (real)0, (real)rows);
-    *end = (int)clamp(floor(up + extent) + 1, (real)0, (real)rows);
+    if (columns >= TILE) {
+        vstore16(value, 0, row);
+        return;
+    }
+    int values[16];
+    vstore16(value, 0, values);
+    for (int i = 0; i < columns; i++)
+        row[i] = values[i];
+}
+
+inline int16 load_indices(__global const int *row, int columns)
+{
+    if (columns >= TILE)
+        return vload16(0, row);
+    int values[16];
+    for (int i = 0; i < 16; i++)
+        values[i] = i < columns ? row[i] : -1;
+    return vload16(0, values);
+}
+
+// Rows are blended BLOCK at a time, so that the operations of one fill the waits of another. A row of a
+// block that an ellipse does not reach adds nothing, as its excess is below zero. EACH_ROW writes its
+// argument once for each row k: PoCL would not unroll a loop, nor keep arrays in registers.
+#define BLOCK 4
+#define CHUNK 16 // pairs whose terms along x are kept for all blocks
+#define EACH_ROW(...)                                                                              \
+    ONE_ROW(0, __VA_ARGS__) ONE_ROW(1, __VA_ARGS__) ONE_ROW(2, __VA_ARGS__) ONE_ROW(3, __VA_ARGS__)
+#define ONE_ROW(K, ...)                                                                            \
+    {                                                                                              \
+        const int k = K;                                                                           \
+        __VA_ARGS__                                                                                \
+    }
+
+#if WITH_DEPTH
+#define IF_DEPTH(...) __VA_ARGS__
+#else
+#define IF_DEPTH(...)
+#endif
+
+// Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h), so
+// that no pixel whose excess rounds to zero is left out.
+inline bool reaches_block(__global const real *splat, real block_y)
+{
+    const real extent = splat[SPLAT_EXTENT_Y] * 1.001 + (0.01 + 0.5 * (BLOCK - 1));
+    return fabs(block_y + 0.5 * (BLOCK - 1) - splat[SPLAT_MEAN + 1]) <= extent;
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -41,69 +82,106 @@ void blend(BLEND_ARGUMENTS)
     const int columns = min(TILE, width - x0), rows = min(TILE, height - y0);
     const uint begin = ranges[2 * tile], end = ranges[2 * tile + 1];
     const real16 x = IOTA + (real)(x0 + 0.5);
-    const real first_y = y0 + 0.5;
-    real16 t[TILE], red[TILE], green[TILE], blue[TILE]; // t < 0: the pixel has ended, |t| remains
-    mask16 latest[TILE]; // the last pair a pixel can have seen; beyond it nothing reaches it
+    const long plane = (long)width * height;
+    // t < 0: the pixel has ended, |t| remains
+    real16 t_of[TILE], red_of[TILE], green_of[TILE], blue_of[TILE];
+    mask16 latest_of[TILE]; // the last pair a pixel can have seen; beyond it nothing reaches it
 #if WITH_DEPTH
-    real16 z[TILE];
+    real16 z_of[TILE];
 #endif
-    for (int r = 0; r < rows; r++) {
-        t[r] = select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns));
-        red[r] = green[r] = blue[r] = 0;
-        latest[r] = (int)end - 1;
+    for (int r = 0; r < TILE; r++) {
+        t_of[r] = r < rows ? select((real16)-1, (real16)1, TO_MASK(IOTA < (real)columns)) : -1;
+        red_of[r] = green_of[r] = blue_of[r] = 0;
+        latest_of[r] = (int)end - 1;
 #if WITH_DEPTH
-        z[r] = 0;
+        z_of[r] = 0;
 #endif
     }
-    int open_rows = (1 << rows) - 1;
-    for (uint i = begin; i < end && open_rows; i++) {
-        SPLAT_IN_ROWS(sorted_splats[i]);
-        int r, r_end;
-        rows_reached(splat, first_y, rows, &r, &r_end);
-        for (; r < r_end; r++) {
-            if (!(open_rows >> r & 1))
+    int open_blocks = (1 << (rows + BLOCK - 1) / BLOCK) - 1;
+    for (uint first = begin; first < end && open_blocks; first += CHUNK) {
+        const uint last = min(first + CHUNK, end);
+        real16 excess_x_of[CHUNK], shear_of[CHUNK];
+        for (uint i = first; i < last; i++) {
+            SPLAT_IN_ROWS(sorted_splats[i]);
+            excess_x_of[i - first] = excess_x;
+            shear_of[i - first] = shear;
+        }
+        for (int r0 = 0; r0 < rows; r0 += BLOCK) {
+            if (!(open_blocks >> r0 / BLOCK & 1))
                 continue;
-            const real dy = first_y + r - mean_y;
-            const real16 power = power_x + dy * (c * dy - shear);
-            const mask16 live = TO_MASK(power >= cut) & TO_MASK(t[r] > 0);
-            if (!any16(live))
-                continue;
-            const real16 alpha = select((real16)0, cut_alpha(opacity * exp_power(power)), live);
-            real16 w = alpha * t[r], next = t[r] - w;
-            const mask16 ends = live & TO_MASK(next < (real)TRANSMITTANCE_MIN);
-            if (any16(ends)) {
-                w = select(w, (real16)0, ends);
-                next = select(next, -t[r], ends);
-                latest[r] = select(latest[r], (mask16)i - 1, ends);
-                if (!any16(TO_MASK(next > 0)))
-                    open_rows &= ~(1 << r);
+            const real block_y = y0 + r0 + 0.5;
+            real16 t[BLOCK], red[BLOCK], green[BLOCK], blue[BLOCK];
+            mask16 latest[BLOCK];
+            IF_DEPTH(real16 z[BLOCK];)
+            EACH_ROW(
+                t[k] = t_of[r0 + k];
+                red[k] = red_of[r0 + k];
+                green[k] = green_of[r0 + k];
+                blue[k] = blue_of[r0 + k];
+                latest[k] = latest_of[r0 + k];
+                IF_DEPTH(z[k] = z_of[r0 + k];))
+            bool open = true;
+            for (uint i = first; i < last && open; i++) {
+                __global const real *splat = splats + (ulong)sorted_splats[i] * SPLAT_REALS;
+                if (!reaches_block(splat, block_y))
+                    continue;
+                const real c = (real)(-0.5 * LOG2_E) * splat[SPLAT_CONIC + 2];
+                const real mean_y = splat[SPLAT_MEAN + 1];
+                const real16 excess_x = excess_x_of[i - first], shear = shear_of[i - first];
+                real16 excess[BLOCK], w[BLOCK], next[BLOCK];
+                mask16 live[BLOCK], ends[BLOCK];
+                EACH_ROW(
+                    const real dy = block_y + k - mean_y;
+                    excess[k] = excess_x + dy * (c * dy - shear);
+                    live[k] = TO_MASK(excess[k] >= 0) & TO_MASK(t[k] > 0);)
+                EACH_ROW(w[k] = select((real16)0, cut_alpha(alpha_of(excess[k])), live[k]) * t[k];)
+                EACH_ROW(
+                    next[k] = t[k] - w[k];
+                    ends[k] = live[k] & TO_MASK(next[k] < (real)TRANSMITTANCE_MIN);)
+                if (any16(ends[0] | ends[1] | ends[2] | ends[3])) {
+                    EACH_ROW(
+                        w[k] = select(w[k], (real16)0, ends[k]);
+                        next[k] = select(next[k], -t[k], ends[k]);
+                        latest[k] = select(latest[k], (mask16)i - 1, ends[k]);)
+                    open = any16(TO_MASK(next[0] > 0) | TO_MASK(next[1] > 0) |
+                                 TO_MASK(next[2] > 0) | TO_MASK(next[3] > 0));
+                }
+                EACH_ROW(
+                    red[k] += w[k] * splat[SPLAT_COLOUR];
+                    green[k] += w[k] * splat[SPLAT_COLOUR + 1];
+                    blue[k] += w[k] * splat[SPLAT_COLOUR + 2];
+                    IF_DEPTH(z[k] += w[k] * splat[SPLAT_DEPTH];)
+                    t[k] = next[k];)
             }
-            red[r] += w * splat[SPLAT_COLOUR];
-            green[r] += w * splat[SPLAT_COLOUR + 1];
-            blue[r] += w * splat[SPLAT_COLOUR + 2];
-#if WITH_DEPTH
-            z[r] += w * splat[SPLAT_DEPTH];
-#endif
-            t[r] = next;
+            EACH_ROW(
+                t_of[r0 + k] = t[k];
+                red_of[r0 + k] = red[k];
+                green_of[r0 + k] = green[k];
+                blue_of[r0 + k] = blue[k];
+                latest_of[r0 + k] = latest[k];
+                IF_DEPTH(z_of[r0 + k] = z[k];))
+            if (!open)
+                open_blocks &= ~(1 << r0 / BLOCK);
         }
     }
-    const long plane = (long)width * height;
     for (int r = 0; r < rows; r++) {
         const long pixel = (long)(y0 + r) * width + x0;
-        const real16 rest = fabs(t[r]);
-        store_row(red[r] + rest * background[0], image + pixel, columns);
-        store_row(green[r] + rest * background[1], image + plane + pixel, columns);
-        store_row(blue[r] + rest * background[2], image + 2 * plane + pixel, columns);
+        const real16 rest = fabs(t_of[r]);
+        store_row(red_of[r] + rest * background[0], image + pixel, columns);
+        store_row(green_of[r] + rest * background[1], image + plane + pixel, columns);
+        store_row(blue_of[r] + rest * background[2], image + 2 * plane + pixel, columns);
         store_row(rest, transmittance + pixel, columns);
-#if WITH_DEPTH
-        store_row(z[r], depth + pixel, columns);
-#endif
-        int indices[16];
-        vstore16(convert_int16(latest[r]), 0, indices);
-        for (int i = 0; i < columns; i++)
-            last_contributor[pixel + i] = indices[i];
+        IF_DEPTH(store_row(z_of[r], depth + pixel, columns);)
+        store_indices(convert_int16(latest_of[r]), last_contributor + pixel, columns);
     }
 }
+
+// The gradient by the power, of a row of the adjoint: as long as alpha is raw, w is before * raw.
+#if SMOOTH_CUTOFF
+#define GRAD_POWER before * contrast * raw[k] * cut_alpha_slope(raw[k])
+#else
+#define GRAD_POWER select(w * contrast, (real16)0, TO_MASK(raw[k] > (real)ALPHA_MAX))
+#endif
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
@@ -116,32 +194,41 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
     const long plane = (long)width * height;
     const real16 x = IOTA + (real)(x0 + 0.5);
     const real first_y = y0 + 0.5;
-    // t: transmittance behind the current splat; behind: grad . light from behind it
+    // t: transmittance behind the current splat; behind: grad . colour of what lies behind it
     real16 t[TILE], behind[TILE], grad_red[TILE], grad_green[TILE], grad_blue[TILE];
     mask16 latest[TILE];
 #if WITH_DEPTH
     real16 grad_z[TILE];
 #endif
-    int newest = -1;
-    for (int r = 0; r < rows; r++) {
+    int16 newest_each = -1;
+    for (int r = 0; r < TILE; r++) {
+        if (r >= rows) { // below the image
+            t[r] = behind[r] = grad_red[r] = grad_green[r] = grad_blue[r] = 0;
+            latest[r] = -1;
+#if WITH_DEPTH
+            grad_z[r] = 0;
+#endif
+            continue;
+        }
         const long pixel = (long)(y0 + r) * width + x0;
         t[r] = load_row(transmittance + pixel, columns);
         grad_red[r] = load_row(grad_image + pixel, columns);
         grad_green[r] = load_row(grad_image + plane + pixel, columns);
         grad_blue[r] = load_row(grad_image + 2 * plane + pixel, columns);
-        behind[r] = t[r] * (grad_red[r] * background[0] + grad_green[r] * background[1] +
-                            grad_blue[r] * background[2]);
+        behind[r] = grad_red[r] * background[0] + grad_green[r] * background[1] +
+                    grad_blue[r] * background[2];
 #if WITH_DEPTH
         grad_z[r] = load_row(grad_depth + pixel, columns);
-        behind[r] += t[r] * load_row(grad_transmittance + pixel, columns);
+        behind[r] += load_row(grad_transmittance + pixel, columns);
 #endif
-        int indices[16];
-        for (int i = 0; i < 16; i++) {
-            indices[i] = i < columns ? last_contributor[pixel + i] : -1;
-            newest = max(newest, indices[i]);
-        }
-        latest[r] = convert_mask16(vload16(0, indices));
+        const int16 indices = load_indices(last_contributor + pixel, columns);
+        newest_each = max(newest_each, indices);
+        latest[r] = convert_mask16(indices);
     }
+    const int8 newest8 = max(newest_each.lo, newest_each.hi);
+    const int4 newest4 = max(newest8.lo, newest8.hi);
+    const int2 newest2 = max(newest4.lo, newest4.hi);
+    const int newest = max(newest2.x, newest2.y);
     for (int i = end - 1; i >= begin; i--) {
         __global real *sum = pair_grads + (ulong)emission_indices[i] * SUMS;
         if (i > newest) {
@@ -150,44 +237,46 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
             continue;
         }
         SPLAT_IN_ROWS(sorted_splats[i]);
-        real16 s_red = 0, s_green = 0, s_blue = 0, s_opacity = 0, s_z = 0;
+        real16 s_red = 0, s_green = 0, s_blue = 0, s_z = 0;
         real16 s_p = 0, s_y = 0, s_yy = 0; // dx is the same in every row: its products come last
-        int r, r_end;
-        rows_reached(splat, first_y, rows, &r, &r_end);
-        for (; r < r_end; r++) {
-            const real dy = first_y + r - mean_y;
-            const real16 power = power_x + dy * (c * dy - shear);
-            const mask16 live = TO_MASK(power >= cut) & TO_MASK(latest[r] >= (mask16)i);
-            if (!any16(live))
+        for (int r0 = 0; r0 < TILE; r0 += BLOCK) {
+            if (!reaches_block(splat, first_y + r0))
                 continue;
-            const real16 e = exp_power(power), raw = opacity * e;
-            const real16 alpha = select((real16)0, cut_alpha(raw), live);
-            const real16 inverse = 1 / (1 - alpha);
-            const real16 before = t[r] * inverse, w = alpha * before;
-            real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
-                           grad_green[r] * splat[SPLAT_COLOUR + 1] +
-                           grad_blue[r] * splat[SPLAT_COLOUR + 2];
-#if WITH_DEPTH
-            light += grad_z[r] * splat[SPLAT_DEPTH];
-            s_z += w * grad_z[r];
-#endif
-            s_red += w * grad_red[r];
-            s_green += w * grad_green[r];
-            s_blue += w * grad_blue[r];
-            const real16 grad_alpha = before * light - behind[r] * inverse;
-            const real16 grad_raw =
-                select((real16)0, grad_alpha * cut_alpha_slope(raw), live);
-            behind[r] += w * light;
-            t[r] = before;
-            s_opacity += grad_raw * e;
-            const real16 grad_power = grad_raw * raw;
-            s_p += grad_power;
-            s_y += grad_power * dy;
-            s_yy += grad_power * (dy * dy);
+            real16 raw[BLOCK], alpha[BLOCK], inverse[BLOCK];
+            mask16 live[BLOCK];
+            EACH_ROW(
+                const real dy = first_y + (r0 + k) - mean_y;
+                raw[k] = excess_x + dy * (c * dy - shear);
+                live[k] = TO_MASK(raw[k] >= 0) & TO_MASK(latest[r0 + k] >= (mask16)i);)
+            if (!any16(live[0] | live[1] | live[2] | live[3]))
+                continue;
+            EACH_ROW(
+                raw[k] = alpha_of(raw[k]);
+                alpha[k] = select((real16)0, cut_alpha(raw[k]), live[k]);
+                inverse[k] = 1 / (1 - alpha[k]);)
+            EACH_ROW(
+                const int r = r0 + k;
+                const real16 before = t[r] * inverse[k], w = alpha[k] * before;
+                real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
+                               grad_green[r] * splat[SPLAT_COLOUR + 1] +
+                               grad_blue[r] * splat[SPLAT_COLOUR + 2];
+                IF_DEPTH(light += grad_z[r] * splat[SPLAT_DEPTH]; s_z += w * grad_z[r];)
+                s_red += w * grad_red[r];
+                s_green += w * grad_green[r];
+                s_blue += w * grad_blue[r];
+                const real16 contrast = light - behind[r];
+                const real16 grad_power = select((real16)0, GRAD_POWER, live[k]);
+                const real dy = first_y + r - mean_y;
+                const real16 grad_dy = grad_power * dy;
+                s_p += grad_power;
+                s_y += grad_dy;
+                s_yy += grad_dy * dy;
+                behind[r] += alpha[k] * contrast;
+                t[r] = before;)
         }
-        // in the order of splat.h
-        vstore8(sum16_each(s_red, s_green, s_blue, s_opacity, s_p * dx, s_y, s_p * dx * dx,
-                           s_y * dx), 0, sum);
+        // in the order of splat.h; alpha is the opacity times exp(power)
+        vstore8(sum16_each(s_red, s_green, s_blue, s_p * (1 / splat[SPLAT_OPACITY]), s_p * dx, s_y,
+                           s_p * dx * dx, s_y * dx), 0, sum);
         sum[SUM_YY] = sum16(s_yy);
 #if WITH_DEPTH
         sum[SUM_DEPTH] = sum16(s_z);

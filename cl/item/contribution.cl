@@ -33,11 +33,11 @@ void contribution(int width, int height, int tiles_x, int first_tile,
         real16 s_pixels = 0, s_weight = 0, s_weighted = 0, s_distance = 0;
         for (int r = 0; r < rows; r++) {
             const real dy = first_y + r - mean_y;
-            const real16 power = power_x + dy * (c * dy - shear);
-            const mask16 live = TO_MASK(power >= cut) & TO_MASK(latest[r] >= (mask16)i);
+            const real16 excess = excess_x + dy * (c * dy - shear);
+            const mask16 live = TO_MASK(excess >= 0) & TO_MASK(latest[r] >= (mask16)i);
             if (!any16(live))
                 continue;
-            const real16 w = select(zero, cut_alpha(opacity * exp_power(power)) * t[r], live);
+            const real16 w = select(zero, cut_alpha(alpha_of(excess)) * t[r], live);
             t[r] -= w;
             s_pixels += select(zero, (real16)1, live);
             s_weight += w;

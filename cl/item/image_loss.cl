@@ -1,23 +1,76 @@
-// Item form of image_loss.cl (see there): a work-item slides down a strip of 16 columns and
-// `strip` rows of a channel, with a ring of the last 11 rows.
+// Item form of image_loss.cl (see there), for CPUs: value and gradient in one pass, so that the maps
+// never leave the cache. A work-item slides down a strip of 16 VECTORS columns and `strip` rows of a
+// channel. At row y the sums across the image join a ring of the last TAPS rows; the maps of row y - RADIUS are
+// complete, and their sums across join another ring; the gradient of row y - 2 RADIUS is complete.
+#define VECTORS 4
+#define IMAGE_VECTORS (VECTORS + 2) // from 2 RADIUS columns before the strip on
+#define MAP_VECTORS (VECTORS + 1)   // from RADIUS columns before it on
+#define MAPS 3
 
-// 16 + 2 RADIUS values of one row around a strip; zeros outside the image.
-#define PADDED (16 + 2 * RADIUS)
+// The 16 values that begin K after the first of A, which B continues; spelled out, LLVM 14 makes one
+// shuffle of them.
+#define AFTER_1(A, B)                                                                              \
+    (real16)(A.s1, A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8,                                       \
+             A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0)
+#define AFTER_2(A, B)                                                                              \
+    (real16)(A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9,                                       \
+             A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1)
+#define AFTER_3(A, B)                                                                              \
+    (real16)(A.s3, A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa,                                       \
+             A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2)
+#define AFTER_4(A, B)                                                                              \
+    (real16)(A.s4, A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb,                                       \
+             A.sc, A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3)
+#define AFTER_5(A, B)                                                                              \
+    (real16)(A.s5, A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc,                                       \
+             A.sd, A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4)
+#define AFTER_6(A, B)                                                                              \
+    (real16)(A.s6, A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd,                                       \
+             A.se, A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5)
+#define AFTER_7(A, B)                                                                              \
+    (real16)(A.s7, A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se,                                       \
+             A.sf, B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6)
+#define AFTER_8(A, B)                                                                              \
+    (real16)(A.s8, A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf,                                       \
+             B.s0, B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7)
+#define AFTER_9(A, B)                                                                              \
+    (real16)(A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0,                                       \
+             B.s1, B.s2, B.s3, B.s4, B.s5, B.s6, B.s7, B.s8)
+#define AFTER_10(A, B)                                                                             \
+    (real16)(A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0, B.s1,                                       \
+             B.s2, B.s3, B.s4, B.s5, B.s6, B.s7, B.s8, B.s9)
 
-inline void load_padded(__global const real *row, int x0, int width, real *values)
+// The window is symmetric: what lies at the same distance is added first.
+inline real16 window(real16 v0, real16 v1, real16 v2, real16 v3, real16 v4, real16 v5, real16 v6,
+                     real16 v7, real16 v8, real16 v9, real16 v10)
 {
-    for (int i = 0; i < PADDED; i++) {
-        const int x = x0 - RADIUS + i;
-        values[i] = x >= 0 && x < width ? row[x] : 0;
-    }
+    return WINDOW[5] * v5 + WINDOW[4] * (v4 + v6) + WINDOW[3] * (v3 + v7) + WINDOW[2] * (v2 + v8) +
+           WINDOW[1] * (v1 + v9) + WINDOW[0] * (v0 + v10);
 }
 
-inline void load_padded_photo(__global const uchar *row, int x0, int width, real *values)
+inline real16 window_across(real16 a, real16 b)
 {
-    for (int i = 0; i < PADDED; i++) {
-        const int x = x0 - RADIUS + i;
-        values[i] = (x >= 0 && x < width ? row[x] : 0) * (real)(1.0 / 255);
-    }
+    return window(a, AFTER_1(a, b), AFTER_2(a, b), AFTER_3(a, b), AFTER_4(a, b), AFTER_5(a, b),
+                  AFTER_6(a, b), AFTER_7(a, b), AFTER_8(a, b), AFTER_9(a, b), AFTER_10(a, b));
+}
+
+// Row `number` and the ten before it of a ring, oldest first; `step` vectors a row.
+#define LAST_ROWS(ROWS, RING, STEP, NUMBER)                                                        \
+    const real16 *ROWS[TAPS];                                                                      \
+    for (int k = 0, slot = SLOT((NUMBER) + 1); k < TAPS; k++, slot = slot + 1 < TAPS ? slot + 1 : 0) \
+        ROWS[k] = RING + slot * (STEP);
+#define SLOT(NUMBER) (((NUMBER) + 2 * TAPS) % TAPS) // a row's place in a ring, from -2 TAPS on
+
+// Down the rows of one vector of sums.
+inline real16 window_down(const real16 *const rows[TAPS], int i)
+{
+    return window(rows[0][i], rows[1][i], rows[2][i], rows[3][i], rows[4][i], rows[5][i], rows[6][i],
+                  rows[7][i], rows[8][i], rows[9][i], rows[10][i]);
+}
+
+inline real16 image16(__global const real *values)
+{
+    return vload16(0, values);
 }
 
 inline real16 photo16(__global const uchar *values)
@@ -25,170 +78,129 @@ inline real16 photo16(__global const uchar *values)
     return convert_real16(vload16(0, values)) * (real)(1.0 / 255);
 }
 
-// Every tap spelled out, so that sums stay in registers and weights are constants.
-#define EACH_TAP(TAP)                                                                              \
-    TAP(0) TAP(1) TAP(2) TAP(3) TAP(4) TAP(5) TAP(6) TAP(7) TAP(8) TAP(9) TAP(10)
+// `count` vectors of a row from column `first` on, zeros outside the image: `padded` has them from the
+// beginning, and a call for other columns has a `padded` of its own.
+#define PADDED (IMAGE_VECTORS * 16)
+#define DEFINE_LOAD(NAME, TYPE, LOAD16, FACTOR)                                                    \
+    inline void NAME(__global const TYPE *row, int first, int count, int width, real *padded,      \
+                     real16 *values)                                                               \
+    {                                                                                              \
+        if (first >= 0 && first + 16 * count <= width) {                                           \
+            for (int v = 0; v < count; v++)                                                        \
+                values[v] = LOAD16(row + first + 16 * v);                                          \
+            return;                                                                                \
+        }                                                                                          \
+        const int begin = max(first, 0), end = min(first + 16 * count, width);                     \
+        if (end - begin < 16) {                                                                    \
+            for (int x = begin; x < end; x++)                                                      \
+                padded[x - first] = row[x] * (real)(FACTOR);                                       \
+        } else { /* the last vector ends where the image does */                                   \
+            for (int x = begin; x < end; x += 16)                                                  \
+                vstore16(LOAD16(row + min(x, end - 16)), 0, padded + min(x, end - 16) - first);    \
+        }                                                                                          \
+        for (int v = 0; v < count; v++)                                                            \
+            values[v] = vload16(v, padded);                                                        \
+    }
+DEFINE_LOAD(load_image, real, image16, 1)
+DEFINE_LOAD(load_photo, uchar, photo16, 1.0 / 255)
 
-__kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void image_loss(int width, int height, int strip, int first_channel,
-                __global const real *restrict image, __global const uchar *restrict photo,
-                __global real *restrict maps, __global real *restrict partials)
+// A vector of a row, as far as the image goes.
+inline void store_row(real16 value, __global real *row, int columns)
 {
-    const int item = get_global_id(0);
-    LOCATE_PART(item, 16, strip);
-    const int columns = min(16, width - x0), y_end = min(y0 + strip, height);
-    const bool interior = x0 >= RADIUS && x0 + 16 + RADIUS <= width;
-    real16 ring[TAPS][MEANS];
-    real l1 = 0, total = 0;
-    for (int y = y0 - RADIUS; y < y_end + RADIUS; y++) {
-        real16 s0 = 0, s1 = 0, s2 = 0, s3 = 0;
-        if (y >= 0 && y < height) {
-            __global const real *image_row = image + channel * plane + (long)y * width;
-            __global const uchar *photo_row = photo + channel * plane + (long)y * width;
-#define HORIZONTAL(K)                                                                              \
-    {                                                                                              \
-        const real16 x = LOAD_X(K), y = LOAD_Y(K), wx = WINDOW[K] * x, wy = WINDOW[K] * y;         \
-        s0 += wx;                                                                                  \
-        s1 += wy;                                                                                  \
-        s2 += wx * x;                                                                              \
-        s2 += wy * y;                                                                              \
-        s3 += wx * y;                                                                              \
+    if (columns >= 16) {
+        vstore16(value, 0, row);
+        return;
     }
-            if (interior) {
-                image_row += x0 - RADIUS;
-                photo_row += x0 - RADIUS;
-#define LOAD_X(K) vload16(0, image_row + K)
-#define LOAD_Y(K) photo16(photo_row + K)
-                EACH_TAP(HORIZONTAL)
-#undef LOAD_X
-#undef LOAD_Y
-            } else {
-                real xs[PADDED], ys[PADDED];
-                load_padded(image_row, x0, width, xs);
-                load_padded_photo(photo_row, x0, width, ys);
-#define LOAD_X(K) vload16(0, xs + K)
-#define LOAD_Y(K) vload16(0, ys + K)
-                EACH_TAP(HORIZONTAL)
-            }
-        }
-        real16 *newest = ring[(y + TAPS) % TAPS];
-        newest[0] = s0;
-        newest[1] = s1;
-        newest[2] = s2;
-        newest[3] = s3;
-        const int out = y - RADIUS; // the row whose window is now complete
-        if (out < y0)
-            continue;
-        real16 x = 0, y_mean = 0, squares = 0, xy = 0;
-#define VERTICAL(K)                                                                                \
-    {                                                                                              \
-        const real16 *row = ring[(out - RADIUS + K + TAPS) % TAPS];                                \
-        x += WINDOW[K] * row[0];                                                                   \
-        y_mean += WINDOW[K] * row[1];                                                              \
-        squares += WINDOW[K] * row[2];                                                             \
-        xy += WINDOW[K] * row[3];                                                                  \
-    }
-        EACH_TAP(VERTICAL)
-#undef VERTICAL
-        real16 by[3];
-        const real16 value = ssim(x, y_mean, squares, xy, &by[0], &by[1], &by[2]);
-        const long pixel = (long)out * width + x0;
-        if (columns == 16) {
-            for (int m = 0; m < 3; m++)
-                vstore16(by[m], 0, maps + (place * 3 + m) * plane + pixel);
-            total += sum16(value);
-            l1 += sum16(fabs(vload16(0, image + channel * plane + pixel) -
-                             photo16(photo + channel * plane + pixel)));
-        } else {
-            real values[4][16];
-            for (int m = 0; m < 3; m++)
-                vstore16(by[m], 0, values[m]);
-            vstore16(value, 0, values[3]);
-            for (int i = 0; i < columns; i++) {
-                for (int m = 0; m < 3; m++)
-                    maps[(place * 3 + m) * plane + pixel + i] = values[m][i];
-                total += values[3][i];
-                l1 += fabs(image[channel * plane + pixel + i] -
-                           photo[channel * plane + pixel + i] * (real)(1.0 / 255));
-            }
-        }
-    }
-    const int own = first_channel * across * down + item;
-    partials[2 * own] = l1;
-    partials[2 * own + 1] = total;
+    real values[16];
+    vstore16(value, 0, values);
+    for (int i = 0; i < columns; i++)
+        row[i] = values[i];
 }
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void image_loss_adjoint(int width, int height, int strip, int first_channel, real l1_scale,
-                        real ssim_scale,
-                        __global const real *restrict image, __global const uchar *restrict photo,
-                        __global const real *restrict maps, __global real *restrict grad_image)
+void image_loss(int width, int height, __global const real *restrict image,
+                __global const uchar *restrict photo, __global real *restrict partials, int strip,
+                real l1_scale, real ssim_scale, __global real *restrict grad_image)
 {
-    const int item = get_global_id(0);
-    LOCATE_PART(item, 16, strip);
-    const int columns = min(16, width - x0), y_end = min(y0 + strip, height);
-    const bool interior = x0 >= RADIUS && x0 + 16 + RADIUS <= width;
-    real16 ring[TAPS][3];
-    for (int y = y0 - RADIUS; y < y_end + RADIUS; y++) {
-        real16 s0 = 0, s1 = 0, s2 = 0;
-        if (y >= 0 && y < height) {
-            __global const real *row = maps + place * 3 * plane + (long)y * width;
-#define CONVOLVE(K)                                                                                \
-    s0 += WINDOW[K] * LOAD(0, K);                                                                  \
-    s1 += WINDOW[K] * LOAD(1, K);                                                                  \
-    s2 += WINDOW[K] * LOAD(2, K);
-            if (interior) {
-                row += x0 - RADIUS;
-#define LOAD(M, K) vload16(0, row + M * plane + K)
-                EACH_TAP(CONVOLVE)
-#undef LOAD
-            } else {
-                real values[3][PADDED];
-                for (int m = 0; m < 3; m++)
-                    load_padded(row + m * plane, x0, width, values[m]);
-#define LOAD(M, K) vload16(0, values[M] + K)
-                EACH_TAP(CONVOLVE)
+    LOCATE_PART(get_global_id(0), 16 * VECTORS, strip);
+    const int x_end = min(x0 + 16 * VECTORS, width), y_end = min(y0 + strip, height);
+    image += channel * plane;
+    photo += channel * plane;
+    grad_image += channel * plane;
+    real padded[4][PADDED];
+    for (int i = 0; i < PADDED; i++)
+        padded[0][i] = padded[1][i] = padded[2][i] = padded[3][i] = 0;
+    mask16 inside[MAP_VECTORS], own[MAP_VECTORS]; // of the maps' columns
+    for (int v = 0; v < MAP_VECTORS; v++) {
+        const real16 x = IOTA + (real)(x0 - RADIUS + 16 * v);
+        inside[v] = TO_MASK(x >= 0) & TO_MASK(x < (real)width);
+        own[v] = TO_MASK(x >= (real)x0) & TO_MASK(x < (real)x_end);
+    }
+    real16 sums[TAPS * MAP_VECTORS * MEANS], map_sums[TAPS * VECTORS * MAPS];
+    real16 l1 = 0, total = 0;
+    for (int y = y0 - 2 * RADIUS; y < y_end + 2 * RADIUS; y++) {
+        real16 *newest = sums + SLOT(y) * (MAP_VECTORS * MEANS);
+        if (y < 0 || y >= height) {
+            for (int i = 0; i < MAP_VECTORS * MEANS; i++)
+                newest[i] = 0;
+        } else {
+            real16 xs[IMAGE_VECTORS], ys[IMAGE_VECTORS];
+            load_image(image + (long)y * width, x0 - 2 * RADIUS, IMAGE_VECTORS, width, padded[0], xs);
+            load_photo(photo + (long)y * width, x0 - 2 * RADIUS, IMAGE_VECTORS, width, padded[1], ys);
+            for (int v = 0; v < MAP_VECTORS; v++) {
+                const real16 x = xs[v], y = ys[v], next_x = xs[v + 1], next_y = ys[v + 1];
+                newest[MEANS * v] = window_across(x, next_x);
+                newest[MEANS * v + 1] = window_across(y, next_y);
+                newest[MEANS * v + 2] =
+                    window_across(x * x + y * y, next_x * next_x + next_y * next_y);
+                newest[MEANS * v + 3] = window_across(x * y, next_x * next_y);
             }
         }
-        real16 *newest = ring[(y + TAPS) % TAPS];
-        newest[0] = s0;
-        newest[1] = s1;
-        newest[2] = s2;
-        const int out = y - RADIUS;
+        const int map_y = y - RADIUS;
+        if (map_y < y0 - RADIUS)
+            continue;
+        real16 *newest_map = map_sums + SLOT(map_y) * (VECTORS * MAPS);
+        if (map_y < 0 || map_y >= height) {
+            for (int i = 0; i < VECTORS * MAPS; i++)
+                newest_map[i] = 0;
+        } else {
+            LAST_ROWS(rows, sums, MAP_VECTORS * MEANS, y);
+            real16 by[MAPS][MAP_VECTORS];
+            real16 row_total = 0;
+            for (int v = 0; v < MAP_VECTORS; v++) {
+                real16 by_x, by_xx, by_xy;
+                const real16 value = ssim(
+                    window_down(rows, MEANS * v), window_down(rows, MEANS * v + 1),
+                    window_down(rows, MEANS * v + 2), window_down(rows, MEANS * v + 3), &by_x,
+                    &by_xx, &by_xy);
+                by[0][v] = select((real16)0, by_x, inside[v]);
+                by[1][v] = select((real16)0, by_xx, inside[v]);
+                by[2][v] = select((real16)0, by_xy, inside[v]);
+                row_total += select((real16)0, value, own[v]);
+            }
+            if (map_y >= y0 && map_y < y_end)
+                total += row_total;
+            for (int v = 0; v < VECTORS; v++)
+                for (int m = 0; m < MAPS; m++)
+                    newest_map[MAPS * v + m] = window_across(by[m][v], by[m][v + 1]);
+        }
+        const int out = map_y - RADIUS;
         if (out < y0)
             continue;
-        real16 by_x = 0, by_xx = 0, by_xy = 0;
-#define VERTICAL(K)                                                                                \
-    {                                                                                              \
-        const real16 *row = ring[(out - RADIUS + K + TAPS) % TAPS];                                \
-        by_x += WINDOW[K] * row[0];                                                                \
-        by_xx += WINDOW[K] * row[1];                                                               \
-        by_xy += WINDOW[K] * row[2];                                                               \
-    }
-        EACH_TAP(VERTICAL)
-        const long pixel = channel * plane + (long)out * width + x0;
-        real values[16];
-        real16 x, photo_value;
-        if (columns == 16) {
-            x = vload16(0, image + pixel);
-            photo_value = photo16(photo + pixel);
-        } else {
-            real ys[16];
-            for (int i = 0; i < 16; i++) {
-                values[i] = i < columns ? image[pixel + i] : 0;
-                ys[i] = i < columns ? photo[pixel + i] * (real)(1.0 / 255) : 0;
-            }
-            x = vload16(0, values);
-            photo_value = vload16(0, ys);
-        }
-        const real16 g = l1_scale * sign(x - photo_value) +
-                         ssim_scale * (by_x + 2 * x * by_xx + photo_value * by_xy);
-        if (columns == 16) {
-            vstore16(g, 0, grad_image + pixel);
-        } else {
-            vstore16(g, 0, values);
-            for (int i = 0; i < columns; i++)
-                grad_image[pixel + i] = values[i];
+        LAST_ROWS(rows, map_sums, VECTORS * MAPS, map_y);
+        real16 xs[VECTORS], ys[VECTORS];
+        load_image(image + (long)out * width, x0, VECTORS, width, padded[2], xs);
+        load_photo(photo + (long)out * width, x0, VECTORS, width, padded[3], ys);
+        for (int v = 0; v < VECTORS; v++) {
+            const real16 by_x = window_down(rows, MAPS * v), by_xx = window_down(rows, MAPS * v + 1);
+            const real16 by_xy = window_down(rows, MAPS * v + 2), difference = xs[v] - ys[v];
+            l1 += fabs(difference); // zero outside the image
+            const int first = x0 + 16 * v;
+            store_row(l1_scale * sign(difference) +
+                          ssim_scale * (by_x + 2 * xs[v] * by_xx + ys[v] * by_xy),
+                      grad_image + (long)out * width + first, width - first);
         }
     }
+    partials[2 * get_global_id(0)] = sum16(l1);
+    partials[2 * get_global_id(0) + 1] = sum16(total);
 }

@@ -56,7 +56,7 @@ NO_STOP = Variant("reference", "double without stop", precision="double",
 # knob -> the default's name, and the kind of its error: see `precision.measured`
 KNOBS = {
     "precision": ("float", "rounding"),
-    "exponential": ("degree 6, or native_exp where accurate", "rounding"),
+    "exponential": ("degree 4 on CPUs, native_exp or degree 6 on GPUs", "rounding"),
     "compiler flags": ("none", "rounding"),
     "storage": ("float", "rounding"),
     "alpha cutoff": ("1/255", "no_cutoff"),

@@ -246,7 +246,8 @@ class Device:
                     warnings.simplefilter("ignore", cl.CompilerWarning)
                     program, checked = binaries.build(
                         self.context, self.handle, kernel_source(file), options, kernel,
-                        [other.forms.of(self) for other in Kernel.declared[file]])
+                        [other.forms.of(self) for other in Kernel.declared[file]
+                         if other.forms.of(self)])
             except cl.Error as error:
                 raise DeviceError(f"{self.name}: {file} does not build:\n{error}") from None
             self._programs[file, defines] = program, checked

@@ -94,7 +94,7 @@ class Kernel:
 
     Parameters
     ----------
-    launch : of both forms, or `Forms` with one for each.
+    launch : of both forms, or `Forms` with one for each; None: that form has no such kernel.
     arguments : in the order of the OpenCL signature; a string is a scalar of that type, a tuple an
         array: its type, then its shape, where equal letters must agree. `real` is float, or double
         on a device opened for double precision; for `moment` see EITHER.
@@ -110,9 +110,9 @@ class Kernel:
                  **arguments: Argument) -> None:
         self.file, self.function = file, function
         self.launches = launch if isinstance(launch, Forms) else Forms(launch, launch)
-        self.forms = Forms(*(Contract(file, function, each_form, arguments)
+        self.forms = Forms(*(each_form and Contract(file, function, each_form, arguments)
                              for each_form in self.launches))
-        self.names = self.forms.item.arguments.keys() | self.forms.group.arguments.keys()
+        self.names = {name for form in self.forms if form for name in form.arguments}
         self.declared.setdefault(file, []).append(self)
 
     def __repr__(self) -> str:

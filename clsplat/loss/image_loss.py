@@ -1,5 +1,7 @@
 """L1 and D-SSIM against a photo, with the gradient (cl/image_loss.cl)."""
 
+from typing import Any
+
 import numpy as np
 
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
@@ -8,16 +10,21 @@ from clsplat.primitives.reduce import sum_columns
 from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Frame
 
-STRIP_ROWS = 128  # image rows of a work-item of the item form
-CHANNELS = Forms(item=1, group=3)  # of a launch: a CPU's cache holds the maps of one channel
+HAS_MAPS = Forms(item=False, group=True)  # whether the gradient has a kernel of its own
+STRIP_ROWS = 256  # image rows of a work-item of the item form, which reads 20 more
 
-_SIZE = dict(width="int", height="int", strip="int", first_channel="int")
-_IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", 3, "H", "W"),
-               maps=("real", "M", 3, "H", "W"))
-_TILES = Forms(item=items("M W/16 H/strip"), group=groups("M W/TILE H/TILE", "TILE TILE"))
-VALUE = Kernel("image_loss.cl", "image_loss", _TILES, **_SIZE, **_IMAGES, partials=("real", "P", 2))
-ADJOINT = Kernel("image_loss.cl", "image_loss_adjoint", _TILES, **_SIZE, l1_scale="real",
-                 ssim_scale="real", **_IMAGES, grad_image=("real", 3, "H", "W"))
+_SIZE = dict(width="int", height="int")
+_IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", 3, "H", "W"))
+_MAPS: dict[str, Any] = dict(maps=("real", 3, 3, "H", "W"))
+_GRADIENT: dict[str, Any] = dict(l1_scale="real", ssim_scale="real",
+                                 grad_image=("real", 3, "H", "W"))
+_TILES = "3 W/TILE H/TILE", "TILE TILE"
+VALUE = Kernel("image_loss.cl", "image_loss",
+               Forms(item=items("3 W/64 H/strip", strip="int", **_GRADIENT),
+                     group=groups(*_TILES, **_MAPS)),
+               **_SIZE, **_IMAGES, partials=("real", "P", 2))
+ADJOINT = Kernel("image_loss.cl", "image_loss_adjoint", Forms(item=None, group=groups(*_TILES)),
+                 **_SIZE, **_IMAGES, **_MAPS, **_GRADIENT)
 
 
 def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
@@ -38,16 +45,15 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
     """
     _, height, width = image.shape
     values = 3 * height * width
-    channels = CHANNELS.of(device)
-    rows = VALUE.units(device, M=3, W=width, H=height, strip=STRIP_ROWS)
-    maps = device.empty((channels, 3, height, width))
+    rows = VALUE.units(device, W=width, H=height, strip=STRIP_ROWS)
     partials, grad_image = device.result((rows, 2)), device.empty((3, height, width))
-    for first_channel in range(0, 3, channels):
-        shared = dict(width=width, height=height, strip=STRIP_ROWS,
-                      first_channel=first_channel, image=image, photo=photo, maps=maps)
-        device.launch(VALUE, **shared, partials=partials)
-        device.launch(ADJOINT, **shared, l1_scale=(1 - ssim_weight) / values,
-                      ssim_scale=-ssim_weight / values, grad_image=grad_image)
+    shared = dict(width=width, height=height, image=image, photo=photo,
+                  maps=device.empty((3, 3, height, width)) if HAS_MAPS.of(device) else None,
+                  l1_scale=(1 - ssim_weight) / values, ssim_scale=-ssim_weight / values,
+                  grad_image=grad_image)
+    device.launch(VALUE, **shared, strip=STRIP_ROWS, partials=partials)
+    if HAS_MAPS.of(device):
+        device.launch(ADJOINT, **shared)
     return partials, grad_image
 
 
@@ -74,9 +80,9 @@ class ImageLoss(LossTerm):
 
     def arrays(self, width: int, height: int, last: str) -> list[FrameArray]:
         """As `LossTerm.arrays`."""
-        rows = VALUE.units(self.device, M=3, W=width, H=height, strip=STRIP_ROWS)
-        return [FrameArray("maps", (CHANNELS.of(self.device), 3, height, width), None, "loss",
-                           "loss"),
+        rows = VALUE.units(self.device, W=width, H=height, strip=STRIP_ROWS)
+        maps = [FrameArray("maps", (3, 3, height, width), None, "loss", "loss")]
+        return [*maps * HAS_MAPS.of(self.device),
                 FrameArray("partials", (rows, 2), None, "loss", "loss"),
                 FrameArray("grad_image", (3, height, width), None, "loss", last)]
 

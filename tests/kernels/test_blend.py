@@ -87,12 +87,30 @@ def test_a_deep_faint_stack_crosses_batches_and_buckets(device):
     assert actual.last_contributor[8, 8] > 256 and actual.transmittance.min() > 2e-4
 
 
-@pytest.mark.parametrize("count", [31, 32, 33, 255, 256, 257])
+@pytest.mark.parametrize("count", [15, 16, 17, 31, 32, 33, 255, 256, 257])
 def test_lists_around_bucket_and_batch_sizes(device, count):
     splats, order = cases.splats(count, 16, 16, seed=count, opacity=(0.006, 0.02), sigma=(9, 30))
     splats["means"] = cases.single(8 + 0.2 * (splats["means"] - 8))
     actual = check(device, splats, order, (16, 16), f"{count} splats")
     assert actual.last_contributor.max() == count - 1
+
+
+@pytest.mark.parametrize("height", [3, 4, 5, 13, 16, 18])
+def test_splats_of_a_row_reach_their_blocks_of_rows_only(device, height):
+    """Flat ellipses at every quarter of a pixel; the image may end within a block of 4 rows."""
+    splats, order = cases.splats(72, 16, height, seed=11, sigma=(0.15, 0.4))
+    splats["means"][:, 1] = cases.single(np.linspace(-0.5, 17.25, 72))
+    check(device, splats, order, (16, height), f"{height} rows")
+
+
+def test_blocks_of_rows_end_at_different_depths(device):
+    """Opaque above, clear below: the upper rows end in an early chunk of pairs, others never."""
+    splats, order = cases.splats(90, 16, 16, seed=12, opacity=(0.8, 0.99), sigma=(5, 7))
+    splats["means"][:, 1] = -6
+    actual = check(device, splats, order, (16, 16), "opaque above")
+    ends = actual.last_contributor.max(axis=1)
+    assert ends[:4].max() < 80 and (ends[-4:] == len(order) - 1).all()
+    assert actual.transmittance[-4:].min() > 1e-3
 
 
 def test_an_opaque_stack_ends_early(device):

@@ -10,8 +10,11 @@ from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference.image_loss import image_loss as reference
 
-# one pixel, less than the window, tile and strip borders and one beside them
-SIZES = ((1, 1), (7, 5), (15, 17), (16, 16), (17, 15), (32, 11), (61, 37), (48, 40))
+# one pixel, less than the window, tile and strip borders and one beside them. The item form's
+# strips have 64 columns and read 10 more on both sides: the last columns alone in a strip or in a vector,
+# and a strip in the middle that reads to the border (150) and beyond it (149)
+SIZES = ((1, 1), (7, 5), (15, 17), (16, 16), (17, 15), (32, 11), (61, 37), (48, 40), (64, 9),
+         (65, 33), (74, 6), (81, 12), (149, 7), (150, 7))
 WEIGHT = 0.2
 
 
@@ -52,6 +55,18 @@ def test_strips_of_the_default_height(device, monkeypatch):
     monkeypatch.undo()
     assert module.STRIP_ROWS > 16
     check(device, *a_pair(20, module.STRIP_ROWS + 3, 2), "a tall image")
+
+
+def test_gradients_do_not_depend_on_strips(device, monkeypatch):
+    """Nor do rows that two strips both read lose or gain anything in the sums."""
+    render, photo = (device.upload(values) for values in a_pair(70, 45, 7))
+    results = []
+    for rows in (1, 5, 16, 45):
+        monkeypatch.setattr(module, "STRIP_ROWS", rows)
+        results.append([r.download() for r in image_loss(device, render, photo, WEIGHT)])
+    for sums, grad in results[1:]:
+        assert np.array_equal(grad, results[0][1])
+        assert np.allclose(sums, results[0][0], rtol=1e-6, atol=0)
 
 
 def test_equal_images_have_no_loss(device):

@@ -15,12 +15,13 @@ def table():
         module = importlib.import_module(home.removesuffix(".py").replace("/", "."))
         for kernel in vars(module).values():
             if isinstance(kernel, Kernel):
-                arrays = {name: a for form in kernel.forms for name, a in form.arguments.items()
+                arrays = {name: a for form in kernel.forms if form
+                          for name, a in form.arguments.items()
                           if isinstance(a, tuple)}
                 shown = ", ".join(f"{name} {kind}[{', '.join(map(str, shape))}]"
                                   for name, (kind, *shape) in arrays.items())
                 item, group = kernel.launches
-                lines.append(f"| {family.stem} | {kernel.function} | {shown} | {item} | "
+                lines.append(f"| {family.stem} | {kernel.function} | {shown} | {item or 'none'} | "
                              f"{'the same' if item == group else group} |")
     return "\n".join(lines) + "\n"
 
