@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
 
+
 class Statistics:
     """Sums over the views since the last `clear`.
 

@@ -14,6 +14,6 @@ from clsplat.device.find import choose_device, choose_handle, list_devices, open
 from clsplat.device.graph import FloatInput, Graph, Input, IntInput
 from clsplat.device.kernel import Forms, Kernel, each, groups, items
 
-__all__ = ["Array", "ArraySpec", "Device", "FloatInput", "Forms", "Graph", "Handle", "Input", "IntInput",
-           "Kernel", "choose_device", "choose_handle", "each", "groups", "items", "list_devices",
-           "open_device"]
+__all__ = ["Array", "ArraySpec", "Device", "FloatInput", "Forms", "Graph", "Handle", "Input",
+           "IntInput", "Kernel", "choose_device", "choose_handle", "each", "groups", "items",
+           "list_devices", "open_device"]

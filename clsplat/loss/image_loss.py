@@ -58,8 +58,7 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
 
 
 def loss_value(partials: Array, values: int, ssim_weight: float) -> tuple[float, float, float]:
-    """(loss, mean |x - y|, mean SSIM) from the partial sums of `image_loss` over 3 H W values; waits.
-    """
+    """(loss, mean |x - y|, mean SSIM) from partial sums of `image_loss` over 3 H W values; waits."""
     sums = sum_columns(partials.device, partials)
     l1, ssim = (float(v) / values for v in sums.download())
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim
@@ -73,7 +72,8 @@ class ImageLoss(LossTerm):
     def add_to(self, grad: FrameGradient, frame: Frame, image: Array, sample: TrainingSample,
                weight: float) -> tuple[Array, int]:
         """As `LossTerm.add_to`; returns what `loss_value` needs."""
-        partials, grad_image = image_loss(self.device, image, sample.photo, self.options.ssim_weight)
+        partials, grad_image = image_loss(self.device, image, sample.photo,
+                                          self.options.ssim_weight)
         grad.add(image=grad_image)
         _, height, width = image.shape
         return partials, 3 * height * width

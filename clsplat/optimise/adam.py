@@ -289,8 +289,8 @@ class DeviceAdam:
         begin = _begin(name)
         width = next(field.width(0) for field in SMALL if field.name == name)
         m, v = self._moments(self.count)
-        self.device.launch(CLEAR, self._defines(0), count=self.count, begin=begin, end=begin + width,
-                           m=m["small"], v=v["small"])
+        self.device.launch(CLEAR, self._defines(0), count=self.count, begin=begin,
+                           end=begin + width, m=m["small"], v=v["small"])
 
     def download(self, count: int) -> tuple[HostArrays, HostArrays]:
         """The first `count` rows of m and v in host memory, by field, each after its last step."""

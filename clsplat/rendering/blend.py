@@ -27,7 +27,8 @@ ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
     Forms(item=items("T", **_BACKGROUND),
           group=groups("B", "ADJOINT_GROUP", counts=("uint", FRAME_COUNTS),
-                       bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"), **_IMAGE, **_DEPTH, **_CHECKPOINTS)),
+                       bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"), **_IMAGE,
+                       **_DEPTH, **_CHECKPOINTS)),
     **_SIZE, **_LISTS, emission_indices=("uint", "P"), **_SPLATS, **_ENDS,
     grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"),
     grad_transmittance=("real", "D", "E"), pair_grads=("real", "P", "S"))

@@ -143,7 +143,8 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
 
     Returns
     -------
-    The gradients by field; real[V, 2], by the means in pixels; uint[V], the row of each gradient, or NO_ROW where it is not finite or left out.
+    The gradients by field; real[V, 2], by the means in pixels; uint[V], the row of each gradient,
+    or NO_ROW where it is not finite or left out.
     """
     choices = ("WITH_FROZEN", int(frozen is not None)), ("WITH_STATISTICS",
                                                          int(statistics is not None))

@@ -35,7 +35,7 @@ class Deadline:
             each = time.perf_counter() - begin
         self.budget = TimeBudget(
             seconds_of(options.time_budget), each * len(session.test_views), clock.elapsed(),
-            checkpoint_bytes(session.step.count, session.options.sh_degree), EVALUATIONS if options.eval_every == AUTO else 1)
+            self._checkpoint_bytes(), EVALUATIONS if options.eval_every == AUTO else 1)
         self.note_change()
 
     def begin(self) -> None:
@@ -49,8 +49,10 @@ class Deadline:
 
     def note_saved(self, seconds: float) -> None:
         """Note the seconds that a checkpoint took."""
-        self.budget.note_saved(checkpoint_bytes(self.session.step.count,
-                                                self.session.options.sh_degree), seconds)
+        self.budget.note_saved(self._checkpoint_bytes(), seconds)
+
+    def _checkpoint_bytes(self) -> int:
+        return checkpoint_bytes(self.session.step.count, self.session.options.sh_degree)
 
     def allowed(self, plan: Plan) -> Plan:
         """The plan of the next step, without what the model could not recover from."""
@@ -59,7 +61,7 @@ class Deadline:
         if not (changes or plan.grows or plan.resets_opacity or budget.last_level is not None):
             return plan
         left = budget.left(plan.level, changes, self.clock.elapsed(),
-                           checkpoint_bytes(session.step.count, session.options.sh_degree))
+                           self._checkpoint_bytes())
         plan = budget.allowed(plan, session.level, left)
         if left < FAR_FROM_END and (plan.resets_opacity or plan.level != session.level):
             self.keep()
@@ -82,7 +84,7 @@ class Deadline:
         if budget.last_level is not None:
             ahead = [(budget.last_level, sum(steps for _, steps in ahead))]
         session.lay_over(budget.steps(session.iteration, ahead, self.clock.elapsed(),
-                                      checkpoint_bytes(session.step.count, session.options.sh_degree)))
+                                      self._checkpoint_bytes()))
 
     def rolled_back(self) -> int | None:
         """Return to the model before the last opacity reset or change of level, if it was better.
