@@ -10,8 +10,9 @@
 #include "group.h"
 DEFINE_GROUP_SCAN(group_scan, uint)
 DEFINE_GROUP_SCAN(group_scan_long, ulong)
-#define GIANT 64 // a splat with more tiles is emitted by all items of its group together
+#define GIANT 64 // tiles of a splat above which it is a giant
 #define SORTED_AT_ONCE (GROUP * PER_ITEM)
+#define FEW (GROUP / 2) // keys that are sorted by counting smaller ones
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void count_pairs(int tiles_x, int first_tile, int end_tile, __global const uint *restrict counts,
@@ -122,6 +123,23 @@ inline void emit_pair(int tile, uint v, uint index, real depth, __global const u
     keys[place] = (ulong)as_uint((float)depth) << 32 | index; // positive floats order as their bits
 }
 
+// Where the pair number `own` of a splat lies, counted from the splat's first: its tile.
+inline int tile_of_pair(Ellipse e, uint own, int tiles_x, int first_tile, int end_tile)
+{
+    int row, row_end, tile = 0, tile_end;
+    band_rows(e, tiles_x, first_tile, end_tile, &row, &row_end);
+    for (; row < row_end; row++) {
+        band_tiles(e, row, tiles_x, first_tile, end_tile, &tile, &tile_end);
+        const uint width = max(0, tile_end - tile);
+        if (own < width)
+            break;
+        own -= width;
+    }
+    return tile + (int)own;
+}
+
+// The pairs of a chunk are dealt to the items of its group one by one, so that none waits for another
+// whose splat has many. A giant's are dealt row by row of tiles, as finding them one by one would take long.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void emit_pairs(int tiles_x, int first_tile, int end_tile, __global const uint *restrict counts,
                 __global const real *restrict splats, __global const uint *restrict splat_counts,
@@ -129,49 +147,48 @@ void emit_pairs(int tiles_x, int first_tile, int end_tile, __global const uint *
                 __global uint *restrict steps, __global const uint *restrict first_indices,
                 __global uint *restrict pair_splats, __global ulong *restrict keys)
 {
-    __local uint scratch[GROUP], giants[GROUP], giant_indices[GROUP];
+    __local uint scratch[GROUP], begins[GROUP], giants[GROUP];
     __local uint giant_count;
-    const uint v = get_global_id(0), lane = get_local_id(0);
-    const bool valid = v < counts[COUNT_VISIBLE];
-    const uint touched = valid ? splat_counts[v] : 0;
-    uint total;
+    const uint lane = get_local_id(0), first = get_group_id(0) * GROUP, v = first + lane;
+    const uint visible = counts[COUNT_VISIBLE], base = first_indices[get_group_id(0)];
+    const uint touched = v < visible ? splat_counts[v] : 0;
+    const bool is_giant = touched > GIANT;
+    uint total, small_total;
     if (lane == 0)
         giant_count = 0;
-    uint index = first_indices[get_group_id(0)] + group_scan(touched, scratch, &total);
-    if (valid)
+    const uint index = base + group_scan(touched, scratch, &total);
+    begins[lane] = group_scan(is_giant ? 0 : touched, scratch, &small_total);
+    if (v < visible)
         offsets[v] = index;
-    if (touched > GIANT) {
-        const uint place = atomic_inc(&giant_count);
-        giants[place] = v;
-        giant_indices[place] = index;
-    } else if (touched) {
-        __global const real *splat = splats + (ulong)v * SPLAT_REALS;
-        const Ellipse e = ellipse_of(splat);
-        const real depth = splat[SPLAT_DEPTH];
-        int row, row_end, tile, tile_end;
-        band_rows(e, tiles_x, first_tile, end_tile, &row, &row_end);
-        for (; row < row_end; row++) {
-            band_tiles(e, row, tiles_x, first_tile, end_tile, &tile, &tile_end);
-            for (; tile < tile_end; tile++, index++)
-                emit_pair(tile - first_tile, v, index, depth, ranges, steps, pair_splats, keys);
-        }
+    if (is_giant)
+        giants[atomic_inc(&giant_count)] = lane;
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    for (uint pair = lane; pair < small_total; pair += GROUP) {
+        uint own = 0; // the last splat that begins at or before the pair and has one
+        for (uint step = GROUP / 2; step > 0; step >>= 1)
+            if (begins[own + step] <= pair)
+                own += step;
+        __global const real *splat = splats + (ulong)(first + own) * SPLAT_REALS;
+        const uint number = pair - begins[own];
+        const int tile = tile_of_pair(ellipse_of(splat), number, tiles_x, first_tile, end_tile);
+        emit_pair(tile - first_tile, first + own, offsets[first + own] + number, splat[SPLAT_DEPTH],
+                  ranges, steps, pair_splats, keys);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
     const uint all = giant_count;
     for (uint g = 0; g < all; g++) {
-        const uint giant = giants[g];
+        const uint giant = first + giants[g];
         __global const real *splat = splats + (ulong)giant * SPLAT_REALS;
         const Ellipse e = ellipse_of(splat);
         const real depth = splat[SPLAT_DEPTH];
-        uint first = giant_indices[g];
+        uint place = offsets[giant];
         int row, row_end, tile, tile_end;
         band_rows(e, tiles_x, first_tile, end_tile, &row, &row_end);
         for (; row < row_end; row++) {
             band_tiles(e, row, tiles_x, first_tile, end_tile, &tile, &tile_end);
             for (int own = tile + (int)lane; own < tile_end; own += GROUP)
-                emit_pair(own - first_tile, giant, first + own - tile, depth, ranges, steps,
+                emit_pair(own - first_tile, giant, place + own - tile, depth, ranges, steps,
                           pair_splats, keys);
-            first += max(0, tile_end - tile);
+            place += max(0, tile_end - tile);
         }
     }
 }
@@ -209,6 +226,19 @@ inline uint keys_below(__global const ulong *keys, uint count, ulong key)
     return begin;
 }
 
+// The place of each of few keys is the number of smaller ones: one barrier instead of dozens.
+inline void sort_few(__local const ulong *unsorted, __local ulong *sorted, uint count)
+{
+    FOR_GROUP(i, count) {
+        const ulong key = unsorted[i];
+        uint place = 0;
+        for (uint j = 0; j < count; j++)
+            place += unsorted[j] < key;
+        sorted[place] = key;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+}
+
 // A group a tile: runs of SORTED_AT_ONCE keys in local memory, which are then merged. Keys are unique: a
 // key's place is its place in its own run and the number of smaller ones in the other.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -239,9 +269,13 @@ void sort_tiles(uint room, __global const uint *restrict counts,
         FOR_GROUP(i, size)
             chunk[i] = i < own ? from[first + i] : ULONG_MAX;
         barrier(CLK_LOCAL_MEM_FENCE);
-        sort_local(chunk, size);
+        const bool few = own <= FEW;
+        if (few)
+            sort_few(chunk, chunk + FEW, own);
+        else
+            sort_local(chunk, size);
         FOR_GROUP(i, own)
-            from[first + i] = chunk[i];
+            from[first + i] = chunk[few ? FEW + i : i];
         barrier(CLK_LOCAL_MEM_FENCE);
     }
     barrier(CLK_GLOBAL_MEM_FENCE);

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from clsplat.camera import Camera
-from clsplat.device import Device
+from clsplat.constants import COUNT_FAILED, FRAME_COUNTS
+from clsplat.device import Device, Graph
+from clsplat.errors import DeviceError
 from clsplat.gaussians import Gaussians
-from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.pipeline import Renderer, Room
 
 from .measure import Bench
 from .timing import milliseconds
@@ -36,31 +38,51 @@ def main(argv: list[str]) -> None:
 
 
 class Clsplat:
-    """The renderer of clsplat; each call renders the next camera."""
+    """The renderer of clsplat; each call renders the next camera.
+
+    Frames are recorded once and replayed, as in training (clsplat/training/step.py).
+    """
 
     def __init__(self, device: Device, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
         self.device, self.turn = device, 0
         self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
-        self.cameras = [(self.renderer.pack(c), c.width, c.height) for c in cameras]
+        self.width, self.height = cameras[0].width, cameras[0].height
+        self.cameras = [self.renderer.pack(camera) for camera in cameras]
+        needs = [self.renderer.count(self.rows, camera, self.width, self.height)
+                 for camera in self.cameras]
+        self.room = Room(*(max(need) for need in zip(*needs)))
+        self.counts = device.zeros(FRAME_COUNTS, np.uint32)
         # of the gradient's size: its values do not change the work
-        width, height = cameras[0].width, cameras[0].height
-        self.grad = device.upload(np.full((3, height, width), 1 / (3 * height * width)))
+        self.grad = device.upload(np.full((3, self.height, self.width),
+                                          1 / (3 * self.height * self.width)))
+        self._graphs: dict[bool, Graph] = {}
 
     def forward(self) -> None:
         """Render."""
-        camera, width, height = self.cameras[self.turn % len(self.cameras)]
-        self.turn += 1
-        self.frame = self.renderer.render(self.rows, camera, width, height, sh_degree=3)
+        self._next(False)
 
     def both(self) -> None:
         """Render, and take the gradients."""
-        self.forward()
-        self.renderer.adjoint(self.rows, self.frame, self.grad)
+        self._next(True)
+
+    def _next(self, back: bool) -> None:
+        camera = self.cameras[self.turn % len(self.cameras)]
+        self.turn += 1
+        if graph := self._graphs.get(back):
+            graph.replay(camera=camera)
+            return
+        with self.device.record(camera=camera) as graph:
+            frame = self.renderer.render(self.rows, camera, self.width, self.height, 3,
+                                         room=self.room, counts=self.counts)
+            if back:
+                self.renderer.adjoint(self.rows, frame, self.grad)
+        self._graphs[back] = graph
 
     def finish(self) -> None:
-        """Wait for the device."""
-        self.device.finish()
+        """Wait for the device; DeviceError if a frame had no room, and so was not drawn."""
+        if self.counts.download()[COUNT_FAILED]:
+            raise DeviceError("a frame of the benchmark had no room")
 
 
 class Gsplat:

@@ -1,6 +1,7 @@
 """Training photos at each level, which stay on the device while they fit."""
 
 import functools
+import os
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,7 +17,10 @@ from clsplat.options import TrainOptions
 from clsplat.scene import View
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
-THREADS = 2  # each needs memory for a whole photo as floats
+MOST_THREADS = 8  # that read photos; each needs memory for a part of one as floats
+HALF_THE_CORES = min(MOST_THREADS, (os.cpu_count() or 2) // 2)
+THREADS = max(2, HALF_THE_CORES)  # while nothing else runs
+THREADS_BESIDE = max(1, HALF_THE_CORES)  # beside a training
 
 
 @functools.lru_cache(maxsize=2)  # the epoch of this step and of the next
@@ -100,7 +104,7 @@ class Photos:
         self.device, self._full, self._levels = device, views, levels
         self._budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
                         else budget_bytes)
-        self._thread = ThreadPoolExecutor(1)
+        self._threads = ThreadPoolExecutor(THREADS_BESIDE)
         self._ahead: dict[int, Future[NDArray[np.uint8]]] = {}
         # (level, its photos)
         self._next: tuple[float, list[Future[NDArray[np.uint8]]]] | None = None
@@ -127,7 +131,7 @@ class Photos:
         self.read_seconds = time.perf_counter() - begin
         following = [new for new in self._levels if new < level]
         if following and self._fits(at_level(self._full, following[0])):
-            self._next = following[0], [self._thread.submit(decode, view)
+            self._next = following[0], [self._threads.submit(decode, view)
                                         for view in at_level(self._full, following[0])]
 
     def _fits(self, views: Iterable[View]) -> bool:
@@ -136,7 +140,7 @@ class Photos:
     def expect(self, index: int) -> None:
         """Begin to decode a photo that will be used soon."""
         if not self.resident and index not in self._ahead:
-            self._ahead[index] = self._thread.submit(decode, self.views[index])
+            self._ahead[index] = self._threads.submit(decode, self.views[index])
 
     def __getitem__(self, index: int) -> Array:
         if self.resident:
@@ -146,4 +150,4 @@ class Photos:
 
     def close(self) -> None:
         """Stop reading ahead."""
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        self._threads.shutdown(wait=False, cancel_futures=True)

@@ -52,7 +52,7 @@ def bytes_at(level):
 
 def idle(photos):
     """Wait until the one thread has done what was asked before."""
-    photos._thread.submit(int).result(timeout=30)
+    photos._threads.submit(int).result(timeout=30)
 
 
 def is_at(photos, views, level):
