@@ -146,6 +146,9 @@ __kernel void adam_small(
 // by Cauchy and Schwarz, 7.27, and a hair more; times C it bounds how far a column may coast.
 #define MOST_M_BY_V 7.4
 
+#define MOST_CUTOFF 11.1 // 2 ln(ALPHA_STEPS), of an opacity of 1, and a hair more
+typedef char the_cutoff_is_high_enough[ALPHA_STEPS <= 255 ? 1 : -1];
+
 // Whether the image may show a row that lags: at least what cull (project.cl) finds once the row has
 // caught up, from stale positions and scales and the bounds on how far these may coast.
 inline bool may_be_seen(__global const real *camera, real3 position, real3 log_scale,
@@ -159,17 +162,16 @@ inline bool may_be_seen(__global const real *camera, real3 position, real3 log_s
     const real z = p.z - far_off;
     if (!(z > near))
         return true;
-    const real2 focal = vload2(0, camera + CAMERA_FOCAL) / z;
+    const real2 whole_focal = vload2(0, camera + CAMERA_FOCAL);
+    const real2 focal = whole_focal * (1 / z), place = p.xy * (1 / p.z);
     const real2 ratio = fmax(fabs(vload2(0, camera + CAMERA_RATIOS)),
                              fabs(vload2(1, camera + CAMERA_RATIOS)));
     const real2 reach = focal * exp(fmax(log_scale.x, fmax(log_scale.y, log_scale.z)) +
                                     (real)MOST_M_BY_V * coefficients[LAG_SCALES]);
-    const real cutoff = 2.003 * log((real)ALPHA_STEPS); // of an opacity of 1, and a hair more
     const real2 extent =
-        sqrt(cutoff * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS])) +
-        focal * far_off * (1 + fabs(p.xy) / p.z);
-    const real2 mean = vload2(0, camera + CAMERA_FOCAL) * p.xy / p.z +
-                       vload2(0, camera + CAMERA_CENTRE);
+        sqrt((real)MOST_CUTOFF * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS])) +
+        focal * far_off * (1 + fabs(place));
+    const real2 mean = whole_focal * place + vload2(0, camera + CAMERA_CENTRE);
     const real2 size = vload2(0, camera + CAMERA_SIZE);
     return mean.x + extent.x > 0 && mean.y + extent.y > 0 && mean.x - extent.x < size.x &&
            mean.y - extent.y < size.y;
