@@ -77,7 +77,8 @@ def test_a_row_stays_whatever_the_other_views_say(device):
 
     views = one((0, 1, 2), 1.0), one((0, NO_ROW, 2), np.nan), one((0, 1, 2), 4.0)
     views[1].fields["opacity_logits"].write(np.array([1.0, np.nan, -5.0]))
-    result = batch_mean(device, 3, 3, views, USED)
+    used = {**dict.fromkeys(USED, 0), "opacity_logits": 1}
+    result = batch_mean(device, 3, 3, views, used)
     assert result.rows.download().tolist() == [0, NO_ROW, 2]
     assert np.allclose(result.fields["opacity_logits"].download()[[0, 2]], [2, 0])
 

@@ -25,6 +25,7 @@ class Darkness(LossTerm):
     """A pull of the image to black: the mean of its squares."""
 
     name = "darkness"
+    waits = True
 
     def weight(self, plan):
         return 20.0
@@ -42,7 +43,7 @@ class Nearness(LossTerm):
     """A pull of the summed depth to 0, which needs frames with depth."""
 
     name = "nearness"
-    needs_depth = True
+    needs_depth = waits = True
 
     def add_to(self, grad, frame, image, sample, weight):
         shape = frame.blended.depth.shape
