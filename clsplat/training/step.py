@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import COUNT_SUM_PAIRS, COUNT_SUM_VISIBLE
+from clsplat.constants import COUNT_DONE, COUNT_SUM_PAIRS, COUNT_SUM_VISIBLE
 from clsplat.densify.grow import Candidates, plan_growth
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
@@ -125,7 +125,9 @@ class Step:
 
     def poll_skipped(self) -> bool:
         """Update `skipped`, and tell whether the first gradients were skipped; waits."""
-        return self.skipped.poll(_long(self.settle(), COUNT_SUM_VISIBLE))
+        counts = self.settle()
+        views = int(counts[COUNT_DONE]) if self._exposures else 0  # each has one by its transform
+        return self.skipped.poll(_long(counts, COUNT_SUM_VISIBLE) + views)
 
     # --- a step
 
