@@ -1,6 +1,6 @@
 // Item form of blend.cl (see there), for CPUs: a work-item owns a tile; a row of 16 pixels is one
-// vector; the tile's state lives in private memory; rows a splat's ellipse does not reach, or that are
-// opaque, are skipped.
+// vector; the tile's state lives in private memory; blocks of rows that a splat's ellipse does not
+// reach, or that are opaque, are skipped.
 
 // A row of the tile, cut at the right border of the image.
 inline void store_row(real16 value, __global real *row, int columns)
