@@ -69,7 +69,7 @@ class Candidates:
                  prunes_large: bool) -> None:
         self.rows, self.options = rows, options
         self.scales = np.exp(rows["log_scales"].astype(np.float64))
-        self.largest = self.scales.max(axis=1)
+        self.largest = np.maximum.reduce(self.scales.T)  # by columns: much faster than by rows
         limited = prunes_large and options.prune_size > 0
         self.limit = options.prune_size * extent if limited else np.finfo(float).max
         self.is_small = self.largest <= options.split_size * extent

@@ -37,7 +37,8 @@ def outside(positions: NDArray[np.float32], anchors: NDArray[np.float32],
     """Which positions [N, 3] are further than reach x max_offsets [N] from their anchors [N, 3], or
     not a number."""
     with np.errstate(over="ignore", invalid="ignore"):
-        distance = np.linalg.norm(positions.astype(np.float64) - anchors, axis=1)
+        x, y, z = (positions.astype(np.float64) - anchors).T
+        distance = np.sqrt(x * x + y * y + z * z)  # by columns: much faster than by rows
         inside: NDArray[np.bool_] = distance <= reach * max_offsets.astype(np.float64)
         return ~inside
 

@@ -11,9 +11,8 @@ import clsplat.device.runtimes  # noqa: F401  (before anything imports pyopencl)
 from clsplat.device.array import Array, ArraySpec
 from clsplat.device.device import Device, Handle
 from clsplat.device.find import choose_device, choose_handle, list_devices, open_device
-from clsplat.device.graph import FloatInput, Graph, Input, IntInput
+from clsplat.device.graph import Graph
 from clsplat.device.kernel import Forms, Kernel, each, groups, items
 
-__all__ = ["Array", "ArraySpec", "Device", "FloatInput", "Forms", "Graph", "Handle", "Input",
-           "IntInput", "Kernel", "choose_device", "choose_handle", "each", "groups", "items",
-           "list_devices", "open_device"]
+__all__ = ["Array", "ArraySpec", "Device", "Forms", "Graph", "Handle", "Kernel", "choose_device",
+           "choose_handle", "each", "groups", "items", "list_devices", "open_device"]

@@ -20,7 +20,7 @@ from clsplat.device import binaries
 from clsplat.device.arena import Arena, Block
 from clsplat.device.array import Array
 from clsplat.device.capabilities import probe_capabilities, probe_wave
-from clsplat.device.graph import Graph, Input
+from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Kernel
 from clsplat.device.runtimes import ignore_file_limits
 from clsplat.device.source import define_options, kernel_source
@@ -205,7 +205,7 @@ class Device:
                                 call.nbytes)
 
     @contextmanager
-    def record(self, **inputs: Input) -> Iterator[Graph]:
+    def record(self, **inputs: Array | float) -> Iterator[Graph]:
         """Record all launches of the block, which run as well, for `Graph.replay`.
 
         Short-lived arrays of the block are only valid while a replay runs, except those of
@@ -214,7 +214,8 @@ class Device:
 
         Parameters
         ----------
-        inputs : arrays and numbers that a replay may replace.
+        inputs : arrays and numbers that a replay may replace. Launches of the block must use those
+            of the graph's `inputs`, as they are.
         """
         graph = self._recording = Graph(self, inputs)
         try:

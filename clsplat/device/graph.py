@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import pyopencl as cl
@@ -31,27 +32,28 @@ class IntInput(_AsItIs, int):
     """As `FloatInput`, for integers."""
 
 
-Input = Array | FloatInput | IntInput
-
-
 class Graph:
     """What `Device.record` recorded: kernels with their arguments, and fills, in order.
 
     Parameters
     ----------
     device : of the launches.
-    inputs : name -> what stands for an input while it is recorded.
+    inputs : name -> an array or a number.
 
     Attributes
     ----------
+    inputs : name -> what stands for an input while it is recorded.
     result : whatever the recorder wants to keep with it.
     """
 
-    def __init__(self, device: Device, inputs: dict[str, Input]) -> None:
+    def __init__(self, device: Device, inputs: Mapping[str, Array | float]) -> None:
         self.device, self.result = device, None
-        self._inputs = inputs
+        self.inputs: dict[str, Any] = {
+            name: value if isinstance(value, Array) else
+            IntInput(value) if isinstance(value, int) else FloatInput(value)
+            for name, value in inputs.items()}
         self._names = {id(value.buffer if isinstance(value, Array) else value): name
-                       for name, value in inputs.items()}
+                       for name, value in self.inputs.items()}
         # (list of arguments, index) at which an input stands
         self._places: dict[str, list[tuple[list[Any], int]]] = {name: [] for name in inputs}
         self._commands: list[tuple[str, Any, int, int, list[Any]]] = []
@@ -76,7 +78,7 @@ class Graph:
             if name is not None:
                 self._places[name].append((arguments, index))
 
-    def replay(self, **inputs: Input | float) -> None:
+    def replay(self, **inputs: Array | float) -> None:
         """Enqueue all commands again.
 
         Parameters
@@ -90,7 +92,7 @@ class Graph:
         for name, value in inputs.items():
             raw: Any = value
             if isinstance(value, Array):
-                recorded = self._inputs[name]
+                recorded = self.inputs[name]
                 if not isinstance(recorded, Array) or (
                         value.shape != recorded.shape or value.dtype != recorded.dtype):
                     raise ShapeError(f"input '{name}' has another shape or type than recorded")

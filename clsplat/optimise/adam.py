@@ -9,7 +9,7 @@ step.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -181,7 +181,8 @@ class DeviceAdam:
                 gradient=nothing if by_colour else fields["sh_rest"],
                 sh_rest=rows["sh_rest"], m=m["rest"], v=v["rest"])
         device.launch(
-            STEP_SMALL, defines, work=max(len(gradients.rows), CATCH_UP_EVERY), share=SH_C0 if by_colour else 1.0, counts=counts,
+            STEP_SMALL, defines, work=max(len(gradients.rows), CATCH_UP_EVERY),
+            share=SH_C0 if by_colour else 1.0, counts=counts,
             **{name: numbers[name] for name in self.NUMBERS if name != "before"},
             visible=gradients.visible, rows=gradients.rows, grad_colours=colours,
             **{f"grad_{field.name}": fields[field.name] for field in SMALL
@@ -189,19 +190,20 @@ class DeviceAdam:
             **{field.name: rows[field.name] for field in SMALL}, m=m["small"], v=v["small"],
             **self._lag_of(rows))
 
-    def advance(self, step: int, rows: Mapping[str, Array], used: Mapping[str, int],
+    def advance(self, step: int, degree: int, rows: Callable[[], Mapping[str, Array]],
                 frozen: Array | None, counts: Array) -> None:
         """Note that a step was enqueued; every CATCH_UP_EVERY-th moves all rows that lag.
 
         Parameters
         ----------
         step : its number.
-        rows, used, frozen : as they were for it.
-        counts : as for `catch_up_seen`.
+        degree : of the active harmonics.
+        rows : returns the rows as they were for `apply`.
+        frozen, counts : as for `catch_up_seen`.
         """
-        self.steps, self._degree, self.is_current = step, _degree_of(used), not self.dense
+        self.steps, self._degree, self.is_current = step, degree, not self.dense
         if self.dense and step % CATCH_UP_EVERY == 0:
-            self._coast(rows, frozen, None, True, step, self._degree, counts)
+            self._coast(rows(), frozen, None, True, step, degree, counts)
             self.is_current = True
 
     def step(self, rows: Mapping[str, Array], gradients: Gradients, step: int,
@@ -213,7 +215,7 @@ class DeviceAdam:
         rows that they have must have caught up with the step before.
         """
         self.apply(rows, gradients, self.numbers(step, rates), used)
-        self.advance(step, rows, used, frozen, gradients.counts)
+        self.advance(step, _degree_of(used), lambda: rows, frozen, gradients.counts)
 
     def catch_up(self, rows: Mapping[str, Array], frozen: Array | None = None) -> None:
         """Move all rows that lag behind the last step.

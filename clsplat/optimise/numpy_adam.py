@@ -1,7 +1,7 @@
 """Adam with moments in host memory: the readable reference, and the engine of models whose moments
 do not fit the device."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -68,7 +68,7 @@ class NumpyAdam:
                       frozen: Array | None, camera: Array, counts: Array) -> None:
         """As `DeviceAdam.catch_up_seen`: no row lags."""
 
-    def advance(self, step: int, rows: Mapping[str, Array], used: Mapping[str, int],
+    def advance(self, step: int, degree: int, rows: Callable[[], Mapping[str, Array]],
                 frozen: Array | None, counts: Array) -> None:
         """As `DeviceAdam.advance`."""
         self.steps = step

@@ -166,7 +166,8 @@ class Training:
                     self.save()
             self.save()
             if self.finished():
-                save_model(self.run, self.session)
+                with self.clock.paused():
+                    save_model(self.run, self.session)
         if not self.finished():
             raise self.stopped()
         if self.evaluator.evaluated_at != self.session.iteration:

@@ -10,7 +10,7 @@ from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Rows
 
-MARGIN = 1.5  # of room over the most that was seen; views differ, and gaussians grow between rounds
+MARGIN = 1.25  # of room over the most that was seen; views differ, and gaussians grow between rounds
 
 
 class Rooms:

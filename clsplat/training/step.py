@@ -12,7 +12,7 @@ from clsplat.densify.grow import Candidates, plan_growth
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
 from clsplat.densify.statistics import Statistics
-from clsplat.device import Array, FloatInput, Graph, Input, IntInput
+from clsplat.device import Array, Graph
 from clsplat.gaussians import FIELDS, LEARNED
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
@@ -67,7 +67,7 @@ class Step:
         self.units, self._rooms = Units(self.device, self._make_room), Rooms(renderer)
         self._graphs: dict[Any, Graph] = {}
         self._recorded_for: tuple[Any, ...] = 4 * (None,)
-        self._samples: dict[Unit, tuple[TrainingSample, bool]] = {}
+        self._samples: dict[Unit, tuple[Plan, TrainingSample]] = {}
         self.freeze()
         self._earlier_pairs = 0  # of the run, before this process
 
@@ -153,9 +153,9 @@ class Step:
             def unit(slot: int = slot, sample: TrainingSample = sample) -> None:
                 measured[slot] = self._take(plan, sample, numbers, slot)
                 if slot == views - 1:
-                    self._model.adam.advance(iteration, self._learned(), self._used(plan.degree),
+                    self._model.adam.advance(iteration, plan.degree, self._learned,
                                              self.frozen, self.units.counts)
-            self._samples[unit] = sample, any(t.needs_depth for t in self._terms_for(plan, sample))
+            self._samples[unit] = plan, sample
             self.units.submit(unit)
         return measured
 
@@ -174,7 +174,8 @@ class Step:
         return [term for term in self.terms_in(plan) if sample.source or not term.needs_source]
 
     def _make_room(self, unit: Unit) -> None:
-        sample, with_depth = self._samples[unit]
+        plan, sample = self._samples[unit]
+        with_depth = any(term.needs_depth for term in self._terms_for(plan, sample))
         _, height, width = sample.photo.shape
         self._rooms.enlarge(self._model.rows, sample.camera, width, height, with_depth)
         self._graphs.clear()
@@ -192,13 +193,11 @@ class Step:
         numbers = {**numbers, **{_weight(term): float(term.weight(plan)) for term in terms}}
         if not self._model.adam.RECORDS or any(term.waits for term in terms):
             return self._enqueue(plan, sample, numbers, slot, None)
-        inputs: dict[str, Input] = {
-            "camera": sample.camera, "photo": sample.photo, "view": IntInput(sample.view),
-            **{name: IntInput(value) if isinstance(value, int) else FloatInput(value)
-               for name, value in numbers.items()}}
+        inputs: dict[str, Any] = {"camera": sample.camera, "photo": sample.photo,
+                                  "view": sample.view, **numbers}
         if source:
             inputs |= {"source": source.photo, "geometries": source.geometries,
-                       "colours": source.colours, "pair": IntInput(source.pair)}
+                       "colours": source.colours, "pair": source.pair}
         key = (slot, plan.degree, plan.gathers, tuple(term.name for term in terms),
                sample.photo.shape, source and source.photo.shape)
         if graph := self._graphs.get(key):
@@ -208,7 +207,8 @@ class Step:
             _, height, width = sample.photo.shape
             room = self._rooms.room(self._model.rows, sample.camera, width, height, with_depth)
             with self.device.record(**inputs) as graph:
-                graph.result = self._enqueue(plan, _of_inputs(inputs, sample), inputs, slot, room)
+                graph.result = self._enqueue(plan, _of_inputs(graph.inputs, sample), graph.inputs,
+                                             slot, room)
             self._graphs[key] = graph
         measured: Measured = graph.result
         return measured

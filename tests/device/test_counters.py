@@ -1,4 +1,4 @@
-"""The counters of a device: kernels and fills, waits, which copies between host and device are, too,
+"""The counters of a device: kernels and fills; waits, which copies to and from the host are too;
 and arrays."""
 
 import numpy as np
