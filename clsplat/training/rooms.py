@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from clsplat.device import Array
 from clsplat.rendering.bands import choose_bands, pair_limit
-from clsplat.rendering.pipeline import Renderer, Room
+from clsplat.rendering.pipeline import Bands, Renderer, Room
 from clsplat.rendering.project import Rows
 
-MARGIN = 1.25  # of room over the most that was seen; views differ, and gaussians grow between rounds
+MARGIN = 1.25  # of room over the most that was seen, as views differ
 
 
 class Rooms:
@@ -62,8 +62,11 @@ class Rooms:
         limit = self.renderer.pair_limit
         if limit is None:
             limit = pair_limit(self.renderer.device, width, height, with_depth)
-        fits = self._most_pairs[size] <= limit
-        wanted = math.ceil(MARGIN * self._most_pairs[size]) + len(tiles)
-        self._rooms[size] = Room(
-            min(count, math.ceil(MARGIN * self._most_visible)), min(wanted, limit),
-            (None,) if fits else choose_bands(most, limit))
+        bands: Bands = (None,)
+        pairs = self._most_pairs[size]
+        if pairs > limit:
+            bands = choose_bands(most, limit)
+            pairs = max(int(most[band.start:band.stop].sum()) for band in bands if band)
+        wanted = math.ceil(MARGIN * pairs) + len(tiles)
+        self._rooms[size] = Room(min(count, max(1, math.ceil(MARGIN * self._most_visible))),
+                                 max(pairs, min(wanted, limit)), bands)
