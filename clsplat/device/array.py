@@ -76,7 +76,7 @@ class Array:
         """The same memory as another type, under a shape of as many bytes."""
         if math.prod(shape) * np.dtype(dtype).itemsize != self.nbytes:
             raise ShapeError(f"cannot view {self.dtype}{self.shape} as {dtype}{shape}")
-        return Array(self.device, self.buffer, shape, dtype)
+        return Array(self.device, self.buffer, shape, dtype, self.block)
 
     def download(self) -> NDArray[Any]:
         """A numpy copy; waits for everything queued before."""
