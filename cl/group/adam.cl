@@ -1,7 +1,7 @@
 // Group form of adam.cl (see there). A work-item takes the small columns of a row; the harmonics of
 // the group's rows are then spread over its work-items, so that neighbours touch neighbouring
 // columns. Work-groups have at most MOST_ITEMS work-items.
-#define MOST_ITEMS 128
+#define MOST_ITEMS 256
 DEFINE_UPDATE(moment1, , moment, LOAD_ONE, STORE_ONE, LOAD_MOMENTS(1), STORE_MOMENTS(1))
 
 __kernel void adam_harmonics(uint now, uint rank_one, real rate, real correction,

@@ -202,7 +202,7 @@ class Device:
             self._profile.append((kernel.function, event))
         if self._recording is not None:
             self._recording.add(kernel.function, built, call.items, call.group, call.arguments,
-                                call.nbytes)
+                                call.nbytes, self._scalar_dtypes(kernel.forms.of(self)))
 
     @contextmanager
     def record(self, **inputs: Array | float) -> Iterator[Graph]:
@@ -254,10 +254,13 @@ class Device:
             self._programs[file, defines] = program, checked
         built = cl.Kernel(program, kernel.function)
         kernel.check_built(built)
-        built.set_scalar_arg_dtypes(
-            [self._dtypes[a] if isinstance(a, str) else None for a in kernel.arguments.values()])
+        built.set_scalar_arg_dtypes(self._scalar_dtypes(kernel))
         self.build_seconds += time.perf_counter() - start
         return built
+
+    def _scalar_dtypes(self, kernel: Contract) -> list[Any]:
+        """The type of each argument that is a number, None for arrays."""
+        return [self._dtypes[a] if isinstance(a, str) else None for a in kernel.arguments.values()]
 
     def finish(self) -> None:
         """Wait for everything queued."""

@@ -56,7 +56,9 @@ class Graph:
                        for name, value in self.inputs.items()}
         # (list of arguments, index) at which an input stands
         self._places: dict[str, list[tuple[list[Any], int]]] = {name: [] for name in inputs}
-        self._commands: list[tuple[str, Any, int, int, list[Any]]] = []
+        # (function, kernel or None for a fill, items, items of a group, arguments, which are kept as
+        # kernels do not keep arrays alive, whether inputs are among these)
+        self._commands: list[tuple[str, Any, int, int, list[Any], bool]] = []
         self._nbytes = 0
 
     def __len__(self) -> int:
@@ -69,14 +71,30 @@ class Graph:
         return [function for function, *_ in self._commands]
 
     def add(self, function: str, kernel: Any, items: int, group: int, arguments: list[Any],
-            nbytes: int) -> None:
-        """Record a launch, or a fill of (buffer, value, bytes) where `kernel` is None."""
-        self._commands.append((function, kernel, items, group, arguments))
+            nbytes: int, scalar_dtypes: list[Any] | None = None) -> None:
+        """Record a launch, or a fill of (buffer, value, bytes) where `kernel` is None.
+
+        Parameters
+        ----------
+        function : the name of the kernel.
+        kernel : a built kernel.
+        items, group : work-items of the launch and of a group.
+        arguments : of the launch.
+        nbytes : of the arrays among them.
+        scalar_dtypes : of the arguments that are numbers, None for the others.
+        """
         self._nbytes += nbytes
+        changes = False
         for index, argument in enumerate(arguments):
             name = self._names.get(id(argument))
             if name is not None:
                 self._places[name].append((arguments, index))
+                changes = True
+        if kernel is not None and not changes:  # its arguments are set once, in a kernel of its own
+            kernel = cl.Kernel(kernel.program, function)
+            kernel.set_scalar_arg_dtypes(scalar_dtypes)
+            kernel.set_args(*arguments)
+        self._commands.append((function, kernel, items, group, arguments, changes))
 
     def replay(self, **inputs: Array | float) -> None:
         """Enqueue all commands again.
@@ -101,9 +119,11 @@ class Graph:
                 arguments[index] = raw
         device, queue = self.device, self.device.queue
         profile = device._profile
-        for function, kernel, items, group, arguments in self._commands:
+        for function, kernel, items, group, arguments, changes in self._commands:
             if kernel is None:
                 event = cl.enqueue_fill_buffer(queue, *arguments)
+            elif not changes:
+                event = cl.enqueue_nd_range_kernel(queue, kernel, (items,), (group,))
             else:
                 event = kernel(queue, (items,), (group,), *arguments)
             if profile is not None:
