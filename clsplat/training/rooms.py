@@ -63,7 +63,17 @@ class Rooms:
         if limit is None:
             limit = pair_limit(self.renderer.device, width, height, with_depth)
         fits = self._most_pairs[size] <= limit
-        wanted = math.ceil(MARGIN * self._most_pairs[size]) + len(tiles)
         self._rooms[size] = Room(
-            min(count, math.ceil(MARGIN * self._most_visible)), min(wanted, limit),
+            visible_room(self._most_visible, count),
+            pairs_room(self._most_pairs[size], len(tiles), limit),
             (None,) if fits else choose_bands(most, limit))
+
+
+def visible_room(most: int, count: int) -> int:
+    """Room for gaussians that a view sees, of `count`, where so many were seen at most."""
+    return min(count, math.ceil(MARGIN * most))
+
+
+def pairs_room(most: int, tiles: int, limit: int) -> int:
+    """Room for pairs, at most `limit`, where an image of so many tiles had so many at most."""
+    return min(math.ceil(MARGIN * most) + tiles, limit)
