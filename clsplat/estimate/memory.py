@@ -163,6 +163,8 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
             used = [term for term in terms if term.weight(plan) and (
                 not term.needs_source or len(prepared.decisions.neighbours[index]))]
             pool.add(step_arrays(device, prepared, size, used))
+            if ENGINES[options.engine].RECORDS:
+                pool.add(measure_arrays(device, size))
             image = size.width, size.height
             results[image] = max(results.get(image, 0),
                                  _bytes(device, result_arrays(prepared, used, *image)))
@@ -220,6 +222,8 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
     if exposes:
         arrays += Exposures.frame_arrays(*image)
     if not ENGINES[options.engine].RECORDS:
+        arrays = [array._replace(shape=(count,)) if array.name == "visible" else array
+                  for array in arrays]  # without a Room: one slot a gaussian
         arrays += [FrameArray("result", *spec, "loss", "adam")
                    for term in terms for spec in term.results(*image)]
     if options.batch > 1:
