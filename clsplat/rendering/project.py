@@ -154,8 +154,8 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
               if f.name not in ("sh_constant", "sh_rest")}
     grad_colours, directions = device.empty((count, 3)), device.empty((count, 3))
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
-    device.launch(ADJOINT, defines, work=max(count, 1), sum_count=splat_grads.shape[1], half_width=size[0] / 2,
-                  half_height=size[1] / 2, counts=counts, rows=visible, camera=camera,
+    device.launch(ADJOINT, defines, work=max(count, 1), sum_count=splat_grads.shape[1],
+                  half_width=size[0] / 2, half_height=size[1] / 2, counts=counts, rows=visible, camera=camera,
                   **_learned(rows), sums=splat_grads,
                   **{f"grad_{name}": g for name, g in stored.items()}, grad_colours=grad_colours,
                   directions=directions, grad_means=grad_means, active=active, skipped=skipped,

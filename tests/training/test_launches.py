@@ -15,7 +15,8 @@ from tests.data.tiny_training import CITY, LEVELLED, STILL, options_of
 STEPS = 40
 MOST = 20  # launches and fills of a step of the group form
 # exposures, statistics for growth and harmonics of degree 3 from the first step on
-ALL_ON = {"iterations": STEPS, "exposure": "on", "sh_degree": 3, "sh_every": 1, "densify_until": 10**6, **STILL}
+ALL_ON = {"iterations": STEPS, "exposure": "on", "sh_degree": 3, "sh_every": 1,
+          "densify_until": 10**6, **STILL}
 
 
 @pytest.fixture(scope="module")
