@@ -72,7 +72,7 @@ class Graph:
 
     def add(self, function: str, kernel: Any, items: int, group: int, arguments: list[Any],
             nbytes: int, scalar_dtypes: list[Any] | None = None) -> None:
-        """Record a launch, or a fill of (buffer, value, bytes) where `kernel` is None.
+        """Record a launch, or where `kernel` is None a fill of (buffer, value, bytes).
 
         Parameters
         ----------

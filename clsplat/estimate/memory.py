@@ -14,21 +14,32 @@ import numpy as np
 
 from clsplat.densify.statistics import Statistics
 from clsplat.device import ArraySpec, Device
+from clsplat.device.arena import block_bytes
 from clsplat.estimate.trial_steps import sampled, settled, spread_out, trial_plan
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import LossTerm
 from clsplat.loss.terms import terms_of
-from clsplat.optimise import batch
+from clsplat.optimise.batch import BatchMean
 from clsplat.rendering.bands import pair_limit
-from clsplat.rendering.frame_arrays import FrameArray, FrameSize, by_stage, frame_arrays
+from clsplat.rendering.bin import tile_grid
+from clsplat.rendering.frame_arrays import (
+    FrameArray,
+    FrameSize,
+    by_stage,
+    frame_arrays,
+    measure_arrays,
+)
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import CAMERA
+from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
 from clsplat.training.model import ENGINES, Model, grown_capacity
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
+from clsplat.training.rooms import pairs_room, visible_room
 from clsplat.training.session import PreparedScene
 from clsplat.training.source_views import SourceViews
+from clsplat.training.units import COUNTS
 
 SAMPLED_VIEWS = 48
 MOST_SAMPLED = 200_000  # gaussians that are rendered; larger numbers are extrapolated
@@ -87,7 +98,7 @@ class Frames:
 
 
 class Pool:
-    """The bytes that the device's pool keeps for short-lived arrays.
+    """The bytes that the device's arena keeps for short-lived arrays.
 
     For each block size it keeps as many blocks as were in use at once.
     """
@@ -146,14 +157,19 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
             total = max(total, others + growing + ArraySpec((segment.gaussians,)).nbytes(
                 np.dtype(np.uint32)))
             count, pool = segment.gaussians, Pool(device.real)
-        for index, (splats, pairs) in zip(frames.indices, frames.at(count)):
-            camera, plan = shown[index].camera, trial_plan(options, level, segment.regularises)
-            pairs = min(pairs, pair_limit(device, camera.width, camera.height, True))
-            size = FrameSize(count, splats, pairs, camera.width, camera.height)
+        results = dict[tuple[int, int], int]()  # size of an image -> bytes
+        for index, size in zip(frames.indices, _sizes(device, prepared, shown, frames, count)):
+            plan = trial_plan(options, level, segment.regularises)
             used = [term for term in terms if term.weight(plan) and (
                 not term.needs_source or len(prepared.decisions.neighbours[index]))]
             pool.add(step_arrays(device, prepared, size, used))
-        steps = max(steps, others + _bytes(device, model_of(capacity)) + pool.nbytes)
+            if ENGINES[options.engine].RECORDS:
+                pool.add(measure_arrays(device, size))
+            image = size.width, size.height
+            results[image] = max(results.get(image, 0),
+                                 _bytes(device, result_arrays(prepared, used, *image)))
+        steps = max(steps, others + _bytes(device, model_of(capacity)) + pool.nbytes
+                    + sum(results.values()))
     return Memory(max(total, steps), steps, most_photos, resident,
                   _bytes(device, model_of(capacity)))
 
@@ -171,15 +187,32 @@ def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:
     """The other persistent arrays with `count` gaussians, without photos."""
     options, views, scene = prepared.options, prepared.train_views, prepared.scene
     neighbours = prepared.decisions.neighbours
-    return [*Statistics.arrays(count).values(), *Renderer.ARRAYS, *len(views) * [CAMERA],
+    rows = Model.arrays([field.name for field in LEARNED], options.sh_degree, count)
+    return [*Statistics.arrays(count).values(), *Renderer.ARRAYS, *len(views) * [CAMERA], COUNTS,
+            *(BatchMean.arrays(rows).values() if options.batch > 1 else ()),
             *(Exposures.arrays(len(views)).values() if options.exposure == "on" else ()),
             *(SourceViews.arrays(neighbours).values() if neighbours else ()),
             *([ArraySpec((count,), np.uint32)] if scene.region else ())]  # Step.frozen
 
 
+def result_arrays(prepared: PreparedScene, terms: Iterable[LossTerm], width: int, height: int
+                  ) -> list[ArraySpec]:
+    """What recorded steps keep of the loss, for images of one size."""
+    options = prepared.options
+    if not ENGINES[options.engine].RECORDS:
+        return []
+    return options.batch * [spec for term in terms for spec in term.results(width, height)]
+
+
 def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
                 terms: Iterable[LossTerm]) -> list[FrameArray]:
-    """The arrays that a step allocates for a view, with these terms of the loss."""
+    """The short-lived arrays of a step on a view, with these terms of the loss.
+
+    Parameters
+    ----------
+    device, prepared, terms : of the training.
+    size : of the frame; where steps are recorded, the sizes of its Room (rooms.py).
+    """
     options, terms = prepared.options, list(terms)
     exposes, count, seen = options.exposure == "on", size.gaussians, size.splats
     degree, image = options.sh_degree, (size.width, size.height)
@@ -188,18 +221,35 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
         arrays += term.arrays(*image, "exposure" if exposes else "project adjoint")
     if exposes:
         arrays += Exposures.frame_arrays(*image)
+    if not ENGINES[options.engine].RECORDS:
+        arrays = [array._replace(shape=(count,)) if array.name == "visible" else array
+                  for array in arrays]  # without a Room: one slot a gaussian
+        arrays += [FrameArray("result", *spec, "loss", "adam")
+                   for term in terms for spec in term.results(*image)]
     if options.batch > 1:
-        arrays += batch.frame_arrays(count, seen, degree)
+        rows = Model.arrays([field.name for field in LEARNED], degree, count)
+        arrays += BatchMean.frame_arrays(count, seen, rows)
     for array in arrays:
         device.check_size(array.nbytes(device.real))
     return arrays + ENGINES[options.engine].frame_arrays(count, seen, degree,
                                                          options.optimizer == "dense")
 
 
-def block_bytes(size: int) -> int:
-    """Bytes that the pool takes for `size` bytes: the largest size of its bin, two per octave."""
-    half = 1 << max(0, size.bit_length() - 2)  # half of the leading bit
-    return (size // half + 1) * half - 1
+def _sizes(device: Device, prepared: PreparedScene, shown: Sequence[View], frames: Frames,
+           count: int) -> list[FrameSize]:
+    """The sizes of the frames of the sampled views, with `count` gaussians."""
+    cameras = [shown[index].camera for index in frames.indices]
+    exact = [FrameSize(count, splats, pairs, camera.width, camera.height)
+             for camera, (splats, pairs) in zip(cameras, frames.at(count))]
+    limits = [pair_limit(device, size.width, size.height, True) for size in exact]
+    if not ENGINES[prepared.options.engine].RECORDS:
+        return [size._replace(pairs=min(size.pairs, limit)) for size, limit in zip(exact, limits)]
+    visible = visible_room(max(size.splats for size in exact), count)
+    most = {size[3:]: max(other.pairs for other in exact if other[3:] == size[3:])
+            for size in exact}
+    return [size._replace(splats=visible, pairs=pairs_room(
+        most[size[3:]], math.prod(tile_grid(device, *size[3:])), limit))
+        for size, limit in zip(exact, limits)]
 
 
 def _bytes(device: Device, specs: Sequence[ArraySpec]) -> int:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.device import Array, Device, Forms, Kernel, groups, items
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, groups, items
 from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.primitives.reduce import sum_columns
 from clsplat.rendering.frame_arrays import FrameArray
@@ -80,11 +80,13 @@ class ImageLoss(LossTerm):
 
     def arrays(self, width: int, height: int, last: str) -> list[FrameArray]:
         """As `LossTerm.arrays`."""
-        rows = VALUE.units(self.device, W=width, H=height, strip=STRIP_ROWS)
         maps = [FrameArray("maps", (3, 3, height, width), None, "loss", "loss")]
         return [*maps * HAS_MAPS.of(self.device),
-                FrameArray("partials", (rows, 2), None, "loss", "loss"),
                 FrameArray("grad_image", (3, height, width), None, "loss", last)]
+
+    def results(self, width: int, height: int) -> list[ArraySpec]:
+        """As `LossTerm.results`."""
+        return [ArraySpec((VALUE.units(self.device, W=width, H=height, strip=STRIP_ROWS), 2))]
 
     def values(self, measured: list[tuple[Array, int]]) -> dict[str, float]:
         """The loss, mean |x - y| and mean SSIM, each a mean over the views."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.constants import GEOMETRY_REALS, TRANSFORM_REALS
-from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups, items
 from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.primitives.reduce import sum_columns
 from clsplat.rendering.frame_arrays import FrameArray
@@ -136,3 +136,7 @@ class Reprojection(LossTerm):
         return [FrameArray("partials", (height, 2), None, "reproject", "reproject"),
                 *(FrameArray(name, (height, width), None, "reproject", "project adjoint")
                   for name in ("grad_depth", "grad_transmittance"))]
+
+    def results(self, width: int, height: int) -> list[ArraySpec]:
+        """As `LossTerm.results`: the sums."""
+        return [ArraySpec((2,))]

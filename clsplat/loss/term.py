@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from clsplat.device import Array, Device
+from clsplat.device import Array, ArraySpec, Device
 from clsplat.primitives.reduce import add_to
 from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.rendering.pipeline import Frame
@@ -127,13 +127,18 @@ class LossTerm:
         raise NotImplementedError
 
     def arrays(self, width: int, height: int, last: str) -> list[FrameArray]:
-        """The arrays that `add_to` allocates for an image, except small ones, to estimate memory.
+        """The short-lived arrays that `add_to` allocates for an image, except small ones, to
+        estimate memory.
 
         Parameters
         ----------
         width, height : size of the image, pixels.
         last : the last stage that reads the gradient by the image.
         """
+        return []
+
+    def results(self, width: int, height: int) -> list[ArraySpec]:
+        """The arrays of `Device.result` that `add_to` allocates for an image of this size."""
         return []
 
     def values(self, measured: list[Any]) -> dict[str, float]:

@@ -118,6 +118,17 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
     return arrays
 
 
+def measure_arrays(device: Device, size: FrameSize) -> list[FrameArray]:
+    """The arrays of `Renderer.measure`, for a frame of this number of splats."""
+    tiles = int(np.prod(tile_grid(device, size.width, size.height)))
+    return [*_uints("flags", size.gaussians, "cull", "compact"),
+            *_uints("totals", chunks_of(device, size.gaussians), "cull", "compact"),
+            *_uints("kept", size.gaussians, "compact", "count"),
+            FrameArray("splats", (size.splats, SPLAT_REALS), None, "project", "count"),
+            *_uints("depth_keys", size.splats, "project", "count"),
+            *_uints("steps", tiles + 1, "count", "count")]
+
+
 def by_stage(arrays: Iterable[FrameArray]) -> list[list[FrameArray]]:
     """The arrays that are alive in each of STAGES."""
     alive: list[list[FrameArray]] = [[] for _ in STAGES]

@@ -67,6 +67,15 @@ class Rooms:
         if pairs > limit:
             bands = choose_bands(most, limit)
             pairs = max(int(most[band.start:band.stop].sum()) for band in bands if band)
-        wanted = math.ceil(MARGIN * pairs) + len(tiles)
-        self._rooms[size] = Room(min(count, max(1, math.ceil(MARGIN * self._most_visible))),
-                                 max(pairs, min(wanted, limit)), bands)
+        self._rooms[size] = Room(visible_room(self._most_visible, count),
+                                 pairs_room(pairs, len(tiles), limit), bands)
+
+
+def visible_room(most: int, count: int) -> int:
+    """Room for gaussians that a view sees, of `count`, where so many were seen at most."""
+    return min(count, max(1, math.ceil(MARGIN * most)))
+
+
+def pairs_room(most: int, tiles: int, limit: int) -> int:
+    """Room for pairs, at most `limit`, where an image of so many tiles had so many at most."""
+    return max(most, min(math.ceil(MARGIN * most) + tiles, limit))

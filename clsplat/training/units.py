@@ -18,11 +18,12 @@ from clsplat.constants import (
     COUNT_NEEDED_VISIBLE,
     FRAME_COUNTS,
 )
-from clsplat.device import Device
+from clsplat.device import ArraySpec, Device
 
 Unit = Callable[[], None]  # enqueues the work of one frame; COUNT_DONE counts those that are done
 MOST_PENDING = 50  # units, between two looks at the counts
 WRAP = 2**32
+COUNTS = ArraySpec((FRAME_COUNTS,), np.uint32)
 
 
 class Units:
@@ -40,7 +41,7 @@ class Units:
     """
 
     def __init__(self, device: Device, make_room: Callable[[Unit], None]) -> None:
-        self.counts = device.zeros(FRAME_COUNTS, np.uint32)
+        self.counts = device.zeros(*COUNTS)
         self.most_pending = MOST_PENDING
         self._make_room, self._pending, self._done = make_room, list[Unit](), 0
 

@@ -1,5 +1,4 @@
-"""The counters of a device: kernels and fills; waits, which copies to and from the host are too;
-and arrays."""
+"""The counters of a device: kernels and fills, waits (a copy from or to the host is one), arrays."""
 
 import numpy as np
 import pytest

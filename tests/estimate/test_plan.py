@@ -12,14 +12,15 @@ from clsplat.cli.main import main
 from clsplat.cli.plan import duration
 from clsplat.densify.grow import Growth
 from clsplat.device import Device
+from clsplat.device.arena import block_bytes
 from clsplat.estimate.detail import photo_detail
 from clsplat.estimate.forecast import Planned
 from clsplat.estimate.memory import (
     Memory,
     Pool,
-    block_bytes,
     model_arrays,
     other_arrays,
+    result_arrays,
     step_arrays,
 )
 from clsplat.estimate.step_time import MOST_PIXELS, fitted, load, pixels, predicted, stepped_with
@@ -34,7 +35,7 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
-from clsplat.rendering.frame_arrays import FrameSize
+from clsplat.rendering.frame_arrays import FrameSize, measure_arrays
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule import OURS, SceneFacts, scaled_steps, schedule_of
@@ -156,14 +157,18 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
     views, degree = prepared.train_views, prepared.options.sh_degree
     session = trial_session(prepared, device, sampled(prepared.scene, 3000, degree), 2.0)
     trial, pool, found = TrialSteps(session), Pool(device.real), []
-    render = session.renderer.render
+    render, measure, measured = session.renderer.render, session.renderer.measure, []
+
+    def noted_measure(*arguments):
+        measured.append(measure(*arguments))
+        return measured[-1]
 
     def noted(*arguments, **more):
         frame = render(*arguments, **more)
         found.append((len(frame.visible), frame.pairs.count))
         return frame
 
-    session.renderer.render = noted
+    session.renderer.render, session.renderer.measure = noted, noted_measure
     capacity = 3000
     for level, count in ((2.0, 3000), (1.0, 3000), (1.0, 5000)):
         session.photos = SizedPhotos(device, views, level)
@@ -180,7 +185,12 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
             camera = session.photos.views[index].camera
             size = FrameSize(count, *found[-1], camera.width, camera.height)
             plan = trial_plan(prepared.options, level, regularises)
-            pool.add(step_arrays(device, prepared, size, session.step.terms_in(plan)))
+            terms = session.step.terms_in(plan)
+            pool.add(step_arrays(device, prepared, size, terms))
+            for splats, _ in measured:
+                pool.add(measure_arrays(device, size._replace(splats=splats)))
+            measured.clear()
+        lasting += result_arrays(prepared, terms, camera.width, camera.height)
         assert device._persistent.nbytes == sum(spec.nbytes(device.real) for spec in lasting)
         bound = 0.05 if "batch" in options or "engine" in options else 0.01
         kept = device._pool.managed_bytes

@@ -1,0 +1,85 @@
+"""What a replayed step enqueues, waits for and allocates."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.schedule import OURS
+from clsplat.training.loop import Training
+from clsplat.training.step import Step
+from tests.data.tiny_training import CITY, LEVELLED, STILL, options_of
+
+STEPS = 40
+MOST = 20  # launches and fills of a step of the group form
+# exposures, statistics for growth and harmonics of degree 3 from the first step on
+ALL_ON = {"iterations": STEPS, "exposure": "on", "sh_degree": 3, "sh_every": 1,
+          "densify_until": 10**6, **STILL}
+
+
+@pytest.fixture(scope="module")
+def city():
+    return read_scene(CITY)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """counted(device, **options): (launches, waits, allocations) of each step of a training, a list
+    of options.batch samples' work each."""
+    def counted(device, scene, folder, **options):
+        found = []
+
+        def noted(step, *arguments):
+            before = device.launches, device.waits, device.allocations
+            result = run(step, *arguments)
+            after = device.launches, device.waits, device.allocations
+            found.append(tuple(np.subtract(after, before).tolist()))
+            return result
+
+        monkeypatch.setattr(Step, "run", noted)
+        training = Training(scene, options_of(**{**ALL_ON, **options}), device,
+                            RunFolder.create(folder))
+        with training.resumable():
+            training.clock.restart()
+            while not training.finished():
+                training.take_step()
+        return found
+
+    run = Step.run
+    return counted
+
+
+def of_a_replay(found):
+    """The launches of the steps that neither wait nor allocate: all but a few, and all equal."""
+    (common, number), *_ = Counter(found).most_common()
+    assert common[1:] == (0, 0) and number > 0.7 * len(found), Counter(found)
+    assert {launches for launches, *rest in found if rest == [0, 0]} == {common[0]}
+    return common[0]
+
+
+@pytest.mark.parametrize("schedule", OURS)
+@pytest.mark.parametrize("batch, item, group", [(1, 23, 20), (2, 69, 63)])
+def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedule, batch, item,
+                                  group):
+    options = {"levels": (1.0,), "reproject": "off"} if schedule == "sig" else {}
+    launches = of_a_replay(counted(float_device, city, tmp_path, schedule=schedule, batch=batch,
+                                   **options))
+    assert launches == (item if float_device.form == "item" else group)
+    assert batch > 1 or float_device.form == "item" or launches <= MOST
+
+
+def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
+    """Its weight is another one in each step."""
+    launches = of_a_replay(counted(float_device, city, tmp_path, **{
+        **LEVELLED, "levels": (1.0,), "rounds": 0, "iterations": STEPS, "sh_every": 1,
+        "reproject": "on", "densify_from": 1000, "densify_until": 10**6}))
+    assert launches == (26 if float_device.form == "item" else 23)
+
+
+def test_without_what_is_optional(float_device, city, tmp_path, counted):
+    """Neither exposures nor lazy rows that catch up."""
+    launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant",
+                                   exposure="off", optimizer="sparse"))
+    assert launches == (19 if float_device.form == "item" else 16)

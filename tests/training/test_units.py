@@ -1,0 +1,137 @@
+"""Units of work that lack room are repeated, and the training ends in the same bytes."""
+
+import numpy as np
+import pytest
+
+from clsplat.constants import COUNT_DONE, COUNT_FAILED, COUNT_NEEDED_PAIRS
+from clsplat.io.scenes import read_scene
+from clsplat.training import rooms
+from clsplat.training.step import Step
+from clsplat.training.units import Units
+from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
+from tests.training.test_block import block_of
+
+STEPS = {"iterations": 60, "densify_from": 10, "densify_every": 10, "densify_until": 60,
+         "reset_every": 25, "sh_every": 15, "exposure": "on"}
+LEVELS = {**LEVELLED, "iterations": 60}
+TRAININGS = {
+    "constant": {**STEPS, "schedule": "constant"},
+    "batch": {**STEPS, "schedule": "constant", "batch": 2},
+    "taming": {**STEPS, "schedule": "taming"},
+    "dash": {**STEPS, "schedule": "dash"},
+    "sig": LEVELS,
+    "sig batch": {**LEVELS, "batch": 2},
+    "block": {**STEPS, "schedule": "constant", "test_every": 0},
+}
+
+
+@pytest.fixture(scope="module")
+def city():
+    return read_scene(CITY)
+
+
+@pytest.fixture
+def repeated(monkeypatch):
+    """A list of the units for which room was made."""
+    units, make_room = [], Step._make_room
+
+    def noted(step, unit):
+        units.append(unit)
+        make_room(step, unit)
+    monkeypatch.setattr(Step, "_make_room", noted)
+    return units
+
+
+def scarce(monkeypatch):
+    """Room for a third of what the first view needs, and later for what has been seen."""
+    choose = rooms.Rooms.room
+
+    def room(*arguments):
+        with monkeypatch.context() as patch:
+            patch.setattr(rooms, "MARGIN", 0.3)
+            return choose(*arguments)
+    monkeypatch.setattr(rooms, "MARGIN", 1.0)
+    monkeypatch.setattr(rooms.Rooms, "room", room)
+
+
+@pytest.mark.parametrize("name", TRAININGS)
+def test_a_training_that_lacks_room_ends_in_the_same_bytes(item_device, city, tmp_path, monkeypatch,
+                                                           repeated, name):
+    same_bytes(item_device, city, tmp_path, monkeypatch, repeated, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TRAININGS)
+def test_so_it_does_in_the_group_form(group_device, city, tmp_path, monkeypatch, repeated, name):
+    if group_device.real == np.float32:
+        same_bytes(group_device, city, tmp_path, monkeypatch, repeated, name)
+
+
+def same_bytes(device, city, tmp_path, monkeypatch, repeated, name):
+    scene, ends = block_of(city) if name == "block" else city, []
+    for margin in ("ample", "scarce"):
+        repeated.clear()
+        if margin == "ample":
+            monkeypatch.setattr(rooms, "MARGIN", 3.0)
+        else:
+            scarce(monkeypatch)
+        run = trained(tmp_path / margin, scene, device, **TRAININGS[name])
+        steps = [(record["iteration"], record["loss"], record["pixel_pairs"],
+                  record["skipped_rows"]) for record in records(run, "step")]
+        grown = [(record["gaussians"], record["pixel_pairs"]) for record in records(run, "grow")]
+        ends.append((model_digest(run), steps, grown))
+        assert len(repeated) == 0 if margin == "ample" else len(repeated) > 2
+    assert ends[0] == ends[1] and len(ends[0][2]) > 1
+
+
+class Counted:
+    """Units on the host: each takes a room, and is done if there is enough."""
+
+    def __init__(self, device):
+        self.units, self.room, self.log, self.rooms_made = Units(device, self.make_room), 1, [], []
+
+    def unit(self, number, needed):
+        def run():
+            counts = self.units.counts.download()
+            if needed > self.room or counts[COUNT_FAILED]:
+                counts[COUNT_NEEDED_PAIRS] = max(counts[COUNT_NEEDED_PAIRS], needed)
+                counts[COUNT_FAILED] = 1
+            else:
+                self.log.append(number)
+                counts[COUNT_DONE] += 1
+            self.units.counts.write(counts)
+        run.needed = needed
+        return run
+
+    def make_room(self, unit):
+        counts = self.units.counts.download()
+        assert not counts[COUNT_FAILED] and not counts[COUNT_NEEDED_PAIRS]
+        self.rooms_made.append(unit.needed)
+        self.room = unit.needed
+
+
+@pytest.mark.parametrize("pending", [1, 3, 50])
+def test_units_are_done_once_and_in_order(item_device, pending):
+    counted = Counted(item_device)
+    counted.units.most_pending = pending
+    needs = [1, 1, 4, 2, 9, 9, 3, 1, 12]
+    for number, needed in enumerate(needs):
+        counted.units.submit(counted.unit(number, needed))
+    counts = counted.units.confirm()
+    assert counted.log == list(range(9)) and counted.rooms_made == [4, 9, 12]
+    assert counts[COUNT_DONE] == 9 and not counts[COUNT_FAILED]
+    assert np.array_equal(counted.units.confirm(), counts)
+
+
+def test_the_number_of_units_may_pass_32_bits(item_device):
+    counted = Counted(item_device)
+    counts = counted.units.counts.download()
+    counts[COUNT_DONE] = 2**32 - 2
+    counted.units.counts.write(counts)
+    counted.units.confirm()
+    counted.units._done = 2**32 - 2
+    with np.errstate(over="ignore"):
+        for number in range(5):
+            counted.units.submit(counted.unit(number, 1 + number % 2))
+        assert counted.units.confirm()[COUNT_DONE] == 3
+    assert counted.log == list(range(5))
