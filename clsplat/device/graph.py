@@ -56,7 +56,7 @@ class Graph:
                        for name, value in self.inputs.items()}
         # (list of arguments, index) at which an input stands
         self._places: dict[str, list[tuple[list[Any], int]]] = {name: [] for name in inputs}
-        # (function, kernel or None for a fill, items, items of a group, arguments, which are kept as
+        # (function, kernel or None for a fill, items, items a group, arguments, which are kept as
         # kernels do not keep arrays alive, whether inputs are among these)
         self._commands: list[tuple[str, Any, int, int, list[Any], bool]] = []
         self._nbytes = 0

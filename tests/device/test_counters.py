@@ -1,4 +1,5 @@
-"""The counters of a device: kernels and fills, waits (a copy from or to the host is one), arrays."""
+"""The counters of a device: kernels and fills, waits (a copy from or to the host is one), arrays.
+"""
 
 import numpy as np
 import pytest

@@ -5,8 +5,9 @@ import gc
 import numpy as np
 import pytest
 
-from clsplat.device import Device, FloatInput, IntInput
+from clsplat.device import Device
 from clsplat.device.arena import Arena, block_bytes
+from clsplat.device.graph import FloatInput, IntInput
 from clsplat.errors import ShapeError
 from clsplat.loss.reproject import SCALE
 from clsplat.primitives.gather import gather
@@ -50,12 +51,12 @@ def sums_of(device, replays):
     graph = None
     for seed in range(5):
         case = Case(device, seed)
-        inputs = dict(rows=case.rows, indices=case.indices, weight=FloatInput(case.weight))
+        inputs = dict(rows=case.rows, indices=case.indices, weight=case.weight)
         if not replays:
             found.append(work(device, total=total, **inputs).download())
         elif graph is None:
             with device.record(**inputs) as graph:
-                graph.result = work(device, total=total, **inputs)
+                graph.result = work(device, total=total, **graph.inputs)
             found.append(graph.result.download())
         else:
             graph.replay(**inputs)
@@ -75,9 +76,9 @@ def test_a_replay_does_what_direct_launches_do(own_device):
 
 def test_inputs_that_are_left_out_stay(own_device):
     device, case = own_device, Case(own_device, 0)
-    total, weight = device.zeros((5, 3)), FloatInput(1.0)
-    with device.record(rows=case.rows, weight=weight) as graph:
-        graph.result = work(device, case.rows, case.indices, total, weight)
+    total = device.zeros((5, 3))
+    with device.record(rows=case.rows, weight=1.0) as graph:
+        graph.result = work(device, case.rows, case.indices, total, graph.inputs["weight"])
     once = graph.result.download()
     other = Case(device, 1)
     graph.replay(rows=other.rows)
@@ -87,7 +88,7 @@ def test_inputs_that_are_left_out_stay(own_device):
         expected += other.rows.download()[case.indices.download()].sum(0) + 2.5
     assert np.allclose(graph.result.download(), expected, rtol=1e-5)
     total.fill(0)
-    graph.replay(rows=case.rows, weight=FloatInput(0.25))
+    graph.replay(rows=case.rows, weight=0.25)
     assert np.allclose(graph.result.download(), once / 4, rtol=1e-5)
 
 
