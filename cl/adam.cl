@@ -92,10 +92,12 @@ inline uint rounding_seed(uint row, uint column, uint now)
     return (row * MOMENT_STRIDE + column) ^ now * 0x9E3779B9u;
 }
 
-// One step on the small columns, and its terms of the sums of C and D. grad_colours times share are the gradients of sh_constant; rates are divided
-// by 1 - beta1^t, first = 1 / (1 - beta1^t); now is the number of the step, t.
+// One step on the small columns, and its terms of the sums of C and D, which a view that sees nothing
+// has, too: the launch is of work elements, at least CATCH_UP_EVERY. grad_colours times share are the
+// gradients of sh_constant; rates are divided by 1 - beta1^t, first = 1 / (1 - beta1^t); now is the
+// number of the step, t.
 __kernel void adam_small(
-    uint now, real first, real correction, real share, real rate_positions, real rate_sh_constant,
+    uint work, uint now, real first, real correction, real share, real rate_positions, real rate_sh_constant,
     real rate_sh_rest, real rate_opacity_logits, real rate_log_scales, real rate_quaternions,
     __global const uint *restrict counts, __global const uint *restrict visible, __global const uint *restrict rows,
     __global const real *restrict grad_positions, __global const real *restrict grad_colours,
@@ -109,7 +111,7 @@ __kernel void adam_small(
     if (counts[COUNT_FAILED])
         return;
     const uint count = counts[COUNT_VISIBLE];
-    FOR_EACH(i, max(count, (uint)CATCH_UP_EVERY)) {
+    FOR_EACH(i, min(work, max(count, (uint)CATCH_UP_EVERY))) {
         const uint begun = (now - 1) / CATCH_UP_EVERY * CATCH_UP_EVERY + i; // t0 of this row
         if (i < CATCH_UP_EVERY && begun < now) {
             const real missed = now - begun;

@@ -65,8 +65,11 @@ __kernel void project(__global const uint *restrict counts,
 // WITH_STATISTICS: what densification wants to know of each gaussian, summed over views: the norm of
 // the screen gradient of its mean in NDC units (pixel gradient x W/2, H/2; Kerbl et al. 2023), and how
 // many views saw it. Without these two choices the arrays are not touched.
+//
+// A unit of work is done with this kernel, also one whose view sees nothing: the launch is of work
+// elements, at least 1.
 __kernel void project_adjoint(
-    uint sum_count, real half_width, real half_height, __global uint *restrict counts,
+    uint work, uint sum_count, real half_width, real half_height, __global uint *restrict counts,
     __global const uint *restrict rows,
     __global const real *restrict camera, __global const real *restrict positions,
     __global const real *restrict sh_constant, __global const real *restrict sh_rest,
@@ -83,7 +86,7 @@ __kernel void project_adjoint(
         add_long(counts + COUNT_SUM_VISIBLE, counts[COUNT_VISIBLE]);
         counts[COUNT_DONE]++;
     }
-    FOR_EACH(v, counts[COUNT_VISIBLE]) {
+    FOR_EACH(v, min(work, counts[COUNT_VISIBLE])) {
         const uint row = rows[v];
         __global const real *sum = sums + (ulong)v * sum_count;
         const Footprint f =

@@ -12,19 +12,30 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from clsplat.camera import Camera
-from clsplat.constants import NO_ROW, SH_C0
+from clsplat.constants import (
+    NO_ROW,
+    SH_C0,
+    SPLAT_CONIC,
+    SPLAT_CUTOFF,
+    SPLAT_DEPTH,
+    SPLAT_EXTENT_Y,
+    SPLAT_MEAN,
+    SPLAT_REALS,
+)
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Device
 from clsplat.gaussians import LEARNED
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.numpy_adam import adam_update
-from clsplat.primitives.gather import compact, gather, scatter
+from clsplat.primitives.compact import compact, new_counts
+from clsplat.primitives.gather import gather, scatter
 from clsplat.primitives.reduce import sum_columns
-from clsplat.primitives.scan import exclusive_scan
 from clsplat.primitives.sort import stable_sort
+from clsplat.rendering.bin import bin_splats, tile_grid
+from clsplat.rendering.cull import cull
 from clsplat.rendering.pipeline import Gradients, Renderer
-from clsplat.rendering.project import LOW_PASS
+from clsplat.rendering.project import LOW_PASS, pack_camera
 
 SH_C1 = np.sqrt(3 / (4 * np.pi))
 NEAR = 0.1
@@ -72,19 +83,11 @@ def _wrong(*pairs: tuple[NDArray[Any], NDArray[Any]]) -> Measured:
 # --- primitives
 
 
-def scan(device: Device) -> Measured:
-    """Prefix sums of many values."""
-    values = np.random.default_rng(0).integers(0, 50, 100_003, dtype=np.uint32)
-    offsets, totals = exclusive_scan(device, device.upload(values))
-    expected = np.cumsum(values, dtype=np.uint64)
-    return _wrong((offsets.download(), expected - values), (totals.last(), expected[-1]))
-
-
 def sort(device: Device) -> Measured:
     """Keys of which many are equal."""
     rng = np.random.default_rng(1)
     keys = rng.choice(rng.integers(0, 2**32, 5000, dtype=np.uint32), 30_011)  # many equal
-    sorted_keys, order = stable_sort(device, device.upload(keys))
+    sorted_keys, order = stable_sort(device, device.upload(keys), new_counts(device, len(keys)))
     expected = np.argsort(keys, kind="stable")
     return _wrong((sorted_keys.download(), keys[expected]), (order.download(), expected))
 
@@ -101,14 +104,12 @@ def rows_by_index(device: Device) -> Measured:
 
 def compaction(device: Device) -> Measured:
     """The rows of random flags."""
-    rng = np.random.default_rng(3)
-    flags, keys = rng.integers(0, 2, (2, 10_007), dtype=np.uint32) * np.array(
-        [[1], [9]], np.uint32)
-    kept_keys, kept = compact(device, device.upload(flags), device.upload(keys))
+    flags = np.random.default_rng(3).integers(0, 2, 100_003, dtype=np.uint32)
+    kept = compact(device, device.upload(flags), new_counts(device))
     expected = np.flatnonzero(flags)
     if len(kept) != len(expected):
         return abs(len(kept) - len(expected)), 0, "rows too many or too few"
-    return _wrong((kept.download(), expected), (kept_keys.download(), keys[expected]))
+    return _wrong((kept.download(), expected))
 
 
 def sums(device: Device) -> Measured:
@@ -139,23 +140,12 @@ def adam(device: Device) -> Measured:
                 expected[f.name][seen[1:]], gradient[1:], first, second, step, f.rate)
         visible = device.upload(seen)
         seen[0] = NO_ROW
-        gradients = Gradients(fields, device.zeros((40, 2)), device.upload(seen), visible)
+        gradients = Gradients(fields, device.zeros((40, 2)), device.upload(seen), visible,
+                              new_counts(device, len(seen)))
         engine.step(rows, gradients, step, rates, {f.name: f.width(1) for f in LEARNED})
     error = max(_relative(rows[name].download().reshape(50, -1), values)
                 for name, values in expected.items())
     return error, 1e-6, "relative error"
-
-
-def statistics(device: Device) -> Measured:
-    """Screen gradients of some rows, summed in pixels."""
-    rng = np.random.default_rng(6)
-    means, seen = rng.normal(size=(40, 2)), rng.permutation(50)[:40].astype(np.uint32)
-    statistics = Statistics(device, 50)
-    rows = device.upload(seen)
-    statistics.accumulate(Gradients({}, device.upload(means), rows, rows), 90, 70)
-    expected = np.zeros(50)
-    expected[seen] = np.linalg.norm(means * (45, 35), axis=1)
-    return _relative(statistics.mean_gradient(), expected), 1e-6, "relative error"
 
 
 def _losses(image: NDArray[np.float64], photo: NDArray[np.float64], ssim_weight: float) -> float:
@@ -258,6 +248,69 @@ def _weights() -> NDArray[np.float64]:
     return np.random.default_rng(10).normal(size=(3, CAMERA.height, CAMERA.width))
 
 
+def _footprint(rows: Rows, i: int) -> NDArray[np.float64]:
+    """float64[2, 2], square pixels: the covariance of the i-th gaussian in CAMERA's image."""
+    p = CAMERA.rotation @ rows["positions"][i] + CAMERA.translation
+    w, x, y, z = rows["quaternions"][i] / np.linalg.norm(rows["quaternions"][i])
+    turn = np.array([[1 - 2 * (y*y + z*z), 2 * (x*y - w*z), 2 * (x*z + w*y)],
+                     [2 * (x*y + w*z), 1 - 2 * (x*x + z*z), 2 * (y*z - w*x)],
+                     [2 * (x*z - w*y), 2 * (y*z + w*x), 1 - 2 * (x*x + y*y)]])
+    slope = np.diag(CAMERA.focal) @ [[1, 0, -p[0] / p[2]], [0, 1, -p[1] / p[2]]] / p[2]
+    half = slope @ CAMERA.rotation @ turn * np.exp(rows["log_scales"][i])
+    return half @ half.T + LOW_PASS * np.eye(2)
+
+
+def culling(device: Device) -> Measured:
+    """The gaussians whose footprint meets the image, but for those next to its border."""
+    rows = _gaussians(1500, 0.03)
+    rows["positions"] = (1.25 * rows["positions"]).astype(np.float32).astype(np.float64)
+    flags, totals = cull(device, {name: device.upload(values) for name, values in rows.items()},
+                         pack_camera(device, CAMERA, NEAR), (("SH_REST", 3), ("ANTIALIASED", 0)))
+    kept = compact(device, flags, new_counts(device), totals=totals).download()
+    opacity = 1 / (1 + np.exp(-rows["opacity_logits"]))
+    means, _ = CAMERA.project(rows["positions"])
+    variances = np.array([np.diag(_footprint(rows, i)) for i in range(len(means))])
+    extents = np.sqrt(2 * np.log(255 * opacity)[:, None] * variances)
+    inside = np.hstack([means + extents, (CAMERA.width, CAMERA.height) - means + extents]).min(1)
+    seen = np.isin(np.arange(len(means)), kept)
+    sure = np.abs(inside) > 0.01
+    return _wrong((flags.download()[sure], inside[sure] > 0), (seen, flags.download()),
+                  (totals.download().sum(), np.sum(seen)))
+
+
+def tile_lists(device: Device) -> Measured:
+    """Specks, most of them in one tile, and a few splats that are in every tile; many depths are
+    equal."""
+    rng, (width, height), count = np.random.default_rng(11), (90, 70), 6000
+    tiles_x, tiles_y = tile_grid(device, width, height)
+    tiles = tiles_x * tiles_y
+    own = np.where(rng.random(count) < 0.85, 5, rng.integers(0, tiles, count))
+    large = np.flatnonzero(rng.random(count) < 0.01)
+    splats = np.zeros((count, SPLAT_REALS))
+    splats[:, SPLAT_MEAN:SPLAT_MEAN + 2] = device.tile * (
+        np.column_stack([own % tiles_x, own // tiles_x]) + 0.5)
+    splats[:, [SPLAT_CUTOFF, SPLAT_CONIC, SPLAT_CONIC + 2, SPLAT_EXTENT_Y]] = 1
+    splats[large[:, None], [SPLAT_CONIC, SPLAT_CONIC + 2]] = 1e-6
+    splats[large, SPLAT_EXTENT_Y] = 1e3
+    depths = splats[:, SPLAT_DEPTH] = rng.integers(1, 500, count)
+    order = np.argsort(depths, kind="stable").astype(np.uint32)
+    pairs = bin_splats(device, device.upload(splats), new_counts(device, count),
+                       device.upload(order), width, height)
+    small = np.setdiff1d(np.arange(count), large)
+    rows = np.concatenate([small, np.repeat(large, tiles)])
+    places = np.concatenate([own[small], np.tile(np.arange(tiles), len(large))])
+    sorted_places = np.lexsort((rows, depths[rows], places))
+    if pairs.count != len(rows):
+        return abs(pairs.count - len(rows)), 0, "pairs too many or too few"
+    listed = pairs.sorted_splats.download()
+    first = pairs.offsets.download()[listed]  # of a splat; its pairs are emitted by tile
+    nth = np.where(np.isin(listed, large), places[sorted_places], 0)
+    return _wrong((listed, rows[sorted_places]),
+                  (pairs.ranges.download()[:, 1], np.cumsum(np.bincount(places, minlength=tiles))),
+                  (pairs.emission_indices.download(), first + nth),
+                  (np.sort(pairs.emission_indices.download()), np.arange(len(rows))))
+
+
 def _evaluated(rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The image float64[3, H, W] by definition, and the pixels bool[H, W] that are not close to a
     cutoff."""
@@ -266,19 +319,13 @@ def _evaluated(rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     sure = np.ones(rest.shape, bool)
     means, depths = CAMERA.project(rows["positions"])
     for i in np.argsort(depths):
-        p = CAMERA.rotation @ rows["positions"][i] + CAMERA.translation
-        w, x, y, z = rows["quaternions"][i] / np.linalg.norm(rows["quaternions"][i])
-        turn = np.array([[1 - 2 * (y*y + z*z), 2 * (x*y - w*z), 2 * (x*z + w*y)],
-                         [2 * (x*y + w*z), 1 - 2 * (x*x + z*z), 2 * (y*z - w*x)],
-                         [2 * (x*z - w*y), 2 * (y*z + w*x), 1 - 2 * (x*x + y*y)]])
-        slope = np.diag(CAMERA.focal) @ [[1, 0, -p[0] / p[2]], [0, 1, -p[1] / p[2]]] / p[2]
-        half = slope @ CAMERA.rotation @ turn * np.exp(rows["log_scales"][i])
         d = pixel - means[i][:, None, None]
-        q = np.einsum("ihw,ij,jhw->hw", d, np.linalg.inv(half @ half.T + LOW_PASS * np.eye(2)), d)
+        q = np.einsum("ihw,ij,jhw->hw", d, np.linalg.inv(_footprint(rows, i)), d)
         alpha = np.exp(-q / 2) / (1 + np.exp(-rows["opacity_logits"][i]))
         sure &= np.abs(255 * alpha - 1) > 1e-3
         alpha[alpha < 1 / 255] = 0
-        x, y, z = (rows["positions"][i] - CAMERA.position) / np.linalg.norm(p)
+        x, y, z = (rows["positions"][i] - CAMERA.position) / np.linalg.norm(
+            rows["positions"][i] - CAMERA.position)
         basis = SH_C1 * np.array([-y, z, -x])
         colour = 0.5 + SH_C0 * rows["sh_constant"][i] + basis @ rows["sh_rest"][i]
         image += (rest * alpha) * np.maximum(colour, 0)[:, None, None]
@@ -307,6 +354,20 @@ def render_adjoint(device: Device) -> Measured:
     return errors[worst], 3e-3, f"relative error (by {worst})"
 
 
+def statistics(device: Device) -> Measured:
+    """Screen gradients of the gaussians that a view saw, against their own means in pixels."""
+    view = _View(device)
+    view.image(_gaussians(1500, 0.1))
+    sums = Statistics(device, 1500)
+    found = view.renderer.adjoint(view.rows, view.frame, device.upload(_weights()),
+                                  statistics=sums.sums)
+    assert found.means is not None  # of one view
+    expected = np.zeros(1500)
+    expected[found.rows.download()] = np.linalg.norm(
+        found.means.download() * (CAMERA.width / 2, CAMERA.height / 2), axis=1)
+    return _relative(sums.mean_gradient(), expected), 1e-6, "relative error"
+
+
 def _image_and_gradients(device: Device) -> dict[str, NDArray[Any]]:
     view = _View(device)
     image = view.image(_gaussians(1500, 0.1))
@@ -328,7 +389,8 @@ def forms_agree(item: Device, group: Device) -> Measured:
     return errors[worst], 1e-3, f"relative difference ({worst})"
 
 
-CHECKS = (("scan", scan), ("stable sort", sort), ("gather and scatter", rows_by_index),
+CHECKS = (("stable sort", sort), ("gather and scatter", rows_by_index),
           ("compaction", compaction), ("sums", sums), ("Adam", adam), ("statistics", statistics),
-          ("image loss", loss), ("image loss adjoint", loss_adjoint), ("render", render),
+          ("culling", culling), ("tile lists", tile_lists), ("image loss", loss),
+          ("image loss adjoint", loss_adjoint), ("render", render),
           ("render adjoint", render_adjoint), ("same bytes twice", same_bytes))

@@ -13,11 +13,21 @@ if TYPE_CHECKING:
     from clsplat.device.device import Device
 
 
-class FloatInput(float):
+class _AsItIs:
+    """Without arithmetic, whose result a replay would not change."""
+
+    def _refuse(self, *_: Any) -> Any:
+        raise TypeError("a replay changes this number: pass it to kernels as it is")
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __neg__ = _refuse
+    __truediv__ = __rtruediv__ = __floordiv__ = __rfloordiv__ = __pow__ = __rpow__ = _refuse
+
+
+class FloatInput(_AsItIs, float):
     """A number of a recording that each replay may change."""
 
 
-class IntInput(int):
+class IntInput(_AsItIs, int):
     """As `FloatInput`, for integers."""
 
 

@@ -86,11 +86,14 @@ class LossTerm:
     needs_depth : whether frames need a depth channel; only then may it have a gradient by depth or
         transmittance.
     needs_source : whether it needs a source view; it is left out for views that have none.
+    waits : whether `add_to` waits for the device, to read an array or to write one from the host;
+        steps with such a term are not recorded (device/graph.py), and so are slower.
     """
 
     name: ClassVar[str]
     needs_depth: ClassVar[bool] = False
     needs_source: ClassVar[bool] = False
+    waits: ClassVar[bool] = False
 
     def __init__(self, device: Device, options: TrainOptions) -> None:
         self.device, self.options = device, options
@@ -114,7 +117,8 @@ class LossTerm:
         frame : the rendered view.
         image : real[3, H, W], the frame's image after the view's colour transform.
         sample : the view's photo, and what else it is compared with.
-        weight : of this term in this step, not 0.
+        weight : of this term in this step, not 0. Unless the term `waits`, it is passed to a kernel
+            as it is: later steps have other weights, and enqueue the same work.
 
         Returns
         -------

@@ -43,7 +43,8 @@ _MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLUMNS))
 _COUNTS = dict(counts=("uint", FRAME_COUNTS))
 _LAG = dict(last_step=("uint", "N"), coefficients=("real", CATCH_UP_EVERY, LAG_TERMS))
 STEP_SMALL = Kernel(
-    "adam.cl", "adam_small", each("V"), now="uint", first="real", correction="real", share="real",
+    "adam.cl", "adam_small", each("work"), work="uint", now="uint", first="real",
+    correction="real", share="real",
     **{f"rate_{field.name}": "real" for field in LEARNED}, **_COUNTS, visible=("uint", "V"),
     rows=("uint", "V"), grad_positions=("real", "V", 3),
     grad_colours=("real", "V", 3), grad_opacity_logits=("real", "V"),
@@ -180,7 +181,7 @@ class DeviceAdam:
                 gradient=nothing if by_colour else fields["sh_rest"],
                 sh_rest=rows["sh_rest"], m=m["rest"], v=v["rest"])
         device.launch(
-            STEP_SMALL, defines, share=SH_C0 if by_colour else 1.0, counts=counts,
+            STEP_SMALL, defines, work=max(len(gradients.rows), CATCH_UP_EVERY), share=SH_C0 if by_colour else 1.0, counts=counts,
             **{name: numbers[name] for name in self.NUMBERS if name != "before"},
             visible=gradients.visible, rows=gradients.rows, grad_colours=colours,
             **{f"grad_{field.name}": fields[field.name] for field in SMALL

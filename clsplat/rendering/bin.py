@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.constants import (
-    COUNT_FAILED,
     COUNT_NEEDED_PAIRS,
     COUNT_PAIRS,
-    COUNT_VISIBLE,
     FRAME_COUNTS,
     SPLAT_REALS,
 )
@@ -126,10 +124,11 @@ def bin_splats(device: Device, splats: Array, counts: Array, order: Array | None
     shared: dict[str, Any] = dict(
         tiles_x=tiles_x, first_tile=band.start, end_tile=band.stop, counts=counts, splats=splats,
         splat_counts=splat_counts, ranges=ranges, **_scratch(device, number, tiles, order))
+    before = counts.copied() if room is None else counts
     _launch(device, COUNT, **shared)
     _launch(device, PLACE, **shared, tiles=tiles, room=ANY_NUMBER if room is None else room)
     if room is None:
-        room = _number_of_pairs(counts, number, min(limit, PAIR_LIMIT), width, height)
+        room = _number_of_pairs(counts, before, min(limit, PAIR_LIMIT), width, height)
     sorted_splats, emission_indices = (device.empty(room, np.uint32) for _ in range(2))
     pairs = Pairs(tiles_x, band, counts, splat_counts, offsets, ranges, sorted_splats,
                   emission_indices)
@@ -176,14 +175,12 @@ def _launch(device: Device, kernel: Kernel, **values: Any) -> None:
     device.launch(kernel, **{name: values.get(name) for name in kernel.names})
 
 
-def _number_of_pairs(counts: Array, visible: int, limit: int, width: int, height: int) -> int:
-    """The number of pairs; waits. TooManyPairs above the limit, and `counts` is as before."""
+def _number_of_pairs(counts: Array, before: Array, limit: int, width: int, height: int) -> int:
+    """The number of pairs; waits. TooManyPairs above the limit, and `counts` is as `before`."""
     read = counts.download()
     needed = int(max(read[COUNT_PAIRS], read[COUNT_NEEDED_PAIRS]))
     if needed > limit:
-        read[[COUNT_FAILED, COUNT_NEEDED_PAIRS]] = 0
-        read[COUNT_VISIBLE] = visible
-        counts.write(read)
+        counts.write(before.download())
         raise TooManyPairs(f"{needed} pairs of tile and splat in one {width} x {height} image, "
                            f"more than {limit}: use smaller images (-r)")
     return needed

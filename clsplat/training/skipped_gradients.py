@@ -27,20 +27,20 @@ class SkippedGradients:
 
     def __init__(self, *counters: Array) -> None:
         self._counters = counters
-        self._counted = self._visible = 0  # by the counters, and requested, at the last poll
+        self._counted = self._requested = 0  # by the counters, and requested, at the last poll
         self.total = self.requested = self._closed = self._closed_requested = 0
 
-    def poll(self, visible: int) -> bool:
+    def poll(self, requested: int) -> bool:
         """Update the attributes, and tell whether these are the first skipped rows; waits.
 
         Parameters
         ----------
-        visible : rows of gradients that this process requested so far.
+        requested : rows of gradients that this process requested so far.
         """
         before, counted = self.total, sum(int(counter.last()) for counter in self._counters)
         self.total += (counted - self._counted) % 2**32
-        self.requested += visible - self._visible
-        self._counted, self._visible = counted, visible
+        self.requested += requested - self._requested
+        self._counted, self._requested = counted, requested
         return self.total > before == 0
 
     def close(self) -> tuple[int, int]:

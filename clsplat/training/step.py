@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import COUNT_SUM_PAIRS, COUNT_SUM_VISIBLE
+from clsplat.constants import COUNT_DONE, COUNT_SUM_PAIRS, COUNT_SUM_VISIBLE
 from clsplat.densify.grow import Candidates, plan_growth
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
@@ -81,6 +81,7 @@ class Step:
 
     @model.setter
     def model(self, model: Model) -> None:
+        """Go on with other gaussians."""
         self.settle()
         self._model = model
 
@@ -113,6 +114,7 @@ class Step:
 
     @pixel_pairs.setter
     def pixel_pairs(self, number: int) -> None:
+        """Go on from those of a resumed run."""
         self._earlier_pairs += number - self.pixel_pairs
 
     def settle(self) -> NDArray[np.uint32]:
@@ -123,7 +125,9 @@ class Step:
 
     def poll_skipped(self) -> bool:
         """Update `skipped`, and tell whether the first gradients were skipped; waits."""
-        return self.skipped.poll(_long(self.settle(), COUNT_SUM_VISIBLE))
+        counts = self.settle()
+        views = int(counts[COUNT_DONE]) if self._exposures else 0  # each has one by its transform
+        return self.skipped.poll(_long(counts, COUNT_SUM_VISIBLE) + views)
 
     # --- a step
 
@@ -184,7 +188,10 @@ class Step:
             self._recorded_for = state
             if self.options.batch > 1:
                 self._batch = BatchMean(self.device, self._learned(), self.options.batch)
-        source = sample.source
+        source, terms = sample.source, self._terms_for(plan, sample)
+        numbers = {**numbers, **{_weight(term): float(term.weight(plan)) for term in terms}}
+        if not self._model.adam.RECORDS or any(term.waits for term in terms):
+            return self._enqueue(plan, sample, numbers, slot, None)
         inputs: dict[str, Input] = {
             "camera": sample.camera, "photo": sample.photo, "view": IntInput(sample.view),
             **{name: IntInput(value) if isinstance(value, int) else FloatInput(value)
@@ -192,15 +199,12 @@ class Step:
         if source:
             inputs |= {"source": source.photo, "geometries": source.geometries,
                        "colours": source.colours, "pair": IntInput(source.pair)}
-        weights = tuple(term.weight(plan) for term in self._terms_for(plan, sample))
-        key = (slot, plan.degree, plan.gathers, weights, sample.photo.shape,
-               source and source.photo.shape)
-        if not self._model.adam.RECORDS:
-            return self._enqueue(plan, sample, numbers, slot, None)
+        key = (slot, plan.degree, plan.gathers, tuple(term.name for term in terms),
+               sample.photo.shape, source and source.photo.shape)
         if graph := self._graphs.get(key):
             graph.replay(**inputs)
         else:
-            with_depth = any(term.needs_depth for term in self._terms_for(plan, sample))
+            with_depth = any(term.needs_depth for term in terms)
             _, height, width = sample.photo.shape
             room = self._rooms.room(self._model.rows, sample.camera, width, height, with_depth)
             with self.device.record(**inputs) as graph:
@@ -216,7 +220,7 @@ class Step:
         measured: Measured = {}
         self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self.frozen,
                                        sample.camera, self.units.counts)
-        gradients = self._gradients_of(plan, sample, measured, room)
+        gradients = self._gradients_of(plan, sample, measured, numbers, room)
         if views > 1:
             self._batch.add(gradients, used)
             if slot < views - 1:
@@ -226,7 +230,7 @@ class Step:
         return measured
 
     def _gradients_of(self, plan: Plan, sample: TrainingSample, measured: Measured,
-                      room: Room | None) -> Gradients:
+                      numbers: Mapping[str, Any], room: Room | None) -> Gradients:
         """The gradients of one sample; adds to `measured` and to the statistics."""
         rows, exposures, counts = self._model.rows, self._exposures, self.units.counts
         _, height, width = sample.photo.shape
@@ -236,7 +240,7 @@ class Step:
         image = exposures.apply(sample.view, frame.image) if exposures else frame.image
         grad = FrameGradient()
         for term in terms:
-            measured[term.name] = term.add_to(grad, frame, image, sample, term.weight(plan))
+            measured[term.name] = term.add_to(grad, frame, image, sample, numbers[_weight(term)])
         if exposures:
             grad.image, partials = exposures.adjoint(sample.view, frame.image, grad.image)
             exposures.step(sample.view, partials, counts)
@@ -343,6 +347,11 @@ class Step:
         if room is not None:  # a split replaces a gaussian that is too large by two
             room -= int((prunes & (gradient >= threshold)).sum())
         return above_threshold(gradient, threshold, room)
+
+
+def _weight(term: LossTerm) -> str:
+    """The name of a term's weight among the numbers of a step."""
+    return f"weight_{term.name}"
 
 
 def _long(counts: NDArray[np.uint32], place: int) -> int:

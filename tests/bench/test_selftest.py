@@ -85,19 +85,19 @@ class WithoutCorrection(DeviceAdam):
         super().step(rows, gradients, 1000, *rest)
 
 
-class InPixels(Statistics):
-    def accumulate(self, gradients, width, height):
-        super().accumulate(gradients, 2, 2)
+class CountsTwice(Statistics):
+    def mean_gradient(self):
+        return super().mean_gradient() / 2
 
 
 def other_value(device, *arguments):
-    sums, grad = image_loss(device, *arguments)
-    return device.upload(sums.download() * 1.001), grad
+    partials, grad = image_loss(device, *arguments)
+    return device.upload(partials.download() * 1.001), grad
 
 
 def other_gradient(device, *arguments):
-    sums, grad = image_loss(device, *arguments)
-    return sums, device.upload(grad.download() * 1.1)
+    partials, grad = image_loss(device, *arguments)
+    return partials, device.upload(grad.download() * 1.1)
 
 
 def brighter(device, *arguments, background, **options):
@@ -111,8 +111,8 @@ def restless(device, *arguments, background, **options):
 
 
 class HalfTheTurn(Renderer):
-    def adjoint(self, *arguments):
-        gradients = super().adjoint(*arguments)
+    def adjoint(self, *arguments, **options):
+        gradients = super().adjoint(*arguments, **options)
         turned = gradients.fields["quaternions"]
         turned.write(turned.download() / 2)
         return gradients
@@ -142,7 +142,7 @@ def test_a_working_device_passes(float_device, name, test):
     ("sum_columns", not_finite, "sums"),
     ("sum_columns", loses_some, "sums"),
     ("DeviceAdam", WithoutCorrection, "Adam"),
-    ("Statistics", InPixels, "statistics"),
+    ("Statistics", CountsTwice, "statistics"),
     ("image_loss", other_value, "image loss"),
     ("image_loss", other_gradient, "image loss adjoint"),
     ("Renderer", brighter, "render"),

@@ -5,7 +5,7 @@ import pytest
 
 from clsplat.constants import COUNT_FAILED, COUNT_NEEDED_VISIBLE, COUNT_VISIBLE, NO_ROW
 from clsplat.device.array import Array
-from clsplat.optimise.batch import batch_mean
+from clsplat.optimise.batch import BatchMean
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.pipeline import Gradients
 from tests.checks import close
@@ -14,6 +14,18 @@ from tests.reference import batch as reference
 
 SHAPES = {"positions": (3,), "opacity_logits": (), "sh_rest": (5, 3)}
 USED = {"positions": 3, "opacity_logits": 1, "sh_rest": 15}
+
+
+def batch_mean(device, count, views, gradients, used, counts=None, room=None):
+    """The mean of the gradients of several views, by a BatchMean for `count` rows."""
+    rows = {name: device.empty((count, *shape)) for name, shape in SHAPES.items()}
+    return mean_of(BatchMean(device, rows, views), gradients, used, counts, room)
+
+
+def mean_of(batch, gradients, used, counts=None, room=None):
+    for each in gradients:
+        batch.add(each, used)
+    return batch.mean(new_counts(batch.device) if counts is None else counts, used, room)
 
 
 def a_view(device, count, seen, seed):
@@ -65,7 +77,8 @@ def test_a_row_stays_whatever_the_other_views_say(device):
 
     views = one((0, 1, 2), 1.0), one((0, NO_ROW, 2), np.nan), one((0, 1, 2), 4.0)
     views[1].fields["opacity_logits"].write(np.array([1.0, np.nan, -5.0]))
-    result = batch_mean(device, 3, 3, views, USED)
+    used = {**dict.fromkeys(USED, 0), "opacity_logits": 1}
+    result = batch_mean(device, 3, 3, views, used)
     assert result.rows.download().tolist() == [0, NO_ROW, 2]
     assert np.allclose(result.fields["opacity_logits"].download()[[0, 2]], [2, 0])
 
@@ -111,6 +124,40 @@ def test_a_room_that_is_too_small_fails(device):
     found = counts.download()
     assert found[COUNT_FAILED] == 1 and found[COUNT_NEEDED_VISIBLE] == 40
     assert found[COUNT_VISIBLE] == 0
+
+
+def test_batches_follow_each_other(device):
+    """Nothing is left of the one before, whichever rows it saw."""
+    rows = {name: device.empty((90, *shape)) for name, shape in SHAPES.items()}
+    batch = BatchMean(device, rows, 2)
+    for seed in range(3):
+        views = [a_view(device, 90, 30, 2 * seed + k)[0] for k in range(2)]
+        result = mean_of(batch, views, USED)
+        expected = batch_mean(device, 90, 2, views, USED)
+        moves = expected.rows.download() != NO_ROW
+        assert np.array_equal(result.rows.download(), expected.rows.download())
+        for name, values in result.fields.items():
+            assert np.array_equal(values.download()[moves],
+                                  expected.fields[name].download()[moves]), (seed, name)
+
+
+def test_a_view_that_failed_adds_nothing(device):
+    """It is repeated, once there is room, into sums that still have the views before."""
+    first, second = (a_view(device, 90, 40, seed)[0] for seed in range(2))
+    rows = {name: device.empty((90, *shape)) for name, shape in SHAPES.items()}
+    batch, expected = BatchMean(device, rows, 2), batch_mean(device, 90, 2, [first, second], USED)
+    batch.add(first, USED)
+    seen = second.counts.download()
+    failed = np.where(np.arange(len(seen)) == COUNT_FAILED, 1, 0 * seen)  # which sees nothing
+    second.counts.write(failed)
+    batch.add(second, USED)
+    assert batch.mean(second.counts, USED, 90).counts.download()[COUNT_VISIBLE] == 0
+    second.counts.write(seen)
+    result = mean_of(batch, [second], USED)
+    moves = expected.rows.download() != NO_ROW
+    assert np.array_equal(result.rows.download(), expected.rows.download())
+    for name, values in result.fields.items():
+        assert np.array_equal(values.download()[moves], expected.fields[name].download()[moves])
 
 
 def test_fields_that_nothing_uses_are_left_out(device):

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from clsplat.constants import (
-    BUCKET,
     COUNT_BUCKETS,
     COUNT_FAILED,
     COUNT_MOST_PAIRS,
@@ -163,7 +162,7 @@ def test_a_room_that_is_large_enough_changes_nothing(device, monkeypatch, more):
     if HAS_BUCKETS.of(device):
         buckets, number = pairs.bucket_tiles.download(), counts[COUNT_BUCKETS]
         lengths = np.diff(exact.ranges)[:, 0]
-        expected = np.repeat(np.arange(len(lengths)), -(-lengths // BUCKET))
+        expected = np.repeat(np.arange(len(lengths)), -(-lengths // device.bucket))
         assert np.array_equal(buckets[:number], expected) and not buckets[number:].any()
 
 

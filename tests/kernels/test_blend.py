@@ -258,18 +258,6 @@ def sub_tile_rows(kind):
     return rows
 
 
-@pytest.mark.parametrize("opacity", [(0.005, 0.02), (0.3, 0.9999)])
-def test_the_tile_of_each_bucket_is_written(group_device, opacity):
-    """Also of those behind a tile's last pixel that ended."""
-    splats, order = cases.splats(400, 40, 16, seed=13, opacity=opacity, sigma=(6, 30))
-    actual = Blended(group_device, pack_splats(splats, order), (40, 16))
-    expected = actual.pairs.bucket_tiles.download()
-    assert len(set(expected)) > 3  # three tiles, and unused entries
-    actual.pairs.bucket_tiles.fill(len(actual.pairs.tiles))
-    blend(group_device, actual.splats, actual.pairs, 40, 16, actual.background, actual.defines)
-    assert np.array_equal(actual.pairs.bucket_tiles.download(), expected)
-
-
 def test_nothing_is_read_that_was_not_written(group_device, monkeypatch):
     """Checkpoints of ended pixels and of buckets behind them are left out."""
     splats, order = cases.splats(400, 20, 16, seed=3, opacity=(0.3, 0.9999), sigma=(6, 30))

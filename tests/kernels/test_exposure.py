@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from clsplat.constants import EXPOSURE_BLOCK
+from clsplat.constants import COUNT_FAILED, EXPOSURE_BLOCK
 from clsplat.loss.exposure import Exposures
+from clsplat.primitives.compact import new_counts
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -25,7 +26,7 @@ class Run:
         zero = np.zeros(away.shape)
         self.state = np.eye(3, 4) + away, zero, zero, np.zeros(views, np.uint32)
         self.exposures.upload(dict(zip(("transforms", "m", "v"), (
-            values.reshape(views, 12) for values in self.state)), counts=self.state[3],
+            values.reshape(views, 12) for values in self.state)), steps=self.state[3],
             recentred=self.state[0]))
 
     def step(self, view, image, grad):
@@ -41,13 +42,13 @@ class Run:
         for name, expected in zip(("transforms", "m", "v"), self.state):
             close(saved[name], expected.reshape(-1, 12), precision_of(self.device),
                   f"{what}: {name}")
-        assert np.array_equal(saved["counts"], self.state[3]), what
+        assert np.array_equal(saved["steps"], self.state[3]), what
 
 
-def stepped(exposures, view, image, grad):
+def stepped(exposures, view, image, grad, counts=None):
     """The gradient by the image, and a step by it."""
     grad_image, partials = exposures.adjoint(view, image, grad)
-    exposures.step(view, partials)
+    exposures.step(view, partials, new_counts(exposures.device) if counts is None else counts)
     return grad_image
 
 
@@ -86,7 +87,7 @@ def test_first_and_late_steps_are_corrected(device):
     for count in (0, 7, 999, 10**6):
         run = Run(device)
         run.state[3][:] = count
-        run.exposures.counts.write(run.state[3])
+        run.exposures.steps.write(run.state[3])
         run.step(0, *a_pair(16, 16))
         run.check(f"after {count} steps")
 
@@ -140,7 +141,7 @@ def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot):
             usable = np.isfinite(np.float32(sums)**2).all()
         after = run.exposures.download()
         assert all(np.isfinite(values).all() for values in after.values()), label
-        assert after["counts"].tolist() == [int(usable), 0, 0], label
+        assert after["steps"].tolist() == [int(usable), 0, 0], label
         assert run.exposures.skipped.last() == (not usable), label
         unchanged = [np.array_equal(after[name], before[name]) for name in before
                      if name != "recentred"]
@@ -157,6 +158,17 @@ def test_the_row_goes_on_after_a_gradient_that_is_not_finite(device):
     run.step(1, image, grad)
     run.check("nan between")
     assert run.state[3].tolist() == [0, 2, 0]
+
+
+def test_a_frame_that_failed_changes_nothing(device):
+    """Nor is its gradient, which may be anything, counted as one that is not finite."""
+    run, (image, grad) = Run(device), a_pair(33, 17)
+    counts = new_counts(device)
+    counts.write(np.eye(1, len(counts), COUNT_FAILED, dtype=np.uint32)[0])
+    for bad in (grad, grad * np.nan):
+        stepped(run.exposures, 1, device.upload(image), device.upload(bad), counts)
+    run.check("failed")
+    assert run.state[3].tolist() == [0, 0, 0] and run.exposures.skipped.last() == 0
 
 
 def test_recentring_makes_the_mean_the_identity_and_keeps_differences(device):
@@ -214,7 +226,7 @@ def test_what_is_saved_is_taken_over_and_goes_on_the_same(device):
         stepped(each.exposures, 1, device.upload(image), device.upload(grad))
     saved, taken = run.exposures.download(), other.exposures.download()
     assert all(saved[name].tobytes() == taken[name].tobytes() for name in saved)
-    assert saved["counts"].tolist() == [0, 2, 0]
+    assert saved["steps"].tolist() == [0, 2, 0]
 
 
 def test_the_same_bytes_every_time(device):

@@ -7,8 +7,10 @@ from clsplat.camera import Camera
 from clsplat.constants import ADAM_EPSILON, CATCH_UP_EVERY, NO_ROW, SH_C0
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import DeviceAdam, corrections
+from clsplat.primitives.compact import new_counts
+from clsplat.rendering.cull import cull
 from clsplat.rendering.pipeline import Gradients
-from clsplat.rendering.project import FieldGradients, cull, pack_camera
+from clsplat.rendering.project import FieldGradients, pack_camera
 from tests.kernels.chain import precision_of
 from tests.reference.adam import adam
 from tests.reference.project import harmonics
@@ -54,7 +56,9 @@ class Lazy:
         """The rows that the next camera sees; they have caught up, and nothing else has changed
         what is seen."""
         camera = self.camera()
-        self.engine.catch_up(self.rows, self.frozen, camera)
+        numbers = self.engine.numbers(self.steps + 1, RATES)
+        self.engine.catch_up_seen(self.rows, numbers, DEGREE, self.frozen, camera,
+                                  new_counts(self.device))
         flags, _ = cull(self.device, self.rows, camera, DEFINES)
         current, _ = cull(self.device, self.engine.current(self.rows, self.frozen), camera, DEFINES)
         seen = np.flatnonzero(flags.download()).astype(np.uint32)
@@ -65,9 +69,9 @@ class Lazy:
 
     def step(self, used=USED, by_colour=True):
         """On random gradients of a view, every seventh of which is not finite."""
+        visible = self.seen()
         self.steps += 1
         rates = {**RATES, "positions": RATES["positions"] * 0.99**self.steps}
-        visible = self.seen()
         count, rng = len(visible), self.rng
         fields = {field.name: rng.normal(size=(count, *field.row_shape(DEGREE)))
                   for field in LEARNED}
@@ -97,13 +101,15 @@ class Lazy:
             values[broken] = np.nan
         upload = self.device.upload
         rows = np.where(stays[visible], NO_ROW, visible).astype(np.uint32)
+        counts = new_counts(self.device, count)
         stored = {name: upload(values) for name, values in fields.items()}
         if by_colour:
             for name in ("sh_constant", "sh_rest"):
                 del stored[name]
             stored = FieldGradients(self.device, stored, upload(colours), upload(directions), K,
-                                    (("SH_REST", K), ("ANTIALIASED", 0), ("DEGREE", DEGREE)))
-        self.engine.step(self.rows, Gradients(stored, None, upload(rows), upload(visible)),
+                                    (("SH_REST", K), ("ANTIALIASED", 0), ("DEGREE", DEGREE)),
+                                    counts)
+        self.engine.step(self.rows, Gradients(stored, None, upload(rows), upload(visible), counts),
                          self.steps, rates, used, self.frozen)
 
     def check(self, rows):
@@ -172,7 +178,7 @@ def coasted(device, begun, missed, scale):
     run.engine.upload(m, v)
     nothing = Gradients({field.name: device.empty((0, *field.row_shape(DEGREE)))
                          for field in LEARNED}, None, device.empty(0, np.uint32),
-                        device.empty(0, np.uint32))
+                        device.empty(0, np.uint32), new_counts(device))
     run.engine.load_lag({**run.engine.lag(1), "last_step": np.array([begun], np.uint32)}, begun)
     expected = run.expected["opacity_logits"]
     m, v = m["opacity_logits"], v["opacity_logits"]
@@ -205,7 +211,7 @@ def test_moments_that_are_zero_stay_where_they_are(device):
     before = {name: array.download() for name, array in run.rows.items()}
     nothing = Gradients({field.name: device.empty((0, *field.row_shape(DEGREE)))
                          for field in LEARNED}, None, device.empty(0, np.uint32),
-                        device.empty(0, np.uint32))
+                        device.empty(0, np.uint32), new_counts(device))
     for step in range(1, 5):
         run.engine.step(run.rows, nothing, step, RATES, USED)
     run.engine.catch_up(run.rows)
@@ -267,7 +273,8 @@ def test_halves_decay_as_they_should(device, lazy):
     ones = {name: np.ones(array.shape) for name, array in rows.items()}
     engine.upload(ones, ones)
     nothing = Gradients({name: device.empty((0, *array.shape[1:])) for name, array in rows.items()},
-                        None, device.empty(0, np.uint32), device.empty(0, np.uint32))
+                        None, device.empty(0, np.uint32), device.empty(0, np.uint32),
+                        new_counts(device))
     steps = 2 * CATCH_UP_EVERY + 50
     for step in range(1, steps + 1):
         engine.step(rows, nothing, step, RATES, USED)

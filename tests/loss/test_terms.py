@@ -25,6 +25,7 @@ class Darkness(LossTerm):
     """A pull of the image to black: the mean of its squares."""
 
     name = "darkness"
+    waits = True
 
     def weight(self, plan):
         return 20.0
@@ -42,7 +43,7 @@ class Nearness(LossTerm):
     """A pull of the summed depth to 0, which needs frames with depth."""
 
     name = "nearness"
-    needs_depth = True
+    needs_depth = waits = True
 
     def add_to(self, grad, frame, image, sample, weight):
         shape = frame.blended.depth.shape
@@ -72,8 +73,8 @@ def test_a_new_term_takes_part_in_a_training(item_device, tmp_path, monkeypatch)
     assert lights["with"][0] < lights["without"][0] - 3  # dB, of the photos
 
 
-def stepped(device, monkeypatch, *listed):
-    """(gradients given to the adjoint, the frame, rows after a step) with these terms."""
+def one_step(device, monkeypatch, listed):
+    """A Step with these terms, and a sample for it."""
     monkeypatch.setattr(terms, "TERMS", listed)
     case = cases.gaussians("degree_1")
     width, height = size_of(case)
@@ -82,14 +83,28 @@ def stepped(device, monkeypatch, *listed):
     rows = {name: values.astype(np.float32) for name, values in case["rows"].items()}
     step = Step(renderer, Model(device, Gaussians(rows, 1), "device", True), 1.0,
                 TrainOptions(iterations=100))
+    return step, TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))
+
+
+def trained_once(device, monkeypatch, *listed):
+    step, sample = one_step(device, monkeypatch, listed)
+    step.run(1, PLAN, [sample])
+
+
+def stepped(device, monkeypatch, *listed):
+    """(gradients given to the adjoint, the frame, rows after a step) with these terms."""
+    step, sample = one_step(device, monkeypatch, listed)
+    renderer = step.renderer
     given, adjoint = [], renderer.adjoint
 
-    def noted(rows, frame, *grads):
+    def noted(rows, frame, image, depth, transmittance, *more):
+        grads = image, depth, transmittance
         given.append((frame, [None if grad is None else grad.download() for grad in grads]))
-        return adjoint(rows, frame, *grads)
+        return adjoint(rows, frame, *grads, *more)
 
     monkeypatch.setattr(renderer, "adjoint", noted)
-    step.run(1, PLAN, [TrainingSample(0, renderer.pack(camera_of(case)), device.upload(photo))])
+    monkeypatch.setattr(ImageLoss, "waits", True)  # as `noted` does
+    step.run(1, PLAN, [sample])
     [(frame, grads)] = given
     return grads, frame, step.model.download().rows
 
@@ -110,6 +125,28 @@ def test_a_term_that_needs_depth_has_it(device, monkeypatch):
     _, frame, without = stepped(device, monkeypatch, ImageLoss)
     assert not frame.with_depth
     assert not np.array_equal(rows["positions"], without["positions"])
+
+
+def test_a_term_that_does_not_say_that_it_waits_is_refused(item_device, monkeypatch):
+    monkeypatch.setattr(Darkness, "waits", False)
+    with pytest.raises(RuntimeError, match="must not wait"):
+        trained_once(item_device, monkeypatch, Darkness)
+
+
+class Brightness(LossTerm):
+    """A term that computes with its weight on the host, and does not say that it waits."""
+
+    name = "brightness"
+
+    def add_to(self, grad, frame, image, sample, weight):
+        grad.add(image=self.device.empty(image.shape))
+        return 2 * weight
+
+
+def test_a_weight_is_passed_to_kernels_as_it_is(item_device, monkeypatch):
+    """Later steps would repeat the work of the first weight."""
+    with pytest.raises(TypeError, match="as it is"):
+        trained_once(item_device, monkeypatch, Brightness)
 
 
 @pytest.mark.parametrize("name", ["image", "depth", "transmittance"])

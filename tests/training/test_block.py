@@ -19,6 +19,7 @@ from clsplat.loss.exposure import Exposures
 from clsplat.options import resolve
 from clsplat.partition.blocks import block_start, largest_sizes, seen_pixels, trainable
 from clsplat.partition.region import Region, Space
+from clsplat.primitives.compact import new_counts
 from clsplat.scene import Scene, View
 from clsplat.schedule.constant import Constant
 from clsplat.training import step
@@ -242,7 +243,7 @@ def test_exposures_keep_the_mean_they_started_with(float_device):
     expected = initial[1, :, :3] @ flat + initial[1, :, 3:]
     assert np.allclose(before.reshape(3, -1), expected, atol=1e-5)
     for _ in range(3):
-        exposures.step(1, exposures.adjoint(1, image, image)[1])
+        exposures.step(1, exposures.adjoint(1, image, image)[1], new_counts(float_device))
     exposures.recentre()
     transforms = exposures.download()["transforms"].reshape(3, 3, 4)
     assert np.abs(transforms[1] - initial[1]).max() > 0.05

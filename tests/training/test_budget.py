@@ -20,7 +20,6 @@ from clsplat.training.budget import (
     TimeBudget,
 )
 from clsplat.training.deadline import Deadline
-from clsplat.training.model import checkpoint_bytes
 from clsplat.training.session import Session
 
 COUNT = 100_000  # gaussians at the start
@@ -55,7 +54,7 @@ class Simulated(Deadline):
         self.steps_at, self.kept_at = {}, []
         self.upheavals = {"lowered": 0, "level": 0, "grown": 0}  # the last step of each
         self.budget = TimeBudget(seconds, clock.evaluation, clock.now,
-                                 checkpoint_bytes(self.session.model))
+                                 self._checkpoint_bytes())
 
     def take_step(self):
         session, clock = self.session, self.made
@@ -72,10 +71,10 @@ class Simulated(Deadline):
         if iteration == 1:
             clock.now += clock.build
             self.apart += clock.build
-        clock.now += clock.step(plan.level, session.model.count, iteration)
+        clock.now += clock.step(plan.level, session.step.count, iteration)
         if plan.grows:
-            session.schedule.target(iteration, session.model.count, 0)
-            session.model.count = min(4 * COUNT, session.model.count * 21 // 20)
+            session.schedule.target(iteration, session.step.count, 0)
+            session.step.count = min(4 * COUNT, session.step.count * 21 // 20)
         session.iteration = iteration
         self.steps_at[plan.level] = self.steps_at.get(plan.level, 0) + 1
         if iteration % session.schedule.observe_every == 0:
@@ -101,7 +100,7 @@ class Simulated(Deadline):
         return self.made.now
 
     def save(self):
-        seconds = checkpoint_bytes(self.session.model) / self.made.disk
+        seconds = self._checkpoint_bytes() / self.made.disk
         self.made.now += seconds
         self.apart += seconds
         self.note_saved(seconds)
@@ -110,12 +109,9 @@ class Simulated(Deadline):
 class Unbuilt(Session):
     """What a Deadline reads and moves of a Session."""
 
-    model = None  # an attribute, not a property
-
     def __init__(self, options, schedule):
         self.options, self.schedule, self.iteration = options, schedule, 0
-        self.model = SimpleNamespace(count=COUNT, sh_degree=3)
-        self.step = SimpleNamespace(options=options)
+        self.step = SimpleNamespace(options=options, count=COUNT)
         self.level = schedule.levels[0]
         self.decisions = SimpleNamespace(options=options)
         self.device = SimpleNamespace(finish=lambda: None)
@@ -186,7 +182,7 @@ def test_a_resumed_run_keeps_to_the_budget():
     after = again.session
     again.load(state["budget"])
     after.schedule.load(state["schedule"])
-    after.model.count, after.iteration = before.model.count, before.iteration
+    after.step.count, after.iteration = before.step.count, before.iteration
     assert again.budget.step_seconds == first.budget.step_seconds
     assert again.budget.rate == first.budget.rate
     assert after.options.iterations == before.options.iterations

@@ -35,17 +35,15 @@ def test_counting():
     """Since the last record and over all, each look told of the first only."""
     counter = Counter()
     counts = SkippedGradients(counter)
-    assert not counts.poll() and counts.total == 0
+    assert not counts.poll(0) and counts.total == 0
     told = []
-    for rows, asked in ((0, 50), (3, 50), (4, 20)):
+    for rows, requested in ((0, 50), (3, 100), (4, 120)):
         counter.add(rows)
-        counts.requested += asked
-        told.append(counts.poll())
+        told.append(counts.poll(requested))
     assert told == [False, True, False] and counts.total == 7
     assert counts.close() == (7, 120) and counts.close() == (0, 0)
     counter.add(5)
-    counts.requested += 9
-    assert not counts.poll() and counts.total == 12 and counts.close() == (5, 9)
+    assert not counts.poll(129) and counts.total == 12 and counts.close() == (5, 9)
 
 
 def test_counting_past_what_32_bits_hold():
@@ -54,21 +52,21 @@ def test_counting_past_what_32_bits_hold():
     counts = SkippedGradients(counter)
     for _ in range(3):
         counter.add(2**31)
-        counts.poll()
+        counts.poll(0)
     again = SkippedGradients(other)
     again.load(counts.state())
     other.add(1)
-    again.poll()
+    again.poll(0)
     assert counts.total == 3 * 2**31 and again.close() == (3 * 2**31 + 1, 0)
 
 
 def test_counting_on_several_counters():
     rows, exposures = Counter(), Counter(2**32 - 1)
     counts = SkippedGradients(rows, exposures)
-    assert counts.poll() and counts.close() == (2**32 - 1, 0)
+    assert counts.poll(0) and counts.close() == (2**32 - 1, 0)
     rows.add(3)
     exposures.add(2)  # past its 32 bits
-    counts.poll()
+    counts.poll(0)
     assert counts.close() == (5, 0)
 
 
@@ -135,6 +133,7 @@ def poison(monkeypatch):
             return sums, grad_image
 
         monkeypatch.setattr(image_loss, "image_loss", poisoned)
+        monkeypatch.setattr(image_loss.ImageLoss, "waits", True)
 
     original = image_loss.image_loss
     return poison
@@ -272,9 +271,9 @@ def test_exposures_stay_as_they_are(train, poison, monkeypatch):
     assert counted[1][0] == counted[0][0] + 1  # later, as gaussians differ, they skip others
     still = run.load_checkpoint()[0]
     assert np.array_equal(still["exposure.transforms"], np.tile(np.eye(3, 4).ravel(), (3, 1)))
-    assert not still["exposure.counts"].any() and not still["exposure.v"].any()
+    assert not still["exposure.steps"].any() and not still["exposure.v"].any()
     poison(13, 13)
     run = train(exposure="on")
     assert_finite(run)
     arrays, _ = run.load_checkpoint()
-    assert arrays["exposure.counts"].sum() == STEPS - 1 and arrays["exposure.v"].all()
+    assert arrays["exposure.steps"].sum() == STEPS - 1 and arrays["exposure.v"].all()

@@ -190,6 +190,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
     found, adjoint, whole = [], renderer.adjoint, image_loss.image_loss
     monkeypatch.setattr(renderer, "adjoint", kept)
     monkeypatch.setattr(image_loss, "image_loss", spoilt)
+    monkeypatch.setattr(image_loss.ImageLoss, "waits", True)
     before = model.download().rows, *model.adam.download(count)
     step.run(1, plan, [TrainingSample(0, renderer.pack(camera_of(case)), photo)])
     after = model.download().rows, *model.adam.download(count)
@@ -201,7 +202,7 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
         for old, new in zip(before, after):
             assert np.array_equal(new[name][skipped], old[name][skipped]), name
             assert (new[name][unseen] != old[name][unseen]).all(), name
-    step.skipped.poll()
+    step.poll_skipped()
     assert step.skipped.close() == (len(skipped) + 1, len(seen) + 1)  # and the view's exposure
 
 
@@ -252,7 +253,8 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
         return found[-1]
 
     monkeypatch.setattr(renderer, "adjoint", kept)
-    monkeypatch.setattr(model.adam, "step", lambda rows, mean, *_: taken.append(mean))
+    monkeypatch.setattr(model.adam, "apply", lambda rows, mean, *_: taken.append(mean))
+    monkeypatch.setattr(image_loss.ImageLoss, "waits", True)  # or the views would share a frame
     plan = Plan(1.0, DEGREE, gathers=True, grows=False, resets_opacity=False, prunes_large=False,
                 decay=0.5)
     camera = renderer.pack(camera_of(case))
@@ -268,6 +270,7 @@ def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, e
     expected = np.zeros(count)
     expected[seen] = 4
     assert np.array_equal(step.statistics.seen_count.download(), expected)  # by every view
+    step.poll_skipped()
     assert step.skipped.requested == 4 * len(seen)
 
 
