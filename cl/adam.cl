@@ -52,29 +52,6 @@ typedef real moment;
 #endif
 #include "moments.h"
 
-// `S` neighbouring columns at once, none is one. MOMENTS loads and stores them as reals or halves.
-#define DEFINE_UPDATE(NAME, S, MOMENT, LOAD, STORE, LOAD_MOMENTS, STORE_MOMENTS)                   \
-    inline void step_##NAME(real##S g, real rate, real correction, uint seed,                      \
-                            __global real *parameter, __global MOMENT *m, __global MOMENT *v)      \
-    {                                                                                              \
-        real##S first, second;                                                                     \
-        LOAD_MOMENTS(m, v, &first, &second);                                                       \
-        first += (real)ONE_MINUS_BETA1 * (g - first);                                              \
-        second += (real)ONE_MINUS_BETA2 * (g * g - second);                                        \
-        STORE_MOMENTS(first, second, seed, m, v);                                                  \
-        STORE(LOAD(0, parameter) - rate * first / (sqrt(second) * correction + (real)ADAM_EPSILON), \
-              0, parameter);                                                                       \
-    }                                                                                              \
-    inline void coast_##NAME(Lag lag, real distance, uint seed, __global real *parameter,          \
-                             __global MOMENT *m, __global MOMENT *v)                               \
-    {                                                                                              \
-        real##S first, second;                                                                     \
-        LOAD_MOMENTS(m, v, &first, &second);                                                       \
-        STORE(LOAD(0, parameter) - distance * first / (sqrt(second) + lag.epsilon), 0, parameter); \
-        if (lag.keeps)                                                                             \
-            STORE_MOMENTS(first * lag.decay1, second * lag.decay2, seed, m, v);                    \
-    }
-
 // What a row has missed: by what its moments decay, and epsilon D / C. keeps: whether the moments
 // are stored, too.
 typedef struct {
@@ -82,9 +59,22 @@ typedef struct {
     bool keeps;
 } Lag;
 
-DEFINE_UPDATE(real1, , real, LOAD_ONE, STORE_ONE, load_reals1, store_reals1)
-DEFINE_UPDATE(real3, 3, real, vload3, vstore3, load_reals3, store_reals3)
-DEFINE_UPDATE(real4, 4, real, vload4, vstore4, load_reals4, store_reals4)
+// The parameter after a step and after coasting, of `S` columns at once; none is one. *first and
+// *second are the moments, which a step changes.
+#define DEFINE_MOVES(S)                                                                            \
+    inline real##S stepped##S(real##S parameter, real##S g, real rate, real correction,            \
+                              real##S *first, real##S *second)                                     \
+    {                                                                                              \
+        *first += (real)ONE_MINUS_BETA1 * (g - *first);                                            \
+        *second += (real)ONE_MINUS_BETA2 * (g * g - *second);                                      \
+        return parameter - rate * *first / (sqrt(*second) * correction + (real)ADAM_EPSILON);      \
+    }                                                                                              \
+    inline real##S coasted##S(real##S parameter, real epsilon, real distance, real##S first,       \
+                              real##S second)                                                      \
+    {                                                                                              \
+        return parameter - distance * first / (sqrt(second) + epsilon);                            \
+    }
+DEFINE_MOVES()
 
 // The number that decides how a moment is rounded: of an element of the harmonics in a step.
 inline uint rounding_seed(uint row, uint column, uint now)
@@ -92,56 +82,19 @@ inline uint rounding_seed(uint row, uint column, uint now)
     return (row * MOMENT_STRIDE + column) ^ now * 0x9E3779B9u;
 }
 
-// One step on the small columns, and its terms of the sums of C and D, which a view that sees nothing
-// has, too: the launch is of work elements, at least CATCH_UP_EVERY. grad_colours times share are the
-// gradients of sh_constant; rates are divided by 1 - beta1^t, first = 1 / (1 - beta1^t); now is the
-// number of the step, t.
-__kernel void adam_small(
-    uint work, uint now, real first, real correction, real share, real rate_positions, real rate_sh_constant,
-    real rate_sh_rest, real rate_opacity_logits, real rate_log_scales, real rate_quaternions,
-    __global const uint *restrict counts, __global const uint *restrict visible, __global const uint *restrict rows,
-    __global const real *restrict grad_positions, __global const real *restrict grad_colours,
-    __global const real *restrict grad_opacity_logits,
-    __global const real *restrict grad_log_scales, __global const real *restrict grad_quaternions,
-    __global real *restrict positions, __global real *restrict sh_constant,
-    __global real *restrict opacity_logits, __global real *restrict log_scales,
-    __global real *restrict quaternions, __global real *restrict m, __global real *restrict v,
-    __global uint *restrict last_step, __global real *restrict coefficients)
+// Add a step to row i of the sums of C and D. rates: of the fields in the order of LAG_..., divided
+// by 1 - beta1^t, and twice 1 / (1 - beta1^t).
+inline void add_terms(uint i, uint now, real8 rates, real correction,
+                      __global real *restrict coefficients)
 {
-    if (counts[COUNT_FAILED])
+    const uint begun = (now - 1) / CATCH_UP_EVERY * CATCH_UP_EVERY + i; // t0 of this row
+    if (begun >= now)
         return;
-    const uint count = counts[COUNT_VISIBLE];
-    FOR_EACH(i, min(work, max(count, (uint)CATCH_UP_EVERY))) {
-        const uint begun = (now - 1) / CATCH_UP_EVERY * CATCH_UP_EVERY + i; // t0 of this row
-        if (i < CATCH_UP_EVERY && begun < now) {
-            const real missed = now - begun;
-            const real c = exp(missed * (real)(LOG_BETA1 - LOG_BETA2 / 2)) / correction;
-            const real d = exp(missed * (real)(LOG_BETA1 - LOG_BETA2)) / (correction * correction);
-            const real16 terms = (real16)(rate_positions * c, rate_sh_constant * c, rate_sh_rest * c,
-                                          rate_opacity_logits * c, rate_log_scales * c,
-                                          rate_quaternions * c, first * c, first * d, (real8)(0));
-            const real8 before = begun + 1 < now ? vload8(i, coefficients) : (real8)(0);
-            vstore8(before + terms.lo, i, coefficients);
-        }
-        if (i >= count)
-            continue;
-        last_step[visible[i]] = now;
-        const uint row = rows[i];
-        if (row == NO_ROW)
-            continue;
-        __global real *own_m = m + (ulong)row * SMALL_COLUMNS;
-        __global real *own_v = v + (ulong)row * SMALL_COLUMNS;
-        step_real3(vload3(i, grad_positions), rate_positions, correction, 0, positions + 3ul * row,
-                   own_m + SMALL_POSITION, own_v + SMALL_POSITION);
-        step_real3(share * vload3(i, grad_colours), rate_sh_constant, correction, 0,
-                   sh_constant + 3ul * row, own_m + SMALL_CONSTANT, own_v + SMALL_CONSTANT);
-        step_real1(grad_opacity_logits[i], rate_opacity_logits, correction, 0, opacity_logits + row,
-                   own_m + SMALL_OPACITY, own_v + SMALL_OPACITY);
-        step_real3(vload3(i, grad_log_scales), rate_log_scales, correction, 0, log_scales + 3ul * row,
-                   own_m + SMALL_SCALE, own_v + SMALL_SCALE);
-        step_real4(vload4(i, grad_quaternions), rate_quaternions, correction, 0,
-                   quaternions + 4ul * row, own_m + SMALL_TURN, own_v + SMALL_TURN);
-    }
+    const real missed = now - begun;
+    const real c = exp(missed * (real)(LOG_BETA1 - LOG_BETA2 / 2)) / correction;
+    const real d = exp(missed * (real)(LOG_BETA1 - LOG_BETA2)) / (correction * correction);
+    const real8 terms = rates * (real8)(c, c, c, c, c, c, c, d);
+    vstore8((begun + 1 < now ? vload8(i, coefficients) : (real8)(0)) + terms, i, coefficients);
 }
 
 // |m| / sqrt(v) of whatever gradients, at most (1 - beta1) / sqrt((1 - beta2)(1 - beta1^2 / beta2))
@@ -209,22 +162,10 @@ inline Lag lag_of(uint last, uint now, bool keeps, __global const real *coeffici
     return lag;
 }
 
-inline void coast_small(uint row, Lag lag, __global const real *c, __global real *positions,
-                        __global real *sh_constant, __global real *opacity_logits,
-                        __global real *log_scales, __global real *quaternions, __global real *m,
-                        __global real *v)
-{
-    m += (ulong)row * SMALL_COLUMNS;
-    v += (ulong)row * SMALL_COLUMNS;
-    coast_real3(lag, c[LAG_POSITIONS], 0, positions + 3ul * row, m + SMALL_POSITION,
-                v + SMALL_POSITION);
-    coast_real3(lag, c[LAG_SH_CONSTANT], 0, sh_constant + 3ul * row, m + SMALL_CONSTANT,
-                v + SMALL_CONSTANT);
-    coast_real1(lag, c[LAG_OPACITY], 0, opacity_logits + row, m + SMALL_OPACITY, v + SMALL_OPACITY);
-    coast_real3(lag, c[LAG_SCALES], 0, log_scales + 3ul * row, m + SMALL_SCALE, v + SMALL_SCALE);
-    coast_real4(lag, c[LAG_TURNS], 0, quaternions + 4ul * row, m + SMALL_TURN, v + SMALL_TURN);
-}
-
+// adam_small is one step on the small columns, and adds its terms of the sums of C and D, which a
+// view that sees nothing has, too: the launch is of work elements, at least CATCH_UP_EVERY.
+// grad_colours times share are the gradients of sh_constant; rates are divided by 1 - beta1^t, and
+// first = 1 / (1 - beta1^t); now is the number of the step, t.
 #if FORM_ITEM
 #include "item/adam.cl"
 #else

@@ -1,8 +1,115 @@
-// Group form of adam.cl (see there). A work-item takes the small columns of a row; the harmonics of
-// the group's rows are then spread over its work-items, so that neighbours touch neighbouring
-// columns. Work-groups have at most MOST_ITEMS work-items.
+// Group form of adam.cl (see there). A work-group takes a few rows: first a work-item looks at each
+// and lists those to be moved, in any order, as rows are apart; then all work-items go over their
+// columns, so that neighbours touch neighbouring columns. The rows of a group are few, as a small
+// model has too few to fill a GPU with one a work-item; and of several elements a work-item loads
+// all before it stores any, as it mostly waits for memory. Work-groups have at most MOST_ITEMS
+// work-items.
 #define MOST_ITEMS 256
-DEFINE_UPDATE(moment1, , moment, LOAD_ONE, STORE_ONE, LOAD_MOMENTS(1), STORE_MOMENTS(1))
+#define SHARE_OF(items, spread) (((items) + (spread) - 1) / (spread)) // rows of a group
+#define SMALL_AT_ONCE 2 // elements that a work-item loads before it stores any
+#define REST_AT_ONCE 3
+
+// Of five values, or arrays, that of the field of a small column.
+#define OF_FIELD(column, position, constant, opacity, scale, turn)                                 \
+    ((column) < SMALL_CONSTANT  ? (position)                                                       \
+     : (column) < SMALL_OPACITY ? (constant)                                                       \
+     : (column) < SMALL_SCALE   ? (opacity)                                                        \
+     : (column) < SMALL_TURN    ? (scale)                                                          \
+                                : (turn))
+
+// Where a small column of a row is in the array of its field.
+inline ulong place_in_field(ulong row, uint column)
+{
+    return row * OF_FIELD(column, 3u, 3u, 1u, 3u, 4u) + column -
+           OF_FIELD(column, SMALL_POSITION, SMALL_CONSTANT, SMALL_OPACITY, SMALL_SCALE, SMALL_TURN);
+}
+
+// An element of a list of elements; past its end the work-item's first one again, whose loads are
+// harmless.
+inline uint element_at(uint first, uint later, uint elements)
+{
+    return first + later < elements ? first + later : first;
+}
+
+__kernel void adam_small(
+    uint work, uint now, real first, real correction, real share, real rate_positions,
+    real rate_sh_constant, real rate_sh_rest, real rate_opacity_logits, real rate_log_scales,
+    real rate_quaternions, __global const uint *restrict counts,
+    __global const uint *restrict visible, __global const uint *restrict rows,
+    __global const real *restrict grad_positions, __global const real *restrict grad_colours,
+    __global const real *restrict grad_opacity_logits,
+    __global const real *restrict grad_log_scales, __global const real *restrict grad_quaternions,
+    __global real *restrict positions, __global real *restrict sh_constant,
+    __global real *restrict opacity_logits, __global real *restrict log_scales,
+    __global real *restrict quaternions, __global real *restrict m, __global real *restrict v,
+    __global uint *restrict last_step, __global real *restrict coefficients)
+{
+    if (counts[COUNT_FAILED])
+        return;
+    const real8 rates = (real8)(rate_positions, rate_sh_constant, rate_sh_rest, rate_opacity_logits,
+                                rate_log_scales, rate_quaternions, first, first);
+    FOR_EACH(i, CATCH_UP_EVERY)
+        add_terms(i, now, rates, correction, coefficients);
+    __local uint live, live_rows[SHARE_OF(MOST_ITEMS, STEP_SPREAD)];
+    __local uint live_places[SHARE_OF(MOST_ITEMS, STEP_SPREAD)];
+    const uint count = min(work, counts[COUNT_VISIBLE]);
+    const uint lane = get_local_id(0), size = get_local_size(0);
+    const uint part = SHARE_OF(size, STEP_SPREAD);
+    for (ulong begin = get_group_id(0) * (ulong)part; begin < count;
+         begin += get_num_groups(0) * (ulong)part) {
+        uint listed = NO_ROW;
+        if (lane < part && begin + lane < count) {
+            listed = rows[begin + lane];
+            last_step[visible[begin + lane]] = now;
+        }
+        if (lane == 0)
+            live = 0;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (listed != NO_ROW) {
+            const uint place = atomic_inc(&live);
+            live_rows[place] = listed;
+            live_places[place] = lane;
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const uint elements = live * SMALL_COLUMNS;
+        for (uint base = 0; base < elements; base += SMALL_AT_ONCE * size) {
+            const uint i = base + lane;
+            if (i >= elements)
+                continue;
+            uint row[SMALL_AT_ONCE], column[SMALL_AT_ONCE];
+            real parameter[SMALL_AT_ONCE], g[SMALL_AT_ONCE], own_m[SMALL_AT_ONCE],
+                own_v[SMALL_AT_ONCE];
+#pragma unroll
+            for (uint k = 0; k < SMALL_AT_ONCE; k++) {
+                const uint element = element_at(i, k * size, elements);
+                const uint place = element / SMALL_COLUMNS;
+                row[k] = live_rows[place];
+                column[k] = element % SMALL_COLUMNS;
+                const ulong moments = (ulong)row[k] * SMALL_COLUMNS + column[k];
+                g[k] = OF_FIELD(column[k], grad_positions, grad_colours, grad_opacity_logits,
+                                grad_log_scales, grad_quaternions)[place_in_field(
+                    begin + live_places[place], column[k])];
+                parameter[k] = OF_FIELD(column[k], positions, sh_constant, opacity_logits,
+                                        log_scales, quaternions)[place_in_field(row[k], column[k])];
+                load_reals1(m + moments, v + moments, own_m + k, own_v + k);
+            }
+#pragma unroll
+            for (uint k = 0; k < SMALL_AT_ONCE; k++) {
+                if (i + k * size >= elements)
+                    continue;
+                const ulong moments = (ulong)row[k] * SMALL_COLUMNS + column[k];
+                const real rate = OF_FIELD(column[k], rate_positions, rate_sh_constant,
+                                           rate_opacity_logits, rate_log_scales, rate_quaternions);
+                OF_FIELD(column[k], positions, sh_constant, opacity_logits, log_scales,
+                         quaternions)[place_in_field(row[k], column[k])] =
+                    stepped(parameter[k], OF_FIELD(column[k], 1, share, 1, 1, 1) * g[k], rate,
+                            correction, own_m + k, own_v + k);
+                store_reals1(own_m[k], own_v[k], 0, m + moments, v + moments);
+            }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+}
 
 __kernel void adam_harmonics(uint now, uint rank_one, real rate, real correction,
                              __global const uint *restrict counts,
@@ -13,40 +120,81 @@ __kernel void adam_harmonics(uint now, uint rank_one, real rate, real correction
                              __global moment *restrict m, __global moment *restrict v)
 {
 #if DEGREE > 0
+    __local uint live, live_rows[SHARE_OF(MOST_ITEMS, STEP_SPREAD)];
+    __local uint live_places[SHARE_OF(MOST_ITEMS, STEP_SPREAD)];
+    // harmonics and colour gradient of a row
+    __local real shared[SHARE_OF(MOST_ITEMS, STEP_SPREAD) * (SH_ACTIVE + 3)];
     const uint count = counts[COUNT_VISIBLE];
-    __local real shared[MOST_ITEMS * (SH_ACTIVE + 3)]; // harmonics and colour gradient of a row
-    __local uint shared_rows[MOST_ITEMS];
     const uint lane = get_local_id(0), size = get_local_size(0);
-    for (ulong begin = get_group_id(0) * (ulong)size; begin < count;
-         begin += get_num_groups(0) * (ulong)size) {
-        const uint own_rows = min((ulong)size, count - begin);
-        if (lane < own_rows) {
-            shared_rows[lane] = rows[begin + lane];
+    const uint part = SHARE_OF(size, STEP_SPREAD);
+    for (ulong begin = get_group_id(0) * (ulong)part; begin < count;
+         begin += get_num_groups(0) * (ulong)part) {
+        uint listed = NO_ROW;
+        real3 direction = (real3)(0), grad_colour = (real3)(0);
+        if (lane < part && begin + lane < count) {
+            listed = rows[begin + lane];
+            if (rank_one) {
+                direction = vload3(begin + lane, directions);
+                grad_colour = vload3(begin + lane, grad_colours);
+            }
+        }
+        if (lane == 0)
+            live = 0;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (listed != NO_ROW) {
+            const uint place = atomic_inc(&live);
+            live_rows[place] = listed;
+            live_places[place] = lane;
             if (rank_one) {
                 real basis[SH_SIZE];
-                harmonics(vload3(begin + lane, directions), basis);
-                __local real *own = shared + lane * (SH_ACTIVE + 3);
+                harmonics(direction, basis);
+                __local real *own = shared + place * (SH_ACTIVE + 3);
                 for (uint k = 0; k < SH_ACTIVE; k++)
                     own[k] = basis[k];
-                vstore3(vload3(begin + lane, grad_colours), 0, own + SH_ACTIVE);
+                vstore3(grad_colour, 0, own + SH_ACTIVE);
             }
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (uint i = lane; i < own_rows * SH_COLUMNS; i += size) {
-            const uint place = i / SH_COLUMNS, column = i % SH_COLUMNS, row = shared_rows[place];
-            if (row == NO_ROW)
+        const uint elements = live * SH_COLUMNS;
+        for (uint base = 0; base < elements; base += REST_AT_ONCE * size) {
+            const uint i = base + lane;
+            if (i >= elements)
                 continue;
-            __local const real *own = shared + place * (SH_ACTIVE + 3);
-            const real g = rank_one ? own[column / 3] * own[SH_ACTIVE + column % 3]
-                                    : gradient[(begin + place) * SH_STRIDE + column];
-            const ulong moments = (ulong)row * MOMENT_STRIDE + column;
-            step_moment1(g, rate, correction, rounding_seed(row, column, now),
-                         sh_rest + (ulong)row * SH_STRIDE + column, m + moments, v + moments);
+            uint row[REST_AT_ONCE], column[REST_AT_ONCE];
+            real parameter[REST_AT_ONCE], g[REST_AT_ONCE], first[REST_AT_ONCE],
+                second[REST_AT_ONCE];
+#pragma unroll
+            for (uint k = 0; k < REST_AT_ONCE; k++) {
+                const uint element = element_at(i, k * size, elements);
+                const uint place = element / SH_COLUMNS;
+                row[k] = live_rows[place];
+                column[k] = element % SH_COLUMNS;
+                const ulong moments = (ulong)row[k] * MOMENT_STRIDE + column[k];
+                __local const real *own = shared + place * (SH_ACTIVE + 3);
+                parameter[k] = sh_rest[(ulong)row[k] * SH_STRIDE + column[k]];
+                LOAD_MOMENTS(1)(m + moments, v + moments, first + k, second + k);
+                g[k] = rank_one ? own[column[k] / 3] * own[SH_ACTIVE + column[k] % 3]
+                                : gradient[(begin + live_places[place]) * SH_STRIDE + column[k]];
+            }
+#pragma unroll
+            for (uint k = 0; k < REST_AT_ONCE; k++) {
+                if (i + k * size >= elements)
+                    continue;
+                const ulong moments = (ulong)row[k] * MOMENT_STRIDE + column[k];
+                sh_rest[(ulong)row[k] * SH_STRIDE + column[k]] =
+                    stepped(parameter[k], g[k], rate, correction, first + k, second + k);
+                STORE_MOMENTS(1)(first[k], second[k], rounding_seed(row[k], column[k], now),
+                                 m + moments, v + moments);
+            }
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 #endif
 }
+
+enum { // columns of what the group knows of a due row: C of the fields in the order of LAG_..., and
+    DUE_DECAY1 = LAG_C, DUE_DECAY2, DUE_EPSILON, DUE_TERMS
+};
 
 __kernel void adam_catch_up(
     uint count, uint now, uint keeps, uint has_frozen, uint by_camera,
@@ -61,40 +209,102 @@ __kernel void adam_catch_up(
 {
     if (counts[COUNT_FAILED])
         return;
-    __local uint due, due_rows[MOST_ITEMS]; // in any order: rows are apart
-    __local real due_lags[4 * MOST_ITEMS];
+    __local uint due, due_rows[SHARE_OF(MOST_ITEMS, CATCH_UP_SPREAD)];
+    __local real due_lags[SHARE_OF(MOST_ITEMS, CATCH_UP_SPREAD) * DUE_TERMS];
     const uint lane = get_local_id(0), size = get_local_size(0);
-    for (ulong begin = get_group_id(0) * (ulong)size; begin < count;
-         begin += get_num_groups(0) * (ulong)size) {
+    const uint part = SHARE_OF(size, CATCH_UP_SPREAD);
+    for (ulong begin = get_group_id(0) * (ulong)part; begin < count;
+         begin += get_num_groups(0) * (ulong)part) {
         if (lane == 0)
             due = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
-        const ulong row = begin + lane;
-        if (row < count && is_due(row, now, keeps, has_frozen, by_camera, camera, frozen, positions,
-                                  log_scales, coefficients, last_step)) {
-            const uint last = last_step[row], place = atomic_inc(&due);
-            __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAG_TERMS;
+        const ulong tested = begin + lane;
+        if (lane < part && tested < count &&
+            is_due(tested, now, keeps, has_frozen, by_camera, camera, frozen, positions, log_scales,
+                   coefficients, last_step)) {
+            const uint last = last_step[tested], place = atomic_inc(&due);
             const Lag lag = lag_of(last, now, keeps, coefficients);
-            due_rows[place] = row;
-            vstore4((real4)(lag.decay1, lag.decay2, lag.epsilon, c[LAG_SH_REST]), place, due_lags);
-            coast_small(row, lag, c, positions, sh_constant, opacity_logits, log_scales, quaternions,
-                        m, v);
+            __local real *own = due_lags + place * DUE_TERMS;
+            for (uint k = 0; k < LAG_C; k++)
+                own[k] = coefficients[(last % CATCH_UP_EVERY) * LAG_TERMS + k];
+            own[DUE_DECAY1] = lag.decay1;
+            own[DUE_DECAY2] = lag.decay2;
+            own[DUE_EPSILON] = lag.epsilon;
+            due_rows[place] = tested;
             if (keeps)
-                last_step[row] = now;
+                last_step[tested] = now;
         }
-        barrier(CLK_LOCAL_MEM_FENCE);
+        // what was looked at is about to move
+        barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+        const uint elements = due * SMALL_COLUMNS;
+        for (uint base = 0; base < elements; base += SMALL_AT_ONCE * size) {
+            const uint i = base + lane;
+            if (i >= elements)
+                continue;
+            uint place[SMALL_AT_ONCE], column[SMALL_AT_ONCE];
+            real parameter[SMALL_AT_ONCE], first[SMALL_AT_ONCE], second[SMALL_AT_ONCE];
+#pragma unroll
+            for (uint k = 0; k < SMALL_AT_ONCE; k++) {
+                const uint element = element_at(i, k * size, elements);
+                place[k] = element / SMALL_COLUMNS;
+                column[k] = element % SMALL_COLUMNS;
+                const uint row = due_rows[place[k]];
+                const ulong moments = (ulong)row * SMALL_COLUMNS + column[k];
+                parameter[k] = OF_FIELD(column[k], positions, sh_constant, opacity_logits,
+                                        log_scales, quaternions)[place_in_field(row, column[k])];
+                load_reals1(m + moments, v + moments, first + k, second + k);
+            }
+#pragma unroll
+            for (uint k = 0; k < SMALL_AT_ONCE; k++) {
+                if (i + k * size >= elements)
+                    continue;
+                const uint row = due_rows[place[k]];
+                const ulong moments = (ulong)row * SMALL_COLUMNS + column[k];
+                __local const real *own = due_lags + place[k] * DUE_TERMS;
+                const real distance = own[OF_FIELD(column[k], LAG_POSITIONS, LAG_SH_CONSTANT,
+                                                   LAG_OPACITY, LAG_SCALES, LAG_TURNS)];
+                OF_FIELD(column[k], positions, sh_constant, opacity_logits, log_scales,
+                         quaternions)[place_in_field(row, column[k])] =
+                    coasted(parameter[k], own[DUE_EPSILON], distance, first[k], second[k]);
+                if (keeps)
+                    store_reals1(first[k] * own[DUE_DECAY1], second[k] * own[DUE_DECAY2], 0,
+                                 m + moments, v + moments);
+            }
+        }
 #if DEGREE > 0
-        const uint elements = due * SH_COLUMNS;
-        for (uint i = lane; i < elements; i += size) {
-            const uint place = i / SH_COLUMNS, column = i % SH_COLUMNS, own = due_rows[place];
-            const real4 shared = vload4(place, due_lags);
-            const Lag lag = {shared.x, shared.y, shared.z, keeps};
-            const ulong moments = (ulong)own * MOMENT_STRIDE + column;
-            coast_moment1(lag, shared.w, rounding_seed(own, column, now),
-                          sh_rest + (ulong)own * SH_STRIDE + column, m_rest + moments,
-                          v_rest + moments);
+        const uint others = due * SH_COLUMNS;
+        for (uint base = 0; base < others; base += REST_AT_ONCE * size) {
+            const uint i = base + lane;
+            if (i >= others)
+                continue;
+            uint place[REST_AT_ONCE], column[REST_AT_ONCE];
+            real parameter[REST_AT_ONCE], first[REST_AT_ONCE], second[REST_AT_ONCE];
+#pragma unroll
+            for (uint k = 0; k < REST_AT_ONCE; k++) {
+                const uint element = element_at(i, k * size, others);
+                place[k] = element / SH_COLUMNS;
+                column[k] = element % SH_COLUMNS;
+                const uint row = due_rows[place[k]];
+                const ulong moments = (ulong)row * MOMENT_STRIDE + column[k];
+                parameter[k] = sh_rest[(ulong)row * SH_STRIDE + column[k]];
+                LOAD_MOMENTS(1)(m_rest + moments, v_rest + moments, first + k, second + k);
+            }
+#pragma unroll
+            for (uint k = 0; k < REST_AT_ONCE; k++) {
+                if (i + k * size >= others)
+                    continue;
+                const uint row = due_rows[place[k]];
+                const ulong moments = (ulong)row * MOMENT_STRIDE + column[k];
+                __local const real *own = due_lags + place[k] * DUE_TERMS;
+                sh_rest[(ulong)row * SH_STRIDE + column[k]] = coasted(
+                    parameter[k], own[DUE_EPSILON], own[LAG_SH_REST], first[k], second[k]);
+                if (keeps)
+                    STORE_MOMENTS(1)(first[k] * own[DUE_DECAY1], second[k] * own[DUE_DECAY2],
+                                     rounding_seed(row, column[k], now), m_rest + moments,
+                                     v_rest + moments);
+            }
         }
-        barrier(CLK_LOCAL_MEM_FENCE);
 #endif
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
 }

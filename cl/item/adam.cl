@@ -1,7 +1,76 @@
 // Item form of adam.cl (see there): a work-item walks rows, up to 16 columns at a time.
+DEFINE_MOVES(3)
+DEFINE_MOVES(4)
+DEFINE_MOVES(16)
+
+// `S` neighbouring columns at once, none is one. MOMENTS loads and stores them as reals or halves.
+#define DEFINE_UPDATE(NAME, S, MOMENT, LOAD, STORE, LOAD_MOMENTS, STORE_MOMENTS)                   \
+    inline void step_##NAME(real##S g, real rate, real correction, uint seed,                      \
+                            __global real *parameter, __global MOMENT *m, __global MOMENT *v)      \
+    {                                                                                              \
+        real##S first, second;                                                                     \
+        LOAD_MOMENTS(m, v, &first, &second);                                                       \
+        STORE(stepped##S(LOAD(0, parameter), g, rate, correction, &first, &second), 0, parameter); \
+        STORE_MOMENTS(first, second, seed, m, v);                                                  \
+    }                                                                                              \
+    inline void coast_##NAME(Lag lag, real distance, uint seed, __global real *parameter,          \
+                             __global MOMENT *m, __global MOMENT *v)                               \
+    {                                                                                              \
+        real##S first, second;                                                                     \
+        LOAD_MOMENTS(m, v, &first, &second);                                                       \
+        STORE(coasted##S(LOAD(0, parameter), lag.epsilon, distance, first, second), 0, parameter); \
+        if (lag.keeps)                                                                             \
+            STORE_MOMENTS(first * lag.decay1, second * lag.decay2, seed, m, v);                    \
+    }
+
+DEFINE_UPDATE(real1, , real, LOAD_ONE, STORE_ONE, load_reals1, store_reals1)
+DEFINE_UPDATE(real3, 3, real, vload3, vstore3, load_reals3, store_reals3)
+DEFINE_UPDATE(real4, 4, real, vload4, vstore4, load_reals4, store_reals4)
 DEFINE_UPDATE(moment1, , moment, LOAD_ONE, STORE_ONE, LOAD_MOMENTS(1), STORE_MOMENTS(1))
 DEFINE_UPDATE(moment4, 4, moment, vload4, vstore4, LOAD_MOMENTS(4), STORE_MOMENTS(4))
 DEFINE_UPDATE(moment16, 16, moment, vload16, vstore16, LOAD_MOMENTS(16), STORE_MOMENTS(16))
+
+__kernel void adam_small(
+    uint work, uint now, real first, real correction, real share, real rate_positions,
+    real rate_sh_constant, real rate_sh_rest, real rate_opacity_logits, real rate_log_scales,
+    real rate_quaternions, __global const uint *restrict counts,
+    __global const uint *restrict visible, __global const uint *restrict rows,
+    __global const real *restrict grad_positions, __global const real *restrict grad_colours,
+    __global const real *restrict grad_opacity_logits,
+    __global const real *restrict grad_log_scales, __global const real *restrict grad_quaternions,
+    __global real *restrict positions, __global real *restrict sh_constant,
+    __global real *restrict opacity_logits, __global real *restrict log_scales,
+    __global real *restrict quaternions, __global real *restrict m, __global real *restrict v,
+    __global uint *restrict last_step, __global real *restrict coefficients)
+{
+    if (counts[COUNT_FAILED])
+        return;
+    const uint count = counts[COUNT_VISIBLE];
+    const real8 rates = (real8)(rate_positions, rate_sh_constant, rate_sh_rest, rate_opacity_logits,
+                                rate_log_scales, rate_quaternions, first, first);
+    FOR_EACH(i, min(work, max(count, (uint)CATCH_UP_EVERY))) {
+        if (i < CATCH_UP_EVERY)
+            add_terms(i, now, rates, correction, coefficients);
+        if (i >= count)
+            continue;
+        last_step[visible[i]] = now;
+        const uint row = rows[i];
+        if (row == NO_ROW)
+            continue;
+        __global real *own_m = m + (ulong)row * SMALL_COLUMNS;
+        __global real *own_v = v + (ulong)row * SMALL_COLUMNS;
+        step_real3(vload3(i, grad_positions), rate_positions, correction, 0, positions + 3ul * row,
+                   own_m + SMALL_POSITION, own_v + SMALL_POSITION);
+        step_real3(share * vload3(i, grad_colours), rate_sh_constant, correction, 0,
+                   sh_constant + 3ul * row, own_m + SMALL_CONSTANT, own_v + SMALL_CONSTANT);
+        step_real1(grad_opacity_logits[i], rate_opacity_logits, correction, 0, opacity_logits + row,
+                   own_m + SMALL_OPACITY, own_v + SMALL_OPACITY);
+        step_real3(vload3(i, grad_log_scales), rate_log_scales, correction, 0,
+                   log_scales + 3ul * row, own_m + SMALL_SCALE, own_v + SMALL_SCALE);
+        step_real4(vload4(i, grad_quaternions), rate_quaternions, correction, 0,
+                   quaternions + 4ul * row, own_m + SMALL_TURN, own_v + SMALL_TURN);
+    }
+}
 
 // CALL(WIDTH, LOAD) for all columns, of which the next is `column`.
 #define EACH_WIDTH(CALL)                                                                           \
@@ -44,6 +113,22 @@ __kernel void adam_harmonics(uint now, uint rank_one, real rate, real correction
         EACH_WIDTH(STEP)
     }
 #endif
+}
+
+inline void coast_small(uint row, Lag lag, __global const real *c, __global real *positions,
+                        __global real *sh_constant, __global real *opacity_logits,
+                        __global real *log_scales, __global real *quaternions, __global real *m,
+                        __global real *v)
+{
+    m += (ulong)row * SMALL_COLUMNS;
+    v += (ulong)row * SMALL_COLUMNS;
+    coast_real3(lag, c[LAG_POSITIONS], 0, positions + 3ul * row, m + SMALL_POSITION,
+                v + SMALL_POSITION);
+    coast_real3(lag, c[LAG_SH_CONSTANT], 0, sh_constant + 3ul * row, m + SMALL_CONSTANT,
+                v + SMALL_CONSTANT);
+    coast_real1(lag, c[LAG_OPACITY], 0, opacity_logits + row, m + SMALL_OPACITY, v + SMALL_OPACITY);
+    coast_real3(lag, c[LAG_SCALES], 0, log_scales + 3ul * row, m + SMALL_SCALE, v + SMALL_SCALE);
+    coast_real4(lag, c[LAG_TURNS], 0, quaternions + 4ul * row, m + SMALL_TURN, v + SMALL_TURN);
 }
 
 #define COAST(WIDTH, LOAD)                                                                         \

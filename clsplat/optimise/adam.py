@@ -24,7 +24,7 @@ from clsplat.constants import (
     SH_C0,
     SMALL_COLUMNS,
 )
-from clsplat.device import Array, ArraySpec, Device, Kernel, each
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.half_moments import decoded, encoded
 from clsplat.primitives.gather import gather
@@ -43,25 +43,25 @@ _MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLUMNS))
 _COUNTS = dict(counts=("uint", FRAME_COUNTS))
 _LAG = dict(last_step=("uint", "N"), coefficients=("real", CATCH_UP_EVERY, LAG_TERMS))
 STEP_SMALL = Kernel(
-    "adam.cl", "adam_small", each("work"), work="uint", now="uint", first="real",
-    correction="real", share="real",
+    "adam.cl", "adam_small", Forms(each("work"), each("work STEP_SPREAD")), work="uint",
+    now="uint", first="real", correction="real", share="real",
     **{f"rate_{field.name}": "real" for field in LEARNED}, **_COUNTS, visible=("uint", "V"),
     rows=("uint", "V"), grad_positions=("real", "V", 3),
     grad_colours=("real", "V", 3), grad_opacity_logits=("real", "V"),
     grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4), **_PARAMETERS, **_MOMENTS,
     **_LAG)
 STEP_HARMONICS = Kernel(
-    "adam.cl", "adam_harmonics", each("V"), now="uint", rank_one="uint", rate="real",
-    correction="real", **_COUNTS, rows=("uint", "V"), grad_colours=("real", "V", 3),
-    directions=("real", "V", 3), gradient=("real", "G", "H", 3), sh_rest=("real", "N", "K", 3),
-    m=("moment", "N", "S"), v=("moment", "N", "S"))
+    "adam.cl", "adam_harmonics", Forms(each("V"), each("V STEP_SPREAD")), now="uint",
+    rank_one="uint", rate="real", correction="real", **_COUNTS, rows=("uint", "V"),
+    grad_colours=("real", "V", 3), directions=("real", "V", 3), gradient=("real", "G", "H", 3),
+    sh_rest=("real", "N", "K", 3), m=("moment", "N", "S"), v=("moment", "N", "S"))
 CATCH_UP = Kernel(
-    "adam.cl", "adam_catch_up", each("count"), count="uint", now="uint", keeps="uint",
-    has_frozen="uint", by_camera="uint", **_COUNTS, camera=("real", "C"), frozen=("uint", "F"),
-    coefficients=("real", CATCH_UP_EVERY, LAG_TERMS), positions=("real", "N", 3),
-    sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3), opacity_logits=("real", "N"),
-    log_scales=("real", "N", 3), quaternions=("real", "N", 4), **_MOMENTS,
-    m_rest=("moment", "N", "S"), v_rest=("moment", "N", "S"), last_step=("uint", "N"))
+    "adam.cl", "adam_catch_up", Forms(each("count"), each("count CATCH_UP_SPREAD")), count="uint",
+    now="uint", keeps="uint", has_frozen="uint", by_camera="uint", **_COUNTS, camera=("real", "C"),
+    frozen=("uint", "F"), coefficients=("real", CATCH_UP_EVERY, LAG_TERMS),
+    positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3),
+    opacity_logits=("real", "N"), log_scales=("real", "N", 3), quaternions=("real", "N", 4),
+    **_MOMENTS, m_rest=("moment", "N", "S"), v_rest=("moment", "N", "S"), last_step=("uint", "N"))
 CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
                **_MOMENTS)
 

@@ -5,7 +5,7 @@ What rows miss while no view sees them is in test_lazy_adam.py."""
 import numpy as np
 import pytest
 
-from clsplat.constants import NO_ROW
+from clsplat.constants import NO_ROW, STEP_SPREAD
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
@@ -112,7 +112,7 @@ def test_frozen_rows_stay_though_they_have_moments(device, engine, dense):
 def test_counts_around_the_group_size(device, dense):
     """Of the device engine; a field of width 1 has as many elements as rows."""
     group = device.group_size
-    for count in (1, group - 1, group, group + 1):
+    for count in (1, group // STEP_SPREAD + 1, group - 1, group, group + 1):
         run = Run(device, DeviceAdam, count, dense, seed=count)
         run.step(count)
         run.step(count)
