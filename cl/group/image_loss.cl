@@ -1,55 +1,156 @@
-// Group form of image_loss.cl (see there): a group owns a tile of one channel, and loads its halo.
-#define GROUP (TILE * TILE)
+// Group form of image_loss.cl (see there): a group owns COLUMNS x ROWS pixels of one channel. It loads
+// these with their halo; then a lane adds up the windows across of RUN neighbours in a row, and then,
+// from these sums, the windows down of DOWN neighbours in a column: a value is read once for many windows.
+#define GROUP (TILE * 8)
 #include "group.h"
-DEFINE_GROUP_SUM(group_sum, real)
-#define WIDE (TILE + 2 * RADIUS)
+#define COLUMNS 32
+#define ROWS 22
+#define WIDE_COLUMNS (COLUMNS + 2 * RADIUS)
+#define WIDE_ROWS (ROWS + 2 * RADIUS)
+#define RUN 8
+#define DOWN 6
+#define TASKS 128 // runs of a tile, and neighbours in its columns
+#define OWN_TASKS (TASKS / GROUP)
+#if WIDE_ROWS * COLUMNS != TASKS * RUN || (ROWS + DOWN - 1) / DOWN * COLUMNS != TASKS || TASKS % GROUP
+#error "the tasks of a tile are to be the same number for all lanes"
+#endif
+// Rows in local memory. Where lanes read or write real4s of successive rows, these lie 4 or 12 words
+// apart, modulo 32, in different banks.
+#define PITCH 44                // of values
+#define MAP_PITCH 36            // of the sums across of a map
+#define MOMENT_PITCH 33         // of the sums across of all moments, real4s
+#define SUM_ROWS (WIDE_ROWS + 2) // the lowest lanes go two rows too far down, and ignore these
+
+// A row's `count` loaded values from `from` on.
+#define RUN_VALUES (RUN + 2 * RADIUS)
+#define RUN_VECTORS ((RUN_VALUES + 3) / 4)
+inline void load_run(__local const real4 *from, real *values)
+{
+#pragma unroll
+    for (int i = 0; i < RUN_VECTORS; i++) {
+        const real4 next = from[i];
+        values[4 * i] = next.x;
+        values[4 * i + 1] = next.y;
+        values[4 * i + 2] = next.z;
+        values[4 * i + 3] = next.w;
+    }
+}
+
+// Adds value number `k` to the windows of `count` neighbours, the first of which begins with number 0.
+#define ADD_TO_WINDOWS(SUMS, COUNT, K, VALUE)                                                      \
+    _Pragma("unroll") for (int j = 0; j < (COUNT); j++)                                            \
+    {                                                                                              \
+        if ((K) - j >= 0 && (K) - j < TAPS)                                                        \
+            SUMS[j] += WINDOW[(K) - j] * (VALUE);                                                  \
+    }
+
+// A lane loads every AT_ONCE-th row of its column of the tile and its halo.
+#define AT_ONCE (GROUP / WIDE_COLUMNS)
+#define LOCATE_HALO                                                                                \
+    const int halo_column = lane % WIDE_COLUMNS, halo_row = lane / WIDE_COLUMNS;                   \
+    const int halo_x = x0 - RADIUS + halo_column;                                                  \
+    const bool loads = halo_row < AT_ONCE, in_columns = halo_x >= 0 && halo_x < width
+
+// The place and the pixel of a lane in row `base` and below; a block follows.
+#define IF_LOADED(base, place, pixel, inside)                                                      \
+    const int wide_row = (base) + halo_row, halo_y = y0 - RADIUS + wide_row;                       \
+    const int place = wide_row * PITCH + halo_column;                                              \
+    const long pixel = channel * plane + (long)halo_y * width + halo_x;                            \
+    const bool inside = in_columns && halo_y >= 0 && halo_y < height;                              \
+    if (loads && wide_row < WIDE_ROWS)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void image_loss(int width, int height, __global const real *restrict image,
                 __global const uchar *restrict photo, __global real *restrict partials,
                 __global real *restrict maps)
 {
-    __local real xs[WIDE * WIDE], ys[WIDE * WIDE], rows[MEANS][WIDE * TILE], scratch[GROUP];
+    __local real4 memory[SUM_ROWS * MOMENT_PITCH]; // first values, then moments, then totals
+    __local real *xs = (__local real *)memory, *ys = xs + WIDE_ROWS * PITCH;
     const int group = get_group_id(0), lane = get_local_id(0);
-    LOCATE_PART(group, TILE, TILE);
-    FOR_GROUP(i, WIDE * WIDE) {
-        const int x = x0 - RADIUS + (int)i % WIDE, y = y0 - RADIUS + (int)i / WIDE;
-        const bool inside = x >= 0 && y >= 0 && x < width && y < height;
-        const long pixel = channel * plane + (long)y * width + x;
-        xs[i] = inside ? image[pixel] : 0;
-        ys[i] = inside ? photo[pixel] * (real)(1.0 / 255) : 0;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    FOR_GROUP(i, WIDE * TILE) {
-        const int from = i / TILE * WIDE + i % TILE;
-        real sums[MEANS] = {0, 0, 0, 0};
-        for (int k = 0; k < TAPS; k++) {
-            const real x = xs[from + k], y = ys[from + k], wx = WINDOW[k] * x, wy = WINDOW[k] * y;
-            sums[0] += wx;
-            sums[1] += wy;
-            sums[2] += wx * x + wy * y;
-            sums[3] += wx * y;
+    LOCATE_PART(group, COLUMNS, ROWS);
+    LOCATE_HALO;
+#pragma unroll
+    for (int base = 0; base < WIDE_ROWS; base += AT_ONCE) {
+        IF_LOADED(base, place, pixel, inside) {
+            xs[place] = inside ? image[pixel] : 0;
+            ys[place] = inside ? photo[pixel] * (real)(1.0 / 255) : 0;
         }
-        for (int m = 0; m < MEANS; m++)
-            rows[m][i] = sums[m];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    const int x = x0 + lane % TILE, y = y0 + lane / TILE;
-    const bool inside = x < width && y < height;
-    real mean[MEANS] = {0, 0, 0, 0}, by[3];
-    for (int k = 0; k < TAPS; k++)
-        for (int m = 0; m < MEANS; m++)
-            mean[m] += WINDOW[k] * rows[m][(lane / TILE + k) * TILE + lane % TILE];
-    const real value = ssim(mean[0], mean[1], mean[2], mean[3], &by[0], &by[1], &by[2]);
-    const int centre = (lane / TILE + RADIUS) * WIDE + lane % TILE + RADIUS;
-    if (inside)
-        for (int m = 0; m < 3; m++)
-            maps[(channel * 3 + m) * plane + (long)y * width + x] = by[m];
-    const real l1_sum = group_sum(inside ? fabs(xs[centre] - ys[centre]) : 0, scratch);
-    const real ssim_sum = group_sum(inside ? value : 0, scratch);
+
+    real4 row_sums[OWN_TASKS][RUN]; // x, y, x^2 + y^2, x y
+    real2 totals[OWN_TASKS];      // |x - y|, SSIM
+#pragma unroll
+    for (int own = 0; own < OWN_TASKS; own++) {
+        const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+        real x[4 * RUN_VECTORS], y[4 * RUN_VECTORS];
+        load_run((__local const real4 *)xs + (row * PITCH + run * RUN) / 4, x);
+        load_run((__local const real4 *)ys + (row * PITCH + run * RUN) / 4, y);
+        totals[own] = 0;
+#pragma unroll
+        for (int j = 0; j < RUN; j++) {
+            row_sums[own][j] = 0;
+            totals[own].x += fabs(x[RADIUS + j] - y[RADIUS + j]); // zero outside the image
+        }
+        if (row < RADIUS || row >= RADIUS + ROWS)
+            totals[own].x = 0;
+#pragma unroll
+        for (int k = 0; k < RUN_VALUES; k++) {
+            const real4 moments = (real4)(x[k], y[k], x[k] * x[k] + y[k] * y[k], x[k] * y[k]);
+            ADD_TO_WINDOWS(row_sums[own], RUN, k, moments);
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+    for (int own = 0; own < OWN_TASKS; own++) {
+        const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+#pragma unroll
+        for (int j = 0; j < RUN; j++)
+            memory[row * MOMENT_PITCH + run * RUN + j] = row_sums[own][j];
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+#pragma unroll
+    for (int own = 0; own < OWN_TASKS; own++) {
+        const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
+        real4 means[DOWN];
+#pragma unroll
+        for (int j = 0; j < DOWN; j++)
+            means[j] = 0;
+#pragma unroll
+        for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
+            const real4 moments = memory[(first + k) * MOMENT_PITCH + column];
+            ADD_TO_WINDOWS(means, DOWN, k, moments);
+        }
+#pragma unroll
+        for (int j = 0; j < DOWN; j++)
+            if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
+                const long pixel = (long)(y0 + first + j) * width + x0 + column;
+                __global real *map = maps + channel * 3 * plane + pixel;
+                real by_x, by_xx, by_xy;
+                totals[own].y +=
+                    ssim(means[j].x, means[j].y, means[j].z, means[j].w, &by_x, &by_xx, &by_xy);
+                map[0] = by_x;
+                map[plane] = by_xx;
+                map[2 * plane] = by_xy;
+            }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    // in two steps, and in an order that does not depend on GROUP
+    __local real2 *sums = (__local real2 *)memory;
+    for (int own = 0; own < OWN_TASKS; own++)
+        sums[own * GROUP + lane] = totals[own];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (lane < TASKS / 8)
+        for (int i = 1; i < 8; i++)
+            sums[lane] += sums[i * (TASKS / 8) + lane];
+    barrier(CLK_LOCAL_MEM_FENCE);
     if (lane == 0) {
-        partials[2 * group] = l1_sum;
-        partials[2 * group + 1] = ssim_sum;
+        real2 total = sums[0];
+        for (int i = 1; i < TASKS / 8; i++)
+            total += sums[i];
+        vstore2(total, group, partials);
     }
 }
 
@@ -58,36 +159,73 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
                         __global const uchar *restrict photo, __global const real *restrict maps,
                         real l1_scale, real ssim_scale, __global real *restrict grad_image)
 {
-    __local real wide[3][WIDE * WIDE], rows[3][WIDE * TILE];
+    __local real4 memory[3 * WIDE_ROWS * PITCH / 4]; // first values of the maps, then sums across
+    __local real *values = (__local real *)memory;
     const int group = get_group_id(0), lane = get_local_id(0);
-    LOCATE_PART(group, TILE, TILE);
-    FOR_GROUP(i, WIDE * WIDE) {
-        const int x = x0 - RADIUS + (int)i % WIDE, y = y0 - RADIUS + (int)i / WIDE;
-        const bool inside = x >= 0 && y >= 0 && x < width && y < height;
-        for (int m = 0; m < 3; m++)
-            wide[m][i] =
-                inside ? maps[(channel * 3 + m) * plane + (long)y * width + x] : 0;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    FOR_GROUP(i, WIDE * TILE) {
-        const int from = i / TILE * WIDE + i % TILE;
-        for (int m = 0; m < 3; m++) {
-            real sum = 0;
-            for (int k = 0; k < TAPS; k++)
-                sum += WINDOW[k] * wide[m][from + k];
-            rows[m][i] = sum;
+    LOCATE_PART(group, COLUMNS, ROWS);
+    LOCATE_HALO;
+    __global const real *map = maps + 2 * channel * plane; // a pixel counts its channel once itself
+#pragma unroll
+    for (int base = 0; base < WIDE_ROWS; base += AT_ONCE) {
+        IF_LOADED(base, place, pixel, inside) {
+            for (int m = 0; m < 3; m++)
+                values[m * WIDE_ROWS * PITCH + place] = inside ? map[m * plane + pixel] : 0;
         }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    const int x = x0 + lane % TILE, y = y0 + lane / TILE;
-    if (x < width && y < height) {
-        real by[3] = {0, 0, 0};
-        for (int k = 0; k < TAPS; k++)
-            for (int m = 0; m < 3; m++)
-                by[m] += WINDOW[k] * rows[m][(lane / TILE + k) * TILE + lane % TILE];
-        const long pixel = channel * plane + (long)y * width + x;
-        const real value = image[pixel], photo_value = photo[pixel] * (real)(1.0 / 255);
-        grad_image[pixel] = l1_scale * sign(value - photo_value) +
-                            ssim_scale * (by[0] + 2 * value * by[1] + photo_value * by[2]);
+
+    real row_sums[OWN_TASKS][3][RUN];
+#pragma unroll
+    for (int own = 0; own < OWN_TASKS; own++) {
+        const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+#pragma unroll
+        for (int m = 0; m < 3; m++) {
+            real by[4 * RUN_VECTORS];
+            load_run(memory + ((m * WIDE_ROWS + row) * PITCH + run * RUN) / 4, by);
+#pragma unroll
+            for (int j = 0; j < RUN; j++)
+                row_sums[own][m][j] = 0;
+#pragma unroll
+            for (int k = 0; k < RUN_VALUES; k++)
+                ADD_TO_WINDOWS(row_sums[own][m], RUN, k, by[k]);
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+    for (int own = 0; own < OWN_TASKS; own++) {
+        const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+#pragma unroll
+        for (int m = 0; m < 3; m++) {
+            const real *sums = row_sums[own][m];
+            __local real4 *to = memory + ((m * SUM_ROWS + row) * MAP_PITCH + run * RUN) / 4;
+            to[0] = (real4)(sums[0], sums[1], sums[2], sums[3]);
+            to[1] = (real4)(sums[4], sums[5], sums[6], sums[7]);
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+#pragma unroll
+    for (int own = 0; own < OWN_TASKS; own++) {
+        const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
+        real by[3][DOWN];
+#pragma unroll
+        for (int m = 0; m < 3; m++) {
+#pragma unroll
+            for (int j = 0; j < DOWN; j++)
+                by[m][j] = 0;
+#pragma unroll
+            for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
+                const real sum = values[(m * SUM_ROWS + first + k) * MAP_PITCH + column];
+                ADD_TO_WINDOWS(by[m], DOWN, k, sum);
+            }
+        }
+#pragma unroll
+        for (int j = 0; j < DOWN; j++)
+            if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
+                const long pixel = channel * plane + (long)(y0 + first + j) * width + x0 + column;
+                const real x = image[pixel], y = photo[pixel] * (real)(1.0 / 255);
+                grad_image[pixel] = l1_scale * sign(x - y) +
+                                    ssim_scale * (by[0][j] + 2 * x * by[1][j] + y * by[2][j]);
+            }
     }
 }

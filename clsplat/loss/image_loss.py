@@ -18,7 +18,7 @@ _IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", 3, "H", "W"))
 _MAPS: dict[str, Any] = dict(maps=("real", 3, 3, "H", "W"))
 _GRADIENT: dict[str, Any] = dict(l1_scale="real", ssim_scale="real",
                                  grad_image=("real", 3, "H", "W"))
-_TILES = "3 W/TILE H/TILE", "TILE TILE"
+_TILES = "3 W/32 H/22", "TILE 8"
 VALUE = Kernel("image_loss.cl", "image_loss",
                Forms(item=items("3 W/64 H/strip", strip="int", **_GRADIENT),
                      group=groups(*_TILES, **_MAPS)),
