@@ -26,8 +26,9 @@ PROJECT = Kernel("project.cl", "project", each("V"),
                  **_PARAMETERS, splats=("real", "V", SPLAT_REALS), depth_keys=("uint", "V"))
 _BY_COLOUR = dict(grad_colours=("real", "V", 3), directions=("real", "V", 3))
 ADJOINT = Kernel("project.cl", "project_adjoint", each("work"), work="uint",
-                 sum_count="uint", half_width="real", half_height="real", counts=("uint", FRAME_COUNTS),
-                 rows=("uint", "V"), **_PLACES, **_COLOURS, **_PARAMETERS, sums=("real", "V", "S"),
+                 sum_count="uint", half_width="real", half_height="real",
+                 counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS,
+                 **_PARAMETERS, sums=("real", "V", "S"),
                  grad_positions=("real", "V", 3), **_BY_COLOUR, grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1),
@@ -155,8 +156,8 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
     grad_colours, directions = device.empty((count, 3)), device.empty((count, 3))
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
     device.launch(ADJOINT, defines, work=max(count, 1), sum_count=splat_grads.shape[1],
-                  half_width=size[0] / 2, half_height=size[1] / 2, counts=counts, rows=visible, camera=camera,
-                  **_learned(rows), sums=splat_grads,
+                  half_width=size[0] / 2, half_height=size[1] / 2, counts=counts, rows=visible,
+                  camera=camera, **_learned(rows), sums=splat_grads,
                   **{f"grad_{name}": g for name, g in stored.items()}, grad_colours=grad_colours,
                   directions=directions, grad_means=grad_means, active=active, skipped=skipped,
                   frozen=skipped if frozen is None else frozen, grad_norm_sum=norms,

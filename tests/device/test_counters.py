@@ -1,4 +1,4 @@
-"""The counters of a device: kernels and fills, waits (a copy from or to the host is one), arrays."""
+"""The counters of a device: kernels and fills, arrays, and waits, such as copies to the host."""
 
 import numpy as np
 import pytest
