@@ -181,7 +181,8 @@ class DeviceAdam:
                 gradient=nothing if by_colour else fields["sh_rest"],
                 sh_rest=rows["sh_rest"], m=m["rest"], v=v["rest"])
         device.launch(
-            STEP_SMALL, defines, work=max(len(gradients.rows), CATCH_UP_EVERY), share=SH_C0 if by_colour else 1.0, counts=counts,
+            STEP_SMALL, defines, work=max(len(gradients.rows), CATCH_UP_EVERY),
+            share=SH_C0 if by_colour else 1.0, counts=counts,
             **{name: numbers[name] for name in self.NUMBERS if name != "before"},
             visible=gradients.visible, rows=gradients.rows, grad_colours=colours,
             **{f"grad_{field.name}": fields[field.name] for field in SMALL
