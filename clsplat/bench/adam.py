@@ -10,6 +10,7 @@ from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.pipeline import Gradients
 from clsplat.rendering.project import FieldGradients, Rows
 
@@ -75,9 +76,10 @@ def gradients_of(device: Device, count: int, share: float) -> Gradients:
 
     stored = {field.name: random(*field.row_shape(3)) for field in LEARNED
               if not field.name.startswith("sh_")}
+    counts = new_counts(device, len(rows))
     fields = FieldGradients(device, stored, random(3), random(3), 15,
-                            (("SH_REST", 15), ("ANTIALIASED", 0), ("DEGREE", 3)))
-    return Gradients(fields, None, rows, rows)
+                            (("SH_REST", 15), ("ANTIALIASED", 0), ("DEGREE", 3)), counts)
+    return Gradients(fields, None, rows, rows, counts)
 
 
 def lazy(bench: Bench, city: CityFrame, moments: str) -> DeviceAdam:
@@ -93,4 +95,8 @@ def catch_up(adam: DeviceAdam, rows: Rows, frozen: Array | None, camera: Array |
              ) -> None:
     """Let all rows that are not frozen miss LAG steps, and catch up."""
     adam.steps, adam.is_current = adam.steps + LAG, False
-    adam.catch_up(rows, frozen, camera)
+    if camera is None:
+        adam.catch_up(rows, frozen)
+    else:
+        numbers = adam.numbers(adam.steps + 1, RATES)
+        adam.catch_up_seen(rows, numbers, 3, frozen, camera, new_counts(adam.device))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from clsplat.loss.exposure import Exposures
+from clsplat.primitives.compact import new_counts
 
 from .measure import Bench
 
@@ -14,11 +15,11 @@ def main(argv: list[str]) -> None:
     rng = np.random.default_rng(0)
     image = device.upload(rng.random((3, height, width)))
     grad = device.upload(rng.normal(size=image.shape))
-    exposures = Exposures(device, 100)
+    exposures, counts = Exposures(device, 100), new_counts(device)
 
     def both() -> None:
         exposures.apply(0, image)
-        exposures.step(0, exposures.adjoint(0, image, grad)[1])
+        exposures.step(0, exposures.adjoint(0, image, grad)[1], counts)
 
     # the image is read twice, the gradient once; the result and its gradient are written. A pixel
     # goes through a matrix of 3 x 4, its transpose, and twelve sums of products

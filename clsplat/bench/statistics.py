@@ -1,6 +1,8 @@
-"""Screen gradients of a frame, summed by gaussian."""
+"""The adjoint of a frame with and without its screen gradients, summed by gaussian."""
 
 from functools import partial
+
+import numpy as np
 
 from clsplat.densify.statistics import Statistics
 
@@ -13,10 +15,11 @@ def main(argv: list[str]) -> None:
     bench = Bench(argv, __doc__, gaussians="200k")
     for count in bench.options.gaussians:
         city = CityFrame(bench.device, count)
-        gradients, statistics = city.gradients(), Statistics(bench.device, count)
-        times = bench.milliseconds(partial(statistics.accumulate, gradients, *city.frame.size))
-        seen = len(gradients.rows)
-        # a row number and two reals are read, a sum and a counter read and written; the length
-        # takes two products, a sum and a root
-        bench.report("statistics", "accumulate", times, {"gaussians": count, "visible": seen},
-                     seen * (12 + 4 * bench.device.real.itemsize), 8 * seen)
+        image, sums = city.frame.image, Statistics(bench.device, count).sums
+        grad = bench.device.upload(np.full(image.shape, 1 / np.prod(image.shape)))
+        seen = len(city.frame.visible)
+        for name, statistics in (("with", sums), ("without", None)):
+            times = bench.milliseconds(partial(city.renderer.adjoint, city.rows, city.frame, grad,
+                                               statistics=statistics))
+            bench.report("statistics", f"adjoint {name} statistics", times,
+                         {"gaussians": count, "visible": seen})
