@@ -49,21 +49,21 @@ inline int16 load_indices(__global const int *row, int columns)
 
 // Rows are blended BLOCK at a time, so that the operations of one fill the waits of another. A row of a
 // block that an ellipse does not reach adds nothing, as its excess is below zero. EACH_ROW writes its
-// argument once for each row k: PoCL would not unroll a loop, nor keep arrays in registers.
+// argument, which has no commas outside parentheses, once for each row k: PoCL would not unroll a loop,
+// nor keep arrays in registers.
 #define BLOCK 4
 #define CHUNK 16 // pairs whose terms along x are kept for all blocks
-#define EACH_ROW(...)                                                                              \
-    ONE_ROW(0, __VA_ARGS__) ONE_ROW(1, __VA_ARGS__) ONE_ROW(2, __VA_ARGS__) ONE_ROW(3, __VA_ARGS__)
-#define ONE_ROW(K, ...)                                                                            \
+#define EACH_ROW(BODY) ONE_ROW(0, BODY) ONE_ROW(1, BODY) ONE_ROW(2, BODY) ONE_ROW(3, BODY)
+#define ONE_ROW(K, BODY)                                                                           \
     {                                                                                              \
         const int k = K;                                                                           \
-        __VA_ARGS__                                                                                \
+        BODY                                                                                       \
     }
 
 #if WITH_DEPTH
-#define IF_DEPTH(...) __VA_ARGS__
+#define IF_DEPTH(CODE) CODE
 #else
-#define IF_DEPTH(...)
+#define IF_DEPTH(CODE)
 #endif
 
 // Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h), so
@@ -256,7 +256,8 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 inverse[k] = 1 / (1 - alpha[k]);)
             EACH_ROW(
                 const int r = r0 + k;
-                const real16 before = t[r] * inverse[k], w = alpha[k] * before;
+                const real16 before = t[r] * inverse[k];
+                const real16 w = alpha[k] * before;
                 real16 light = grad_red[r] * splat[SPLAT_COLOUR] +
                                grad_green[r] * splat[SPLAT_COLOUR + 1] +
                                grad_blue[r] * splat[SPLAT_COLOUR + 2];

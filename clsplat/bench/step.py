@@ -108,8 +108,8 @@ def measure(bench: Bench, prepared: PreparedScene, photos: Photos, gaussians: Ga
     def one(turns: Iterator[Callable[[], object]] = turns) -> None:
         next(turns)()
 
-    times = milliseconds(device, one, len(views), warm_up=len(views))
-    stream = streamed(device, one, max(1, len(views) // STREAM))
+    times = milliseconds(trial, one, len(views), warm_up=len(views))
+    stream = streamed(trial, one, max(1, len(views) // STREAM))
     splats = [session.renderer.count_splats(session.model.rows, camera)
               for camera in session.cameras]
     width, height = views[0].camera.width, views[0].camera.height
@@ -128,16 +128,16 @@ def measure(bench: Bench, prepared: PreparedScene, photos: Photos, gaussians: Ga
               f"{len(seconds) / len(views):.2g} launches", flush=True)
 
 
-def streamed(device: Device, one: Callable[[], object], rounds: int) -> Stream:
+def streamed(trial: TrialSteps, one: Callable[[], object], rounds: int) -> Stream:
     """Take STREAM steps several times without waiting between them; medians of the times."""
-    times = np.empty((rounds, 2))
+    device, times = trial.session.device, np.empty((rounds, 2))
     before = counters(device)
     for number in range(rounds):
         start = time.perf_counter()
         for _ in range(STREAM):
             one()
         enqueued = time.perf_counter()
-        device.finish()
+        trial.finish()
         times[number] = enqueued - start, time.perf_counter() - start
     host, whole = np.median(times, axis=0) / STREAM * 1e3
     launches, waits, allocations = ((after - first) / (rounds * STREAM) for first, after in zip(

@@ -123,13 +123,13 @@ def _step_seconds(device: Device, prepared: PreparedScene, level: float, count: 
     steps = [trial.prepare(index, regularises) for index in chosen]
     for step in steps:  # compile kernels and fill the pool
         step()
-    device.finish()
+    trial.finish()
     turns, each = itertools.cycle(steps), []
     for _ in range(REPEATS):
         begin, taken = time.perf_counter(), 0
         while time.perf_counter() - begin < TIMED_SECONDS:
             next(turns)()
             taken += 1
-        device.finish()
+        trial.finish()
         each.append((time.perf_counter() - begin) / taken)
     return float(np.median(each))

@@ -45,6 +45,10 @@ class TrialSteps:
             return session.step.run(session.iteration, plan, samples)
         return take
 
+    def finish(self) -> None:
+        """Wait until all steps are done, also those that had to be repeated."""
+        self.session.step.settle()
+
 
 def trial_plan(options: TrainOptions, level: float, regularises: bool) -> Plan:
     """The plan of a step with all spherical harmonics, which gathers statistics."""

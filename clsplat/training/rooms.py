@@ -24,26 +24,22 @@ class Rooms:
     def __init__(self, renderer: Renderer) -> None:
         self.renderer = renderer
         self._rooms: dict[tuple[int, int], Room] = {}
-        self._most_visible = 0
+        self._most_visible = self._expected_pairs = 0
         self._most_pairs: dict[tuple[int, int], int] = {}
         self._most_tiles: dict[tuple[int, int], NDArray[np.int64]] = {}  # of each tile, any view
 
-    def forget(self, growth: float | None = None) -> None:
+    def forget(self, most_visible: float = 0, most_pairs: float = 0) -> None:
         """Choose anew from now on.
 
         Parameters
         ----------
-        growth : the factor by which the number of gaussians has grown, which frames will need
-            more; None: what was seen so far says nothing.
+        most_visible, most_pairs : what frames of any size are expected to need.
         """
         self._rooms.clear()
         self._most_tiles.clear()
-        if growth is None:
-            self._most_visible, self._most_pairs = 0, {}
-            return
-        self._most_visible = math.ceil(growth * self._most_visible)
-        self._most_pairs = {size: math.ceil(growth * most)
-                            for size, most in self._most_pairs.items()}
+        self._most_pairs.clear()
+        self._most_visible = math.ceil(most_visible)
+        self._expected_pairs = math.ceil(most_pairs)
 
     def room(self, rows: Rows, camera: Array, width: int, height: int, with_depth: bool) -> Room:
         """The room of a frame; measures one that is the first of its size, and waits for that."""
@@ -58,7 +54,8 @@ class Rooms:
         visible, tiles = self.renderer.measure(rows, camera, width, height)
         most = self._most_tiles[size] = np.maximum(tiles, self._most_tiles.get(size, tiles))
         self._most_visible = max(self._most_visible, visible)
-        self._most_pairs[size] = max(self._most_pairs.get(size, 0), int(tiles.sum()))
+        self._most_pairs[size] = max(self._most_pairs.get(size, self._expected_pairs),
+                                     int(tiles.sum()))
         limit = self.renderer.pair_limit
         if limit is None:
             limit = pair_limit(self.renderer.device, width, height, with_depth)

@@ -7,7 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import COUNT_DONE, COUNT_SUM_PAIRS, COUNT_SUM_VISIBLE
+from clsplat.constants import (
+    COUNT_DONE,
+    COUNT_MOST_PAIRS,
+    COUNT_MOST_VISIBLE,
+    COUNT_SUM_PAIRS,
+    COUNT_SUM_VISIBLE,
+)
 from clsplat.densify.grow import Candidates, plan_growth
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
@@ -177,8 +183,9 @@ class Step:
         plan, sample = self._samples[unit]
         with_depth = any(term.needs_depth for term in self._terms_for(plan, sample))
         _, height, width = sample.photo.shape
-        self._rooms.enlarge(self._model.rows, sample.camera, width, height, with_depth)
         self._graphs.clear()
+        self.device.trim()
+        self._rooms.enlarge(self._model.rows, sample.camera, width, height, with_depth)
 
     def _take(self, plan: Plan, sample: TrainingSample, numbers: Mapping[str, float], slot: int
               ) -> Measured:
@@ -285,7 +292,15 @@ class Step:
     def begin_level(self) -> None:
         """Begin a level, or another size of photos: no statistics, and other room."""
         self.statistics.clear(self.count)
-        self._rooms.forget()
+        self._choose_room(0)
+
+    def _choose_room(self, growth: float) -> None:
+        """Make room anew for frames that need `growth` times what frames needed so far."""
+        counts, most = self.settle(), [COUNT_MOST_VISIBLE, COUNT_MOST_PAIRS]
+        self._rooms.forget(*(growth * counts[most]).tolist())
+        counts[most] = 0
+        self.units.counts.write(counts)
+        self.units.hurry()
         self._graphs.clear()
 
     def freeze(self) -> None:
@@ -320,7 +335,7 @@ class Step:
         model.regrow(growth)
         self.freeze()
         self._statistics.clear(model.count)
-        self._rooms.forget(model.count / before)
+        self._choose_room(model.count / before)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 
     def _selected(self, iteration: int, schedule: Schedule, gradient: NDArray[np.floating],

@@ -21,6 +21,7 @@ from clsplat.constants import (
 from clsplat.device import ArraySpec, Device
 
 Unit = Callable[[], None]  # enqueues the work of one frame; COUNT_DONE counts those that are done
+FEW_PENDING = 8
 MOST_PENDING = 50  # units, between two looks at the counts
 WRAP = 2**32
 COUNTS = ArraySpec((FRAME_COUNTS,), np.uint32)
@@ -37,20 +38,26 @@ class Units:
     Attributes
     ----------
     counts : uint[FRAME_COUNTS], for all frames of the units.
-    most_pending : units after which `submit` looks at the counts.
+    most_pending : units after which `submit` looks at the counts; fewer after `hurry`.
     """
 
     def __init__(self, device: Device, make_room: Callable[[Unit], None]) -> None:
         self.counts = device.zeros(*COUNTS)
         self.most_pending = MOST_PENDING
         self._make_room, self._pending, self._done = make_room, list[Unit](), 0
+        self._patience = FEW_PENDING
 
     def submit(self, unit: Unit) -> None:
         """Run a unit."""
         unit()
         self._pending.append(unit)
-        if len(self._pending) >= self.most_pending:
+        if len(self._pending) >= min(self._patience, self.most_pending):
+            self._patience *= 2
             self.confirm()
+
+    def hurry(self) -> None:
+        """Look at the counts soon, as the room is new: units after one that failed are in vain."""
+        self._patience = FEW_PENDING
 
     def confirm(self) -> NDArray[np.uint32]:
         """Make sure that all units are done; waits. Returns the counts."""
@@ -63,6 +70,7 @@ class Units:
             assert read[COUNT_FAILED], "a unit neither failed nor was done"
             read[[COUNT_FAILED, COUNT_NEEDED_VISIBLE, COUNT_NEEDED_PAIRS]] = 0
             self.counts.write(read)
+            self.hurry()
             self._make_room(self._pending[0])
             for unit in self._pending:
                 unit()
