@@ -21,7 +21,7 @@
 #define MOMENT_PITCH 33         // of the sums across of all moments, real4s
 #define SUM_ROWS (WIDE_ROWS + 2) // the lowest lanes go two rows too far down, and ignore these
 
-// A row's `count` loaded values from `from` on.
+// The values that a run reads, from its first on.
 #define RUN_VALUES (RUN + 2 * RADIUS)
 #define RUN_VECTORS ((RUN_VALUES + 3) / 4)
 inline void load_run(__local const real4 *from, real *values)
@@ -36,7 +36,7 @@ inline void load_run(__local const real4 *from, real *values)
     }
 }
 
-// Adds value number `k` to the windows of `count` neighbours, the first of which begins with number 0.
+// Adds value number K to the windows of COUNT neighbours, the first of which begins with number 0.
 #define ADD_TO_WINDOWS(SUMS, COUNT, K, VALUE)                                                      \
     _Pragma("unroll") for (int j = 0; j < (COUNT); j++)                                            \
     {                                                                                              \
@@ -44,20 +44,19 @@ inline void load_run(__local const real4 *from, real *values)
             SUMS[j] += WINDOW[(K) - j] * (VALUE);                                                  \
     }
 
-// A lane loads every AT_ONCE-th row of its column of the tile and its halo.
+// A lane loads every AT_ONCE-th row of its column of the tile and its halo, LOADS in all: of pixel
+// PIXEL_OF(i) of the channel, which INSIDE(i) tells not to stand in for one beyond the border, to `place`
+// in row i AT_ONCE, if HAS_PLACE(i). All are loaded at once, and so without branches.
 #define AT_ONCE (GROUP / WIDE_COLUMNS)
+#define LOADS ((WIDE_ROWS + AT_ONCE - 1) / AT_ONCE)
 #define LOCATE_HALO                                                                                \
-    const int halo_column = lane % WIDE_COLUMNS, halo_row = lane / WIDE_COLUMNS;                   \
-    const int halo_x = x0 - RADIUS + halo_column;                                                  \
-    const bool loads = halo_row < AT_ONCE, in_columns = halo_x >= 0 && halo_x < width
-
-// The place and the pixel of a lane in row `base` and below; a block follows.
-#define IF_LOADED(base, place, pixel, inside)                                                      \
-    const int wide_row = (base) + halo_row, halo_y = y0 - RADIUS + wide_row;                       \
-    const int place = wide_row * PITCH + halo_column;                                              \
-    const long pixel = channel * plane + (long)halo_y * width + halo_x;                            \
-    const bool inside = in_columns && halo_y >= 0 && halo_y < height;                              \
-    if (loads && wide_row < WIDE_ROWS)
+    const int halo_row = lane / WIDE_COLUMNS, halo_column = lane % WIDE_COLUMNS;                   \
+    const int halo_x = x0 - RADIUS + halo_column, halo_y = y0 - RADIUS + halo_row;                 \
+    const int place = halo_row * PITCH + halo_column, near_x = clamp(halo_x, 0, width - 1)
+#define NEAR_Y(i) clamp(halo_y + (i) * AT_ONCE, 0, height - 1)
+#define PIXEL_OF(i) (NEAR_Y(i) * width + near_x)
+#define INSIDE(i) (halo_x == near_x && halo_y + (i) * AT_ONCE == NEAR_Y(i))
+#define HAS_PLACE(i) (halo_row < AT_ONCE && halo_row + (i) * AT_ONCE < WIDE_ROWS)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void image_loss(int width, int height, __global const real *restrict image,
@@ -69,13 +68,20 @@ void image_loss(int width, int height, __global const real *restrict image,
     const int group = get_group_id(0), lane = get_local_id(0);
     LOCATE_PART(group, COLUMNS, ROWS);
     LOCATE_HALO;
+    __global const real *channel_image = image + channel * plane;
+    __global const uchar *channel_photo = photo + channel * plane;
+    real loaded_x[LOADS], loaded_y[LOADS];
 #pragma unroll
-    for (int base = 0; base < WIDE_ROWS; base += AT_ONCE) {
-        IF_LOADED(base, place, pixel, inside) {
-            xs[place] = inside ? image[pixel] : 0;
-            ys[place] = inside ? photo[pixel] * (real)(1.0 / 255) : 0;
-        }
+    for (int i = 0; i < LOADS; i++) {
+        loaded_x[i] = channel_image[PIXEL_OF(i)];
+        loaded_y[i] = channel_photo[PIXEL_OF(i)] * (real)(1.0 / 255);
     }
+#pragma unroll
+    for (int i = 0; i < LOADS; i++)
+        if (HAS_PLACE(i)) {
+            xs[i * AT_ONCE * PITCH + place] = INSIDE(i) ? loaded_x[i] : 0;
+            ys[i * AT_ONCE * PITCH + place] = INSIDE(i) ? loaded_y[i] : 0;
+        }
     barrier(CLK_LOCAL_MEM_FENCE);
 
     real4 row_sums[OWN_TASKS][RUN]; // x, y, x^2 + y^2, x y
@@ -113,6 +119,8 @@ void image_loss(int width, int height, __global const real *restrict image,
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
+        __global real *own_maps =
+            maps + 3 * channel * plane + (long)(y0 + first) * width + x0 + column;
         real4 means[DOWN];
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
@@ -125,8 +133,7 @@ void image_loss(int width, int height, __global const real *restrict image,
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
             if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
-                const long pixel = (long)(y0 + first + j) * width + x0 + column;
-                __global real *map = maps + channel * 3 * plane + pixel;
+                __global real *map = own_maps + j * width;
                 real by_x, by_xx, by_xy;
                 totals[own].y +=
                     ssim(means[j].x, means[j].y, means[j].z, means[j].w, &by_x, &by_xx, &by_xy);
@@ -164,13 +171,17 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
     const int group = get_group_id(0), lane = get_local_id(0);
     LOCATE_PART(group, COLUMNS, ROWS);
     LOCATE_HALO;
-    __global const real *map = maps + 2 * channel * plane; // a pixel counts its channel once itself
 #pragma unroll
-    for (int base = 0; base < WIDE_ROWS; base += AT_ONCE) {
-        IF_LOADED(base, place, pixel, inside) {
-            for (int m = 0; m < 3; m++)
-                values[m * WIDE_ROWS * PITCH + place] = inside ? map[m * plane + pixel] : 0;
-        }
+    for (int m = 0; m < 3; m++) {
+        __global const real *map = maps + (3 * channel + m) * plane;
+        real loaded[LOADS];
+#pragma unroll
+        for (int i = 0; i < LOADS; i++)
+            loaded[i] = map[PIXEL_OF(i)];
+#pragma unroll
+        for (int i = 0; i < LOADS; i++)
+            if (HAS_PLACE(i))
+                values[(m * WIDE_ROWS + i * AT_ONCE) * PITCH + place] = INSIDE(i) ? loaded[i] : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -207,6 +218,7 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
+        const long own_pixel = channel * plane + (long)(y0 + first) * width + x0 + column;
         real by[3][DOWN];
 #pragma unroll
         for (int m = 0; m < 3; m++) {
@@ -222,7 +234,7 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
             if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
-                const long pixel = channel * plane + (long)(y0 + first + j) * width + x0 + column;
+                const long pixel = own_pixel + j * width;
                 const real x = image[pixel], y = photo[pixel] * (real)(1.0 / 255);
                 grad_image[pixel] = l1_scale * sign(x - y) +
                                     ssim_scale * (by[0][j] + 2 * x * by[1][j] + y * by[2][j]);
