@@ -52,7 +52,8 @@ inline void load_run(__local const real4 *from, real *values)
 #define LOCATE_HALO                                                                                \
     const int halo_row = lane / WIDE_COLUMNS, halo_column = lane % WIDE_COLUMNS;                   \
     const int halo_x = x0 - RADIUS + halo_column, halo_y = y0 - RADIUS + halo_row;                 \
-    const int place = halo_row * PITCH + halo_column, near_x = clamp(halo_x, 0, width - 1)
+    const int near_x = clamp(halo_x, 0, width - 1);                                                \
+    __local real *place = values + halo_row * PITCH + halo_column
 #define NEAR_Y(i) clamp(halo_y + (i) * AT_ONCE, 0, height - 1)
 #define PIXEL_OF(i) (NEAR_Y(i) * width + near_x)
 #define INSIDE(i) (halo_x == near_x && halo_y + (i) * AT_ONCE == NEAR_Y(i))
@@ -64,7 +65,7 @@ void image_loss(int width, int height, __global const real *restrict image,
                 __global real *restrict maps)
 {
     __local real4 memory[SUM_ROWS * MOMENT_PITCH]; // first values, then moments, then totals
-    __local real *xs = (__local real *)memory, *ys = xs + WIDE_ROWS * PITCH;
+    __local real *values = (__local real *)memory; // x, then y
     const int group = get_group_id(0), lane = get_local_id(0);
     LOCATE_PART(group, COLUMNS, ROWS);
     LOCATE_HALO;
@@ -79,8 +80,8 @@ void image_loss(int width, int height, __global const real *restrict image,
 #pragma unroll
     for (int i = 0; i < LOADS; i++)
         if (HAS_PLACE(i)) {
-            xs[i * AT_ONCE * PITCH + place] = INSIDE(i) ? loaded_x[i] : 0;
-            ys[i * AT_ONCE * PITCH + place] = INSIDE(i) ? loaded_y[i] : 0;
+            place[i * AT_ONCE * PITCH] = INSIDE(i) ? loaded_x[i] : 0;
+            place[(i * AT_ONCE + WIDE_ROWS) * PITCH] = INSIDE(i) ? loaded_y[i] : 0;
         }
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -90,8 +91,9 @@ void image_loss(int width, int height, __global const real *restrict image,
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
         real x[4 * RUN_VECTORS], y[4 * RUN_VECTORS];
-        load_run((__local const real4 *)xs + (row * PITCH + run * RUN) / 4, x);
-        load_run((__local const real4 *)ys + (row * PITCH + run * RUN) / 4, y);
+        __local const real4 *from = memory + row * (PITCH / 4) + run * (RUN / 4);
+        load_run(from, x);
+        load_run(from + WIDE_ROWS * PITCH / 4, y);
         totals[own] = 0;
 #pragma unroll
         for (int j = 0; j < RUN; j++) {
@@ -110,9 +112,10 @@ void image_loss(int width, int height, __global const real *restrict image,
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+        __local real4 *to = memory + row * MOMENT_PITCH + run * RUN;
 #pragma unroll
         for (int j = 0; j < RUN; j++)
-            memory[row * MOMENT_PITCH + run * RUN + j] = row_sums[own][j];
+            to[j] = row_sums[own][j];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -121,13 +124,14 @@ void image_loss(int width, int height, __global const real *restrict image,
         const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
         __global real *own_maps =
             maps + 3 * channel * plane + (long)(y0 + first) * width + x0 + column;
+        __local const real4 *column_sums = memory + first * MOMENT_PITCH + column;
         real4 means[DOWN];
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
             means[j] = 0;
 #pragma unroll
         for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
-            const real4 moments = memory[(first + k) * MOMENT_PITCH + column];
+            const real4 moments = column_sums[k * MOMENT_PITCH];
             ADD_TO_WINDOWS(means, DOWN, k, moments);
         }
 #pragma unroll
@@ -181,7 +185,7 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #pragma unroll
         for (int i = 0; i < LOADS; i++)
             if (HAS_PLACE(i))
-                values[(m * WIDE_ROWS + i * AT_ONCE) * PITCH + place] = INSIDE(i) ? loaded[i] : 0;
+                place[(m * WIDE_ROWS + i * AT_ONCE) * PITCH] = INSIDE(i) ? loaded[i] : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -189,10 +193,11 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+        __local const real4 *from = memory + row * (PITCH / 4) + run * (RUN / 4);
 #pragma unroll
         for (int m = 0; m < 3; m++) {
             real by[4 * RUN_VECTORS];
-            load_run(memory + ((m * WIDE_ROWS + row) * PITCH + run * RUN) / 4, by);
+            load_run(from + m * (WIDE_ROWS * PITCH / 4), by);
 #pragma unroll
             for (int j = 0; j < RUN; j++)
                 row_sums[own][m][j] = 0;
@@ -205,10 +210,11 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+        __local real4 *row_to = memory + row * (MAP_PITCH / 4) + run * (RUN / 4);
 #pragma unroll
         for (int m = 0; m < 3; m++) {
             const real *sums = row_sums[own][m];
-            __local real4 *to = memory + ((m * SUM_ROWS + row) * MAP_PITCH + run * RUN) / 4;
+            __local real4 *to = row_to + m * (SUM_ROWS * MAP_PITCH / 4);
             to[0] = (real4)(sums[0], sums[1], sums[2], sums[3]);
             to[1] = (real4)(sums[4], sums[5], sums[6], sums[7]);
         }
@@ -219,6 +225,7 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
     for (int own = 0; own < OWN_TASKS; own++) {
         const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
         const long own_pixel = channel * plane + (long)(y0 + first) * width + x0 + column;
+        __local const real *column_sums = values + first * MAP_PITCH + column;
         real by[3][DOWN];
 #pragma unroll
         for (int m = 0; m < 3; m++) {
@@ -227,7 +234,7 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
                 by[m][j] = 0;
 #pragma unroll
             for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
-                const real sum = values[(m * SUM_ROWS + first + k) * MAP_PITCH + column];
+                const real sum = column_sums[(m * SUM_ROWS + k) * MAP_PITCH];
                 ADD_TO_WINDOWS(by[m], DOWN, k, sum);
             }
         }
