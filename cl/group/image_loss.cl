@@ -74,14 +74,15 @@ void image_loss(int width, int height, __global const real *restrict image,
     real loaded_x[LOADS], loaded_y[LOADS];
 #pragma unroll
     for (int i = 0; i < LOADS; i++) {
-        loaded_x[i] = channel_image[PIXEL_OF(i)];
-        loaded_y[i] = channel_photo[PIXEL_OF(i)] * (real)(1.0 / 255);
+        const real x = channel_image[PIXEL_OF(i)], y = channel_photo[PIXEL_OF(i)];
+        loaded_x[i] = INSIDE(i) ? x : 0;
+        loaded_y[i] = INSIDE(i) ? y * (real)(1.0 / 255) : 0;
     }
 #pragma unroll
     for (int i = 0; i < LOADS; i++)
         if (HAS_PLACE(i)) {
-            place[i * AT_ONCE * PITCH] = INSIDE(i) ? loaded_x[i] : 0;
-            place[(i * AT_ONCE + WIDE_ROWS) * PITCH] = INSIDE(i) ? loaded_y[i] : 0;
+            place[i * AT_ONCE * PITCH] = loaded_x[i];
+            place[(i * AT_ONCE + WIDE_ROWS) * PITCH] = loaded_y[i];
         }
     barrier(CLK_LOCAL_MEM_FENCE);
 
