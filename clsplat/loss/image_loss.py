@@ -58,7 +58,7 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
 
 
 def loss_value(partials: Array, values: int, ssim_weight: float) -> tuple[float, float, float]:
-    """(loss, mean |x - y|, mean SSIM) from partial sums of `image_loss` over 3 H W values; waits."""
+    """(loss, mean |x - y|, mean SSIM) from partial sums of `image_loss` of 3 H W values; waits."""
     sums = sum_columns(partials.device, partials)
     l1, ssim = (float(v) / values for v in sums.download())
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim

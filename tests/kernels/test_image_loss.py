@@ -10,9 +10,9 @@ from tests.checks import close
 from tests.kernels.chain import precision_of
 from tests.reference.image_loss import image_loss as reference
 
-# one pixel, less than the window, tile (32 x 22) and strip borders and one beside them. The item form's
-# strips have 64 columns and read 10 more on both sides: the last columns alone in a strip or vector,
-# and a strip in the middle that reads to the border (150) and beyond it (149)
+# one pixel, less than the window, tile (32 x 22) and strip borders and one beside them. The item
+# form's strips have 64 columns and read 10 more on both sides: the last columns alone in a strip or
+# vector, and a strip in the middle that reads to the border (150) and beyond it (149)
 SIZES = ((1, 1), (7, 5), (15, 17), (16, 16), (17, 15), (32, 11), (61, 37), (48, 40), (64, 9),
          (65, 33), (33, 22), (31, 23), (32, 45), (74, 6), (81, 12), (149, 7), (150, 7))
 WEIGHT = 0.2
