@@ -21,7 +21,7 @@
 #define MOMENT_PITCH 33         // of the sums across of all moments, real4s
 #define SUM_ROWS (WIDE_ROWS + 2) // the lowest lanes go two rows too far down, and ignore these
 
-// A row's `count` loaded values from `from` on.
+// The values that a run reads, from its first on.
 #define RUN_VALUES (RUN + 2 * RADIUS)
 #define RUN_VECTORS ((RUN_VALUES + 3) / 4)
 inline void load_run(__local const real4 *from, real *values)
@@ -36,7 +36,7 @@ inline void load_run(__local const real4 *from, real *values)
     }
 }
 
-// Adds value number `k` to the windows of `count` neighbours, the first of which begins with number 0.
+// Adds value number K to the windows of COUNT neighbours, the first of which begins with number 0.
 #define ADD_TO_WINDOWS(SUMS, COUNT, K, VALUE)                                                      \
     _Pragma("unroll") for (int j = 0; j < (COUNT); j++)                                            \
     {                                                                                              \
@@ -44,20 +44,20 @@ inline void load_run(__local const real4 *from, real *values)
             SUMS[j] += WINDOW[(K) - j] * (VALUE);                                                  \
     }
 
-// A lane loads every AT_ONCE-th row of its column of the tile and its halo.
+// A lane loads every AT_ONCE-th row of its column of the tile and its halo, LOADS in all: of pixel
+// PIXEL_OF(i) of the channel, which INSIDE(i) tells not to stand in for one beyond the border, to `place`
+// in row i AT_ONCE, if HAS_PLACE(i). All are loaded at once, and so without branches.
 #define AT_ONCE (GROUP / WIDE_COLUMNS)
+#define LOADS ((WIDE_ROWS + AT_ONCE - 1) / AT_ONCE)
 #define LOCATE_HALO                                                                                \
-    const int halo_column = lane % WIDE_COLUMNS, halo_row = lane / WIDE_COLUMNS;                   \
-    const int halo_x = x0 - RADIUS + halo_column;                                                  \
-    const bool loads = halo_row < AT_ONCE, in_columns = halo_x >= 0 && halo_x < width
-
-// The place and the pixel of a lane in row `base` and below; a block follows.
-#define IF_LOADED(base, place, pixel, inside)                                                      \
-    const int wide_row = (base) + halo_row, halo_y = y0 - RADIUS + wide_row;                       \
-    const int place = wide_row * PITCH + halo_column;                                              \
-    const long pixel = channel * plane + (long)halo_y * width + halo_x;                            \
-    const bool inside = in_columns && halo_y >= 0 && halo_y < height;                              \
-    if (loads && wide_row < WIDE_ROWS)
+    const int halo_row = lane / WIDE_COLUMNS, halo_column = lane % WIDE_COLUMNS;                   \
+    const int halo_x = x0 - RADIUS + halo_column, halo_y = y0 - RADIUS + halo_row;                 \
+    const int near_x = clamp(halo_x, 0, width - 1);                                                \
+    __local real *place = values + halo_row * PITCH + halo_column
+#define NEAR_Y(i) clamp(halo_y + (i) * AT_ONCE, 0, height - 1)
+#define PIXEL_OF(i) (NEAR_Y(i) * width + near_x)
+#define INSIDE(i) (halo_x == near_x && halo_y + (i) * AT_ONCE == NEAR_Y(i))
+#define HAS_PLACE(i) (halo_row < AT_ONCE && halo_row + (i) * AT_ONCE < WIDE_ROWS)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void image_loss(int width, int height, __global const real *restrict image,
@@ -65,17 +65,25 @@ void image_loss(int width, int height, __global const real *restrict image,
                 __global real *restrict maps)
 {
     __local real4 memory[SUM_ROWS * MOMENT_PITCH]; // first values, then moments, then totals
-    __local real *xs = (__local real *)memory, *ys = xs + WIDE_ROWS * PITCH;
+    __local real *values = (__local real *)memory; // x, then y
     const int group = get_group_id(0), lane = get_local_id(0);
     LOCATE_PART(group, COLUMNS, ROWS);
     LOCATE_HALO;
+    __global const real *channel_image = image + channel * plane;
+    __global const uchar *channel_photo = photo + channel * plane;
+    real loaded_x[LOADS], loaded_y[LOADS];
 #pragma unroll
-    for (int base = 0; base < WIDE_ROWS; base += AT_ONCE) {
-        IF_LOADED(base, place, pixel, inside) {
-            xs[place] = inside ? image[pixel] : 0;
-            ys[place] = inside ? photo[pixel] * (real)(1.0 / 255) : 0;
-        }
+    for (int i = 0; i < LOADS; i++) {
+        const real x = channel_image[PIXEL_OF(i)], y = channel_photo[PIXEL_OF(i)];
+        loaded_x[i] = INSIDE(i) ? x : 0;
+        loaded_y[i] = INSIDE(i) ? y * (real)(1.0 / 255) : 0;
     }
+#pragma unroll
+    for (int i = 0; i < LOADS; i++)
+        if (HAS_PLACE(i)) {
+            place[i * AT_ONCE * PITCH] = loaded_x[i];
+            place[(i * AT_ONCE + WIDE_ROWS) * PITCH] = loaded_y[i];
+        }
     barrier(CLK_LOCAL_MEM_FENCE);
 
     real4 row_sums[OWN_TASKS][RUN]; // x, y, x^2 + y^2, x y
@@ -84,8 +92,9 @@ void image_loss(int width, int height, __global const real *restrict image,
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
         real x[4 * RUN_VECTORS], y[4 * RUN_VECTORS];
-        load_run((__local const real4 *)xs + (row * PITCH + run * RUN) / 4, x);
-        load_run((__local const real4 *)ys + (row * PITCH + run * RUN) / 4, y);
+        __local const real4 *from = memory + row * (PITCH / 4) + run * (RUN / 4);
+        load_run(from, x);
+        load_run(from + WIDE_ROWS * PITCH / 4, y);
         totals[own] = 0;
 #pragma unroll
         for (int j = 0; j < RUN; j++) {
@@ -104,29 +113,32 @@ void image_loss(int width, int height, __global const real *restrict image,
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+        __local real4 *to = memory + row * MOMENT_PITCH + run * RUN;
 #pragma unroll
         for (int j = 0; j < RUN; j++)
-            memory[row * MOMENT_PITCH + run * RUN + j] = row_sums[own][j];
+            to[j] = row_sums[own][j];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
+        __global real *own_maps =
+            maps + 3 * channel * plane + (long)(y0 + first) * width + x0 + column;
+        __local const real4 *column_sums = memory + first * MOMENT_PITCH + column;
         real4 means[DOWN];
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
             means[j] = 0;
 #pragma unroll
         for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
-            const real4 moments = memory[(first + k) * MOMENT_PITCH + column];
+            const real4 moments = column_sums[k * MOMENT_PITCH];
             ADD_TO_WINDOWS(means, DOWN, k, moments);
         }
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
             if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
-                const long pixel = (long)(y0 + first + j) * width + x0 + column;
-                __global real *map = maps + channel * 3 * plane + pixel;
+                __global real *map = own_maps + j * width;
                 real by_x, by_xx, by_xy;
                 totals[own].y +=
                     ssim(means[j].x, means[j].y, means[j].z, means[j].w, &by_x, &by_xx, &by_xy);
@@ -164,13 +176,17 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
     const int group = get_group_id(0), lane = get_local_id(0);
     LOCATE_PART(group, COLUMNS, ROWS);
     LOCATE_HALO;
-    __global const real *map = maps + 2 * channel * plane; // a pixel counts its channel once itself
 #pragma unroll
-    for (int base = 0; base < WIDE_ROWS; base += AT_ONCE) {
-        IF_LOADED(base, place, pixel, inside) {
-            for (int m = 0; m < 3; m++)
-                values[m * WIDE_ROWS * PITCH + place] = inside ? map[m * plane + pixel] : 0;
-        }
+    for (int m = 0; m < 3; m++) {
+        __global const real *map = maps + (3 * channel + m) * plane;
+        real loaded[LOADS];
+#pragma unroll
+        for (int i = 0; i < LOADS; i++)
+            loaded[i] = map[PIXEL_OF(i)];
+#pragma unroll
+        for (int i = 0; i < LOADS; i++)
+            if (HAS_PLACE(i))
+                place[(m * WIDE_ROWS + i * AT_ONCE) * PITCH] = INSIDE(i) ? loaded[i] : 0;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -178,10 +194,11 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+        __local const real4 *from = memory + row * (PITCH / 4) + run * (RUN / 4);
 #pragma unroll
         for (int m = 0; m < 3; m++) {
             real by[4 * RUN_VECTORS];
-            load_run(memory + ((m * WIDE_ROWS + row) * PITCH + run * RUN) / 4, by);
+            load_run(from + m * (WIDE_ROWS * PITCH / 4), by);
 #pragma unroll
             for (int j = 0; j < RUN; j++)
                 row_sums[own][m][j] = 0;
@@ -194,10 +211,11 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int row = (own * GROUP + lane) % WIDE_ROWS, run = (own * GROUP + lane) / WIDE_ROWS;
+        __local real4 *row_to = memory + row * (MAP_PITCH / 4) + run * (RUN / 4);
 #pragma unroll
         for (int m = 0; m < 3; m++) {
             const real *sums = row_sums[own][m];
-            __local real4 *to = memory + ((m * SUM_ROWS + row) * MAP_PITCH + run * RUN) / 4;
+            __local real4 *to = row_to + m * (SUM_ROWS * MAP_PITCH / 4);
             to[0] = (real4)(sums[0], sums[1], sums[2], sums[3]);
             to[1] = (real4)(sums[4], sums[5], sums[6], sums[7]);
         }
@@ -207,6 +225,8 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
 #pragma unroll
     for (int own = 0; own < OWN_TASKS; own++) {
         const int column = lane % COLUMNS, first = (own * GROUP + lane) / COLUMNS * DOWN;
+        const long own_pixel = channel * plane + (long)(y0 + first) * width + x0 + column;
+        __local const real *column_sums = values + first * MAP_PITCH + column;
         real by[3][DOWN];
 #pragma unroll
         for (int m = 0; m < 3; m++) {
@@ -215,14 +235,14 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
                 by[m][j] = 0;
 #pragma unroll
             for (int k = 0; k < DOWN + 2 * RADIUS; k++) {
-                const real sum = values[(m * SUM_ROWS + first + k) * MAP_PITCH + column];
+                const real sum = column_sums[(m * SUM_ROWS + k) * MAP_PITCH];
                 ADD_TO_WINDOWS(by[m], DOWN, k, sum);
             }
         }
 #pragma unroll
         for (int j = 0; j < DOWN; j++)
             if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
-                const long pixel = channel * plane + (long)(y0 + first + j) * width + x0 + column;
+                const long pixel = own_pixel + j * width;
                 const real x = image[pixel], y = photo[pixel] * (real)(1.0 / 255);
                 grad_image[pixel] = l1_scale * sign(x - y) +
                                     ssim_scale * (by[0][j] + 2 * x * by[1][j] + y * by[2][j]);
