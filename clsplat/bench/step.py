@@ -110,6 +110,7 @@ def measure(bench: Bench, prepared: PreparedScene, photos: Photos, gaussians: Ga
 
     times = milliseconds(trial, one, len(views), warm_up=len(views))
     stream = streamed(trial, one, max(1, len(views) // STREAM))
+    device_mib = device.memory_bytes >> 20
     splats = [session.renderer.count_splats(session.model.rows, camera)
               for camera in session.cameras]
     width, height = views[0].camera.width, views[0].camera.height
@@ -117,7 +118,7 @@ def measure(bench: Bench, prepared: PreparedScene, photos: Photos, gaussians: Ga
             "height": height, "host_ms": round(stream.host_ms, 4),
             "stream_ms": round(stream.stream_ms, 4), "launches": stream.launches,
             "waits": stream.waits, "allocations": stream.allocations, "peak_mib": peak_mib(),
-            "device_mib": device.memory_bytes >> 20}
+            "device_mib": device_mib}
     kernels = profiled(device, one, len(views)) if bench.options.profile else {}
     if kernels:
         size["device_ms"] = round(sum(sum(seconds) for seconds in kernels.values())

@@ -59,6 +59,6 @@ class Arena:
 
 
 def block_bytes(size: int) -> int:
-    """The size of a block for `size` bytes: eight sizes an octave, as sizes change with views."""
-    unit = 1 << max(0, size.bit_length() - 4)  # an eighth of the leading bit
+    """The size of a block for `size` bytes: four sizes an octave, as sizes change with the views."""
+    unit = 1 << max(0, size.bit_length() - 3)  # a quarter of the leading bit
     return -(-size // unit) * unit

@@ -10,7 +10,7 @@ from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.pipeline import Bands, Renderer, Room
 from clsplat.rendering.project import Rows
 
-MARGIN = 1.25  # of room over the most that was seen, as views differ
+MARGIN = 1.4  # of room over the most that was seen, as views differ
 
 
 class Rooms:
