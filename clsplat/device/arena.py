@@ -59,6 +59,6 @@ class Arena:
 
 
 def block_bytes(size: int) -> int:
-    """The size of a block for `size` bytes: four sizes an octave, as sizes change with the views."""
+    """The size of a block for `size` bytes: four sizes an octave, as these change with views."""
     unit = 1 << max(0, size.bit_length() - 3)  # a quarter of the leading bit
     return -(-size // unit) * unit
