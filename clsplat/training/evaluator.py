@@ -47,8 +47,10 @@ class Evaluator:
         begin = time.perf_counter()
         with self.clock.paused():
             progress.phase("evaluating")
+            session.step.release()  # frames of evaluation have other sizes
             result = evaluate_views(session.renderer, session.model.current_rows(),
                                     session.options.sh_degree, session.test_views)
+            session.device.trim()
         self.latest_seconds = time.perf_counter() - begin
         self._all_seconds += self.latest_seconds
         self.evaluated_at, self.per_view = session.iteration, result.pop("per_view")

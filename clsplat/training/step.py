@@ -129,6 +129,12 @@ class Step:
         self._samples.clear()
         return counts
 
+    def release(self) -> None:
+        """Give back the memory of frames, until the next step records them again."""
+        self.settle()
+        self._graphs.clear()
+        self.device.trim()
+
     def poll_skipped(self) -> bool:
         """Update `skipped`, and tell whether the first gradients were skipped; waits."""
         counts = self.settle()
@@ -292,16 +298,20 @@ class Step:
     def begin_level(self) -> None:
         """Begin a level, or another size of photos: no statistics, and other room."""
         self.statistics.clear(self.count)
-        self._choose_room(0)
+        self._choose_room(False)
 
-    def _choose_room(self, growth: float) -> None:
-        """Make room anew for frames that need `growth` times what frames needed so far."""
+    def _choose_room(self, is_alike: bool) -> None:
+        """Choose room anew, for frames that are or are not like those so far.
+
+        After growth they are: the margin of the room is more than what a round usually adds.
+        """
         counts, most = self.settle(), [COUNT_MOST_VISIBLE, COUNT_MOST_PAIRS]
-        self._rooms.forget(*(growth * counts[most]).tolist())
+        self._rooms.forget(*(counts[most].tolist() if is_alike else ()))
         counts[most] = 0
         self.units.counts.write(counts)
         self.units.hurry()
         self._graphs.clear()
+        self.device.trim()  # frames will need blocks of other sizes
 
     def freeze(self) -> None:
         """Determine which gaussians are frozen."""
@@ -331,11 +341,10 @@ class Step:
         gradient = np.where(frozen, -np.inf, gradient)  # frozen ones stay
         grows = self._selected(iteration, schedule, gradient, candidates, prunes, scores, rng)
         growth = plan_growth(candidates, grows, prunes, rng)
-        before = model.count
         model.regrow(growth)
         self.freeze()
         self._statistics.clear(model.count)
-        self._choose_room(model.count / before)
+        self._choose_room(True)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
 
     def _selected(self, iteration: int, schedule: Schedule, gradient: NDArray[np.floating],
