@@ -141,7 +141,7 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
 
     for segment in segments:
         if segment.level != level:
-            level = segment.level
+            level, pool = segment.level, Pool(device.real)
             counts = [s.gaussians for s in segments if s.level == level]
             frames = Frames(device, prepared, level, (min(counts), max(counts)))
             shown = at_level(views, level)

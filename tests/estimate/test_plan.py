@@ -173,10 +173,11 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
     for level, count in ((2.0, 3000), (1.0, 3000), (1.0, 5000)):
         session.photos = SizedPhotos(device, views, level)
         session.use_level(level)
+        pool = Pool(device.real)
         if count != session.model.count:
             session.model.regrow(Growth(np.zeros(count, np.uint32), 3000, 0, 0, 0, {}))
             session.step.statistics.clear(count)
-            capacity, pool = grown_capacity(capacity, count), Pool(device.real)
+            capacity = grown_capacity(capacity, count)
         lasting = [photo_array(session.photos.views[0])] + other_arrays(prepared, count)
         lasting += model_arrays(LEARNED_NAMES, degree, capacity, prepared.options.engine,
                                 prepared.options.moments)
