@@ -215,8 +215,8 @@ def measured_peak(device, monkeypatch):
     {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
     {"schedule": "taming", "downscale": 4.0, "iterations": 400, "taming_budget": 4.0}], ids=str)
 def test_a_run_takes_what_was_foretold(tmp_path, own_device, monkeypatch, options):
-    """Memory after steps within 15 %, its peak, which has the margins of rooms, within 20 %; of the
-    time no more is asked for than a busy machine can keep."""
+    """Memory, which has the margins of rooms (training/rooms.py), within 20 %; of the time no more
+    is asked for than a busy machine can keep."""
     scene = read_scene(CITY)
     options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,
                "densify_every": 25, "grow_threshold": 2e-5, "densify_until": 0, **options}
@@ -227,7 +227,7 @@ def test_a_run_takes_what_was_foretold(tmp_path, own_device, monkeypatch, option
     steps = records(run, "step")
     assert steps[-1]["gaussians"] == pytest.approx(forecast.gaussians, rel=0.15)
     assert forecast.memory.steps == pytest.approx(
-        max(step["memory_bytes"] for step in steps), rel=0.15)
+        max(step["memory_bytes"] for step in steps), rel=0.2)
     assert forecast.memory.total == pytest.approx(peaks[-1], rel=0.2)
     assert 0.2 < forecast.seconds / steps[-1]["train_seconds"] < 5
 
