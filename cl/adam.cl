@@ -5,9 +5,9 @@
 //
 // with rate = learning rate / (1 - beta1^t), correction = 1 / sqrt(1 - beta2^t).
 //
-// A step moves the rows that have a gradient: adam_small the 14 columns of all fields but the
-// harmonics (m, v: real[N, 14], in the order of SMALL_...), adam_harmonics the active harmonics
-// (m, v: moment[N, stride]). rows: uint[V], the row of each gradient; NO_ROW is skipped: row and
+// adam_step moves the rows that have a gradient: the 14 small columns of all fields but the
+// harmonics (m, v: real[N, 14], in the order of SMALL_...), and the active harmonics (m_rest,
+// v_rest: moment[N, stride]). rows: uint[V], the row of each gradient; NO_ROW is skipped: row and
 // moments stay for this step. Elementwise, one writer each. Nothing moves once a frame has failed.
 //
 // Dense Adam moves all other rows as well, with g = 0. Nobody reads them, so adam_catch_up does it
@@ -19,10 +19,10 @@
 //   D = sum of rate_k / correction_k^2 (beta1 / beta2)^(k - t0)
 //
 // but for a relative error of at most s (x / (1 + x))^2, x the mean of epsilon / (correction_k
-// sqrt(v_k)) over the sum and s its relative variance, 0.13 at t0 = 3, 3e-4 at 300, 3e-5 at 3000: with
-// x = 1e-15 / 1e-12 that is below 1e-6, and gradients are rarely smaller. adam_small adds its step
-// to the sums: coefficients: real[CATCH_UP_EVERY, LAG_TERMS], row t0 % CATCH_UP_EVERY: C of each
-// field, and C and D of a rate of 1. Every CATCH_UP_EVERY steps all rows catch up.
+// sqrt(v_k)) over the sum and s its relative variance, 0.13 at t0 = 3, 3e-4 at 300, 3e-5 at 3000:
+// with x = 1e-15 / 1e-12 that is below 1e-6, and gradients are rarely smaller. adam_step adds its
+// step to the sums: coefficients: real[CATCH_UP_EVERY, LAG_TERMS], row t0 % CATCH_UP_EVERY: C of
+// each field, and C and D of a rate of 1. Every CATCH_UP_EVERY steps all rows catch up.
 #include "real.h"
 #include "each.h"
 #include "camera.h"
@@ -34,7 +34,9 @@
 #endif
 #define SH_STRIDE (3 * SH_REST)
 #define SH_COLUMNS (3 * SH_ACTIVE)
-enum { SMALL_POSITION = 0, SMALL_CONSTANT = 3, SMALL_OPACITY = 6, SMALL_SCALE = 7, SMALL_TURN = 10 };
+enum {
+    SMALL_POSITION = 0, SMALL_CONSTANT = 3, SMALL_OPACITY = 6, SMALL_SCALE = 7, SMALL_TURN = 10
+};
 typedef char every_column_has_a_moment[SMALL_TURN + 4 == SMALL_COLUMNS ? 1 : -1];
 enum { // columns of coefficients: C of the fields in their order
     LAG_POSITIONS, LAG_SH_CONSTANT, LAG_SH_REST, LAG_OPACITY, LAG_SCALES, LAG_TURNS,
@@ -104,8 +106,8 @@ inline void add_terms(uint i, uint now, real8 rates, real correction,
 #define MOST_CUTOFF 11.1 // 2 ln(ALPHA_STEPS), of an opacity of 1, and a hair more
 typedef char the_cutoff_is_high_enough[ALPHA_STEPS <= 255 ? 1 : -1];
 
-// Whether the image may show a row that lags: at least what cull (project.cl) finds once the row has
-// caught up, from stale positions and scales and the bounds on how far these may coast.
+// Whether the image may show a row that lags: at least what cull (cull.cl) finds once the row
+// has caught up, from stale positions and scales and the bounds on how far these may coast.
 inline bool may_be_seen(__global const real *camera, real3 position, real3 log_scale,
                         __global const real *coefficients)
 {
@@ -162,10 +164,33 @@ inline Lag lag_of(uint last, uint now, bool keeps, __global const real *coeffici
     return lag;
 }
 
-// adam_small is one step on the small columns, and adds its terms of the sums of C and D, which a
-// view that sees nothing has, too: the launch is of work elements, at least CATCH_UP_EVERY.
-// grad_colours times share are the gradients of sh_constant; rates are divided by 1 - beta1^t, and
-// first = 1 / (1 - beta1^t); now is the number of the step, t.
+// adam_step adds its terms of the sums of C and D even for a view that sees nothing: the launch is
+// of work elements, at least CATCH_UP_EVERY. grad_colours times share are the gradients of
+// sh_constant. Those of the harmonics are their values in `directions` times grad_colours where
+// rank_one, else grad_sh_rest. rates are divided by 1 - beta1^t, and first = 1 / (1 - beta1^t); now
+// is the number of the step, t.
+#define ADAM_STEP_ARGUMENTS                                                                        \
+    uint work, uint now, uint rank_one, real first, real correction, real share,                   \
+    real rate_positions, real rate_sh_constant, real rate_sh_rest, real rate_opacity_logits,       \
+    real rate_log_scales, real rate_quaternions, __global const uint *restrict counts,             \
+    __global const uint *restrict visible, __global const uint *restrict rows,                     \
+    __global const real *restrict grad_positions, __global const real *restrict grad_colours,      \
+    __global const real *restrict grad_opacity_logits,                                             \
+    __global const real *restrict grad_log_scales,                                                 \
+    __global const real *restrict grad_quaternions, __global const real *restrict directions,      \
+    __global const real *restrict grad_sh_rest, PARAMETERS_AND_MOMENTS,                            \
+    __global uint *restrict last_step, __global real *restrict coefficients
+#define ADAM_CATCH_UP_ARGUMENTS                                                                    \
+    uint count, uint now, uint keeps, uint has_frozen, uint by_camera,                             \
+    __global const uint *restrict counts, __global const real *restrict camera,                    \
+    __global const uint *restrict frozen, __global const real *restrict coefficients,              \
+    PARAMETERS_AND_MOMENTS, __global uint *restrict last_step
+#define PARAMETERS_AND_MOMENTS                                                                     \
+    __global real *restrict positions, __global real *restrict sh_constant,                        \
+    __global real *restrict sh_rest, __global real *restrict opacity_logits,                       \
+    __global real *restrict log_scales, __global real *restrict quaternions,                       \
+    __global real *restrict m, __global real *restrict v, __global moment *restrict m_rest,        \
+    __global moment *restrict v_rest
 #if FORM_ITEM
 #include "item/adam.cl"
 #else

@@ -1,19 +1,20 @@
 // Pairs of tile and splat, sorted by tile and then front to back, ties by row.
 //
-// Splats stay in the order of the gaussians' rows, where reading and writing them is cheap. A splat's
-// pairs have consecutive emission indices, in the order of its tiles: offsets[v] is the first, counts[v]
-// their number. ranges: uint[tiles, 2], where the pairs of each tile begin and end in sorted_splats and
-// emission_indices, uint[P]. Only tiles [first_tile, end_tile), numbered row by row, are inspected: all of
-// a frame, or a band of it (clsplat/rendering/bands.py). Within a band tiles are numbered from its first.
+// Splats stay in the order of the gaussians' rows, where reading and writing them is cheap. A
+// splat's pairs have consecutive emission indices, in the order of its tiles: offsets[v] is the
+// first, splat_counts[v] their number. ranges: uint[tiles, 2], where the pairs of each tile begin
+// and end in sorted_splats and emission_indices, uint[P]. Only tiles [first_tile, end_tile),
+// numbered row by row, are inspected: all of a frame, or a band of it (clsplat/rendering/bands.py).
+// Within a band tiles are numbered from its first.
 //
-// Three steps: count_pairs counts the pairs of each splat and tile; place_pairs finds where each tile's
-// pairs and each chunk's emission indices begin; emit_pairs writes them. The item form emits in depth
-// order (sort.cl), each work-item into its own part of each tile's range. The group form emits in any order, and
-// sort_tiles sorts each tile's pairs by a unique key, (depth, emission index). So both have one order,
-// whatever the order of the atomics.
+// Three steps: count_pairs counts the pairs of each splat and tile; place_pairs finds where each
+// tile's pairs and each chunk's emission indices begin; emit_pairs writes them. The item form emits
+// in depth order (sort.cl), each work-item into its own part of each tile's range. The group form
+// emits in any order, and sort_tiles sorts each tile's pairs by a unique key, (depth, emission
+// index). So both have one order, whatever the order of the atomics.
 //
-// P is an upper bound that the host expects. Where there are more pairs, the frame FAILS (counts.h): it
-// has no pairs, and no visible gaussians from then on.
+// P is an upper bound that the host expects. Where there are more pairs, the frame FAILS
+// (counts.h): it has no pairs, and no visible gaussians from then on.
 #include "real.h"
 #include "each.h"
 #include "splat.h"

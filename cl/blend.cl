@@ -1,20 +1,21 @@
 // Front-to-back alpha blending of each tile's splats, and the adjoint (Kerbl et al. 2023).
 //
 //   alpha = min(0.99, opacity exp(power)),  power = -1/2 d^T K d,  skipped below 1/255
-//   C = sum_i alpha_i T_i c_i + T background,  T_i = prod_{j<i} (1 - alpha_j),  ends before T < 1e-4
+//   C = sum_i alpha_i T_i c_i + T background,  T_i = prod_{j<i} (1 - alpha_j),
+//   which ends before T < 1e-4
 //
 // splats: real[V, SPLAT_REALS]; ranges: uint[tiles, 2] into sorted_splats and emission_indices:
 // uint[P]; image: real[3, H, W]; transmittance, depth: real[H, W]; last_contributor: int[H, W]: no
-// later pair was blended. The adjoint writes the gradients of every pair (splat.h) to the row of its
-// emission index, one writer each: no atomics.
-// The tiles are those from first_tile on: a frame whose pairs are too many comes in bands of tiles.
-// WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by the
-// final transmittance, so that a loss may read their ratio; otherwise these arrays are not touched.
-//
-// sum_pairs adds up each splat's gradients over its pairs, in the order of emission: totals[v, :] from the
-// rows of `pair_grads` that begin at offsets[v]. carried: continue from what earlier bands
-// left in `totals`; a splat's pairs are emitted in the order of tiles, which is that of bands too: the
-// additions are those of a frame in one piece.
+// later pair was blended. The adjoint writes the gradients of every pair (splat.h) to the row of
+// its emission index, one writer each: no atomics; project.cl adds up those of a splat. The tiles
+// are those from first_tile on: a frame whose pairs are too many comes in bands of tiles.
+// WITH_EXPOSURE adds `exposed`: real[3, H, W], the image with the colour transform of a view
+// (exposure.cl), row `view` of transforms: real[T, TRANSFORM_REALS]. WITH_VIGNETTING multiplies its
+// colours before by the gain of the view's lens (vignetting.h), row lens_of[view] of lenses.
+// WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by
+// the final transmittance, so that a loss may read their ratio; otherwise these arrays are not
+// touched. MEDIAN_DEPTH makes it z_i of the splat that takes T to one half, or of the last one that
+// is blended before that; without an adjoint.
 #include "real.h"
 #include "each.h"
 #include "splat.h"
@@ -24,7 +25,25 @@
 #ifndef WITH_DEPTH
 #error "WITH_DEPTH must be 0 or 1"
 #endif
+#ifndef WITH_EXPOSURE
+#define WITH_EXPOSURE 0
+#endif
+#ifndef WITH_VIGNETTING
+#define WITH_VIGNETTING 0
+#endif
+#if WITH_VIGNETTING
+#include "vignetting.h"
+DEFINE_RADIUS(squared_radius, vreal)
+#endif
+#ifndef MEDIAN_DEPTH
+#define MEDIAN_DEPTH 0
+#endif
 #define SUMS (PAIR_SUMS + WITH_DEPTH)
+
+// A channel of `exposed`, of a pixel or a row of pixels.
+#define EXPOSED(E, K, RED, GREEN, BLUE)                                                            \
+    ((E)[4 * (K)] * (RED) + (E)[4 * (K) + 1] * (GREEN) + (E)[4 * (K) + 2] * (BLUE) +               \
+     (E)[4 * (K) + 3])
 
 // arguments that both forms have; those of one form alone follow them
 #define BLEND_ARGUMENTS                                                                            \
@@ -32,7 +51,9 @@
     __global const uint *restrict ranges, __global const uint *restrict sorted_splats,             \
     __global const real *restrict splats, __global real *restrict image,                           \
     __global real *restrict transmittance, __global int *restrict last_contributor,                \
-    __global real *restrict depth
+    __global real *restrict depth, uint view, __global const real *restrict transforms,            \
+    __global const real *restrict camera, __global const uint *restrict lens_of,                   \
+    __global const real *restrict lenses, __global real *restrict exposed
 #define BLEND_ADJOINT_ARGUMENTS                                                                    \
     int width, int height, int tiles_x, int first_tile, __global const uint *restrict ranges,      \
     __global const uint *restrict sorted_splats, __global const uint *restrict emission_indices,   \

@@ -1,10 +1,11 @@
-// The rows whose flag is 1, in order. Two launches: the totals of all chunks (count_flags, or a kernel
-// that makes flags), then each chunk adds up the totals before its own and lists its rows.
+// The rows whose flag is 1, in order. Two launches: the totals of all chunks (count_flags, or a
+// kernel that makes flags), then each chunk adds up the totals before its own and lists its rows.
 //
-// flags: uint[N], 0 or 1; totals: uint[chunks]; kept: uint[R], of which the first counts[COUNT_VISIBLE]
-// are written; R is an upper bound that the host expects. Where more rows are kept than fit, the frame
-// FAILS: nothing is kept, and counts[COUNT_FAILED] stays set, until the host has made room and repeats
-// all work since (clsplat/device/counts.py). Integer, one writer a slot: deterministic.
+// flags: uint[N], 0 or 1; totals: uint[chunks]; kept: uint[R], of which the first
+// counts[COUNT_VISIBLE] are written; R is an upper bound that the host expects. Where more rows are
+// kept than fit, the frame FAILS: nothing is kept, and counts[COUNT_FAILED] stays set, until the
+// host has made room and repeats all work since (clsplat/training/units.py). Integer, one writer a
+// slot: deterministic.
 #include "chunk.h"
 #include "counts.h"
 

@@ -1,7 +1,7 @@
 // Which gaussians a camera sees: those whose footprint at its cutoff meets the image.
 //
-// flags: uint[N], 1 for those that are seen; totals: uint[chunks], how many of each chunk of rows are.
-// compact.cl lists them. One writer a slot: deterministic.
+// flags: uint[N], 1 for those that are seen; totals: uint[chunks], how many of each chunk of rows
+// are. compact.cl lists them. One writer a slot: deterministic.
 #include "real.h"
 #include "chunk.h"
 #include "projection.h"
@@ -14,12 +14,13 @@ inline bool meets_image(__global const real *camera, real2 mean, real2 extent)
 }
 
 // At least the footprint's extent, from the largest scale alone: most gaussians are outside the
-// image, and this says so without their rotation. The rows of J W have length focal/z sqrt(1 + r^2).
+// image, and this says so without their rotation. The rows of J W have length focal/z sqrt(1 +
+// r^2).
 inline real2 largest_extent(__global const real *camera, real3 p, real3 log_scale)
 {
     const real scale = exp(max(log_scale.x, max(log_scale.y, log_scale.z)));
     const real2 ratio = clamped_ratio(camera, p);
-    const real2 reach = vload2(0, camera + CAMERA_FOCAL) / p.z * scale;
+    const real2 reach = vload2(0, camera + CAMERA_FOCAL) / divisor_of(p) * scale;
     const real cutoff = 2.003 * log((real)ALPHA_STEPS); // of an opacity of 1, and a hair more
     return sqrt(cutoff * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS]));
 }

@@ -1,51 +1,64 @@
-// A colour transform a training view, c' = M c + t, learned beside the gaussians: photos drift in
-// brightness and white balance (an affine colour map a photo, as Kerbl et al. 2024 use).
-// transforms: real[V, TRANSFORM_REALS], a row [M | t] in row-major order; images and gradients:
-// real[3, H, W], pixels = H W; partials: real[blocks, TRANSFORM_REALS], sums over EXPOSURE_BLOCK
-// pixels each (blocks of a fixed size: the same order of additions on any number of cores, and short
-// sums).
+// The response of each training view, c' = M (g c) + t, learned beside the gaussians: photos drift
+// in brightness and white balance (an affine colour map a photo, as Kerbl et al. 2024 use), and
+// with WITH_VIGNETTING the gain g of a lens makes the corners of its photos darker (vignetting.h).
+// blend.cl applies it; here are its adjoint and its step.
+// transforms: real[V, TRANSFORM_REALS], a row [M | t] in row-major order; lens_of: uint[V], the row
+// of each view in lenses; images and gradients: real[3, H, W], pixels = H W, of which a row has
+// `width`; partials: real[blocks, EXPOSURE_SUMS], sums over EXPOSURE_BLOCK pixels each (blocks of a
+// fixed size: the same order of additions on any number of cores, and short sums), by the
+// transform, then by the lens.
 #include "real.h"
 #include "each.h"
 #include "vector.h"
 #include "counts.h"
+#include "vignetting.h"
 
-__kernel void exposure_apply(uint pixels, uint view, __global const real *restrict transforms,
-                             __global const real *restrict image, __global real *restrict result)
-{
-    real e[TRANSFORM_REALS];
-    for (int k = 0; k < TRANSFORM_REALS; k++)
-        e[k] = transforms[view * TRANSFORM_REALS + k];
-    FOR_EACH(p, pixels) {
-        const real r = image[p], g = image[pixels + p], b = image[2ul * pixels + p];
-        result[p] = e[0] * r + e[1] * g + e[2] * b + e[3];
-        result[pixels + p] = e[4] * r + e[5] * g + e[6] * b + e[7];
-        result[2ul * pixels + p] = e[8] * r + e[9] * g + e[10] * b + e[11];
-    }
-}
+#ifndef WITH_VIGNETTING
+#error "WITH_VIGNETTING must be 0 or 1"
+#endif
+#define EXPOSURE_SUMS (TRANSFORM_REALS + WITH_VIGNETTING * VIGNETTING_TERMS)
 
-// One pixel or 16 neighbours: the gradient by the untransformed colour, M^T grad, and the share in
-// the sums of grad (x) [c, 1]. `image`, `grad` and `grad_image` point at the pixel's red.
+// One pixel or 16 neighbours with squared radius u: the gradient by the untransformed colour, g M^T
+// grad, and the share in the sums of grad (x) [g c, 1] and (M^T grad . c) [u, u^2, u^3]. `image`,
+// `grad` and `grad_image` point at the pixel's red.
 #define DEFINE_PIXELS(NAME, TYPE, LOAD, STORE)                                                     \
-    inline void NAME(ulong plane, const real *e, __global const real *image,                       \
-                     __global const real *grad, __global real *grad_image, TYPE *sums)             \
+    inline void NAME(ulong plane, const real *e, __global const real *lens, TYPE u,                \
+                     __global const real *image, __global const real *grad,                        \
+                     __global real *grad_image, TYPE *sums)                                        \
     {                                                                                              \
         const TYPE r = LOAD(0, image), g = LOAD(0, image + plane), b = LOAD(0, image + 2 * plane); \
+        const TYPE gain = WITH_VIGNETTING ? GAIN(lens, u) : 1;                                     \
         TYPE by_r = 0, by_g = 0, by_b = 0;                                                         \
         for (int k = 0; k < 3; k++) {                                                              \
-            const TYPE by = LOAD(0, grad + k * plane);                                             \
+            const TYPE by = LOAD(0, grad + k * plane), gained = by * gain;                         \
             by_r += e[4 * k] * by;                                                                 \
             by_g += e[4 * k + 1] * by;                                                             \
             by_b += e[4 * k + 2] * by;                                                             \
-            sums[4 * k] += by * r;                                                                 \
-            sums[4 * k + 1] += by * g;                                                             \
-            sums[4 * k + 2] += by * b;                                                             \
+            sums[4 * k] += gained * r;                                                             \
+            sums[4 * k + 1] += gained * g;                                                         \
+            sums[4 * k + 2] += gained * b;                                                         \
             sums[4 * k + 3] += by;                                                                 \
         }                                                                                          \
-        STORE(by_r, 0, grad_image);                                                                \
-        STORE(by_g, 0, grad_image + plane);                                                        \
-        STORE(by_b, 0, grad_image + 2 * plane);                                                    \
+        STORE(gain * by_r, 0, grad_image);                                                         \
+        STORE(gain * by_g, 0, grad_image + plane);                                                 \
+        STORE(gain * by_b, 0, grad_image + 2 * plane);                                             \
+        if (WITH_VIGNETTING) {                                                                     \
+            TYPE by_term = by_r * r + by_g * g + by_b * b;                                         \
+            for (int k = 0; k < VIGNETTING_TERMS; k++) {                                           \
+                by_term *= u;                                                                      \
+                sums[EXPOSURE_SUMS - VIGNETTING_TERMS + k] += by_term;                             \
+            }                                                                                      \
+        }                                                                                          \
     }
+DEFINE_RADIUS(radius1, real)
 DEFINE_PIXELS(pixels1, real, LOAD_ONE, STORE_ONE)
+
+// The squared radius of pixel p; not computed where it is not used.
+inline real radius_of1(__global const real *camera, __global const real *lens, ulong p, uint width)
+{
+    return WITH_VIGNETTING ? radius1(camera, lens, p % width + (real)0.5, p / width + (real)0.5)
+                           : 0;
+}
 
 #if FORM_ITEM
 #include "item/exposure.cl"
@@ -53,39 +66,58 @@ DEFINE_PIXELS(pixels1, real, LOAD_ONE, STORE_ONE)
 #include "group/exposure.cl"
 #endif
 
-// One step of Adam (Kingma & Ba 2015) on the row of `view`: twelve numbers that only count if all are
-// finite; else the row stays and `skipped` counts it. The loss has the penalty pull mean((E - I)^2) beside
-// the image's gradient, the sum of `partials`; the bias corrections go by the row's own steps, from
-// log(beta): in single precision 1 - 0.999^t loses digits. m, v: real[V, TRANSFORM_REALS]; steps:
-// uint[V]. One group, in both forms: each of PARTS items adds up every PARTS-th row, and one item the rest. A frame that has failed changes nothing.
+// One step of Adam (Kingma & Ba 2015) on a row of `count` numbers, whose `step`-th it is; the bias
+// corrections go from log(beta): in single precision 1 - 0.999^t loses digits.
+inline void adam_row(const real *gradient, int count, uint step, real rate, __global real *values,
+                     __global real *m, __global real *v)
+{
+    const real correction1 = -expm1(step * (real)LOG_BETA1);
+    const real correction2 = -expm1(step * (real)LOG_BETA2);
+    for (int k = 0; k < count; k++) {
+        const real g = gradient[k];
+        m[k] += (real)ONE_MINUS_BETA1 * (g - m[k]);
+        v[k] += (real)ONE_MINUS_BETA2 * (g * g - v[k]);
+        values[k] -= rate * (m[k] / correction1) / (sqrt(v[k] / correction2) + (real)ADAM_EPSILON);
+    }
+}
+
+// One step on the row of `view`, and with vignetting on that of its lens: numbers that only count
+// if all are finite; else both rows stay and `skipped` counts it. The loss has the penalties pull
+// mean((E - I)^2) and pull mean((a, b, c)^2) beside the image's gradient, the sum of `partials`;
+// the bias corrections go by the row's own steps. m, v: real[V, TRANSFORM_REALS]; steps: uint[V];
+// lens_m, lens_v, lens_steps: the same for lenses. One group, in both forms: each of PARTS items
+// adds up every PARTS-th row, and one item the rest. A frame that has failed changes nothing.
 #define PARTS 16
 __kernel __attribute__((reqd_work_group_size(PARTS, 1, 1)))
 void exposure_step(uint view, real rate, real pull, __global const uint *restrict counts,
                    __global const real *restrict partials, uint blocks,
                    __global real *restrict transforms, __global real *restrict m,
                    __global real *restrict v, __global uint *restrict steps,
-                   __global uint *restrict skipped)
+                   __global const uint *restrict lens_of, __global real *restrict lenses,
+                   __global real *restrict lens_m, __global real *restrict lens_v,
+                   __global uint *restrict lens_steps, __global uint *restrict skipped)
 {
-    __local real sums[PARTS][TRANSFORM_REALS];
+    __local real sums[PARTS][EXPOSURE_SUMS];
     const uint part = get_local_id(0);
-    real own[TRANSFORM_REALS];
-    for (int k = 0; k < TRANSFORM_REALS; k++)
+    real own[EXPOSURE_SUMS];
+    for (int k = 0; k < EXPOSURE_SUMS; k++)
         own[k] = 0;
     for (uint block = part; block < blocks; block += PARTS)
-        for (int k = 0; k < TRANSFORM_REALS; k++)
-            own[k] += partials[block * TRANSFORM_REALS + k];
-    for (int k = 0; k < TRANSFORM_REALS; k++)
+        for (int k = 0; k < EXPOSURE_SUMS; k++)
+            own[k] += partials[block * EXPOSURE_SUMS + k];
+    for (int k = 0; k < EXPOSURE_SUMS; k++)
         sums[part][k] = own[k];
     barrier(CLK_LOCAL_MEM_FENCE);
     if (part > 0 || counts[COUNT_FAILED])
         return;
     transforms += view * TRANSFORM_REALS;
-    m += view * TRANSFORM_REALS;
-    v += view * TRANSFORM_REALS;
-    real gradient[TRANSFORM_REALS];
-    for (int k = 0; k < TRANSFORM_REALS; k++) {
-        const real from_identity = transforms[k] - (k % 5 == 0 ? 1 : 0);
-        gradient[k] = pull * 2 / TRANSFORM_REALS * from_identity;
+    const uint lens = lens_of[view];
+    lenses += lens * VIGNETTING_REALS;
+    real gradient[EXPOSURE_SUMS];
+    for (int k = 0; k < EXPOSURE_SUMS; k++) {
+        gradient[k] = k < TRANSFORM_REALS
+                          ? pull * 2 / TRANSFORM_REALS * (transforms[k] - (k % 5 == 0 ? 1 : 0))
+                          : pull * 2 / VIGNETTING_TERMS * lenses[k - TRANSFORM_REALS];
         for (int p = 0; p < PARTS; p++)
             gradient[k] += sums[p][k];
         if (!isfinite(gradient[k] * gradient[k])) { // an infinite v would never heal
@@ -93,13 +125,9 @@ void exposure_step(uint view, real rate, real pull, __global const uint *restric
             return;
         }
     }
-    const uint step = ++steps[view];
-    const real correction1 = -expm1(step * (real)LOG_BETA1);
-    const real correction2 = -expm1(step * (real)LOG_BETA2);
-    for (int k = 0; k < TRANSFORM_REALS; k++) {
-        const real g = gradient[k];
-        m[k] += (real)ONE_MINUS_BETA1 * (g - m[k]);
-        v[k] += (real)ONE_MINUS_BETA2 * (g * g - v[k]);
-        transforms[k] -= rate * (m[k] / correction1) / (sqrt(v[k] / correction2) + (real)ADAM_EPSILON);
-    }
+    adam_row(gradient, TRANSFORM_REALS, ++steps[view], rate, transforms, m + view * TRANSFORM_REALS,
+             v + view * TRANSFORM_REALS);
+    if (WITH_VIGNETTING)
+        adam_row(gradient + TRANSFORM_REALS, VIGNETTING_TERMS, ++lens_steps[lens], rate, lenses,
+                 lens_m + lens * VIGNETTING_TERMS, lens_v + lens * VIGNETTING_TERMS);
 }

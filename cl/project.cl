@@ -11,18 +11,40 @@
 #include "harmonics.h"
 #include "counts.h"
 
-// depth_keys: uint[V], which sort splats front to back (positive floats order as their bits). A gaussian that
-// `cull` saw but that cannot be drawn, as its parameters have changed since, becomes a splat without tiles.
+#ifndef MASKED
+#define MASKED 0
+#endif
+#ifndef SUMS
+#define SUMS PAIR_SUMS
+#endif
+#ifndef CARRIED
+#define CARRIED 0
+#endif
+
+// FOR_EACH_GAUSSIAN(v, count, LOADED) { body } as FOR_EACH, in a kernel that begins with
+// GAUSSIANS_MEMORY. In its body HARMONIC(k) is harmonic k + 1 of the gaussian of splat v, and
+// SUMS_OF(v, sum) declares the sums over its pairs.
+#if FORM_ITEM
+#include "item/project.cl"
+#else
+#include "group/project.cl"
+#endif
+
+// depth_keys: uint[V], which sort splats front to back (positive floats order as their bits). A
+// gaussian that `cull` saw but that cannot be drawn, as its parameters have changed since, becomes
+// a splat without tiles.
 __kernel void project(__global const uint *restrict counts,
                       __global const uint *restrict rows, __global const real *restrict camera,
                       __global const real *restrict positions,
-                      __global const real *restrict sh_constant, __global const real *restrict sh_rest,
+                      __global const real *restrict sh_constant,
+                      __global const real *restrict sh_rest,
                       __global const real *restrict opacity_logits,
                       __global const real *restrict log_scales,
                       __global const real *restrict quaternions, __global real *restrict splats,
                       __global uint *restrict depth_keys)
 {
-    FOR_EACH(v, counts[COUNT_VISIBLE]) {
+    GAUSSIANS_MEMORY
+    FOR_EACH_GAUSSIAN(v, counts[COUNT_VISIBLE], LOAD_HARMONICS(counts[COUNT_VISIBLE])) {
         const uint row = rows[v];
         const Footprint f =
             footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
@@ -40,10 +62,10 @@ __kernel void project(__global const uint *restrict counts,
         real3 colour = (real)0.5 + (real)SH_C0 * vload3(row, sh_constant);
 #if DEGREE > 0
         real basis[SH_SIZE];
-        const real3 d = normalize(vload3(row, positions) - vload3(0, camera + CAMERA_POSITION));
+        const real3 d = view_direction(camera, vload3(row, positions));
         harmonics(d, basis);
         for (uint k = 0; k < SH_ACTIVE; k++)
-            colour += basis[k] * vload3((ulong)row * SH_REST + k, sh_rest);
+            colour += basis[k] * HARMONIC(k);
 #endif
         const real opacity = f.opacity * sqrt(f.area_ratio);
         vstore4((real4)(mean_pixel(camera, f.p), opacity, cutoff), 0, splat);
@@ -54,41 +76,48 @@ __kernel void project(__global const uint *restrict counts,
     }
 }
 
-// From the pair sums of each splat (sums: real[V, S], see splat.h) to gradients of the parameters.
+// From the gradients of pairs (pair_grads: real[P, SUMS], see splat.h) to those of the parameters.
+// Those of a splat are the splat_counts[v] rows from offsets[v] on, and are added up in this order;
+// CARRIED: to its sums over earlier bands, earlier: real[V, SUMS].
 // The gradients of the harmonics are those of the colour, grad_colours, times each harmonic in the
 // direction of the gaussian, directions (unit vectors; not written where DEGREE is 0): see
 // harmonics_gradients.
-// grad_means gets the pixel gradient of the mean. Where any gradient or the colour is not finite the row
-// is left alone: active[v] is NO_ROW and `skipped` counts it. So it is, uncounted, where frozen[row]
-// is not 0 (WITH_FROZEN).
+// grad_means gets the pixel gradient of the mean. Where any gradient or the colour is not finite
+// the row is left alone: active[v] is NO_ROW and `skipped` counts it. So it is, uncounted, where
+// frozen[row] is not 0 (WITH_FROZEN).
 //
-// WITH_STATISTICS: what densification wants to know of each gaussian, summed over views: the norm of
-// the screen gradient of its mean in NDC units (pixel gradient x W/2, H/2; Kerbl et al. 2023), and how
-// many views saw it. Without these two choices the arrays are not touched.
+// WITH_STATISTICS: what densification wants to know of each gaussian, summed over views: the norm
+// of the screen gradient of its mean in NDC units (pixel gradient x W/2, H/2; Kerbl et al. 2023),
+// and how many views saw it; a view with masked pixels (MASKED) did if the gradient is not zero.
+// Without these two choices the arrays are not touched.
 //
 // A unit of work is done with this kernel, also one whose view sees nothing: the launch is of work
 // elements, at least 1.
 __kernel void project_adjoint(
-    uint work, uint sum_count, real half_width, real half_height, __global uint *restrict counts,
+    uint work, real half_width, real half_height, __global uint *restrict counts,
     __global const uint *restrict rows,
     __global const real *restrict camera, __global const real *restrict positions,
     __global const real *restrict sh_constant, __global const real *restrict sh_rest,
     __global const real *restrict opacity_logits, __global const real *restrict log_scales,
-    __global const real *restrict quaternions, __global const real *restrict sums,
-    __global real *restrict grad_positions, __global real *restrict grad_colours,
-    __global real *restrict directions, __global real *restrict grad_opacity_logits,
+    __global const real *restrict quaternions, __global const uint *restrict splat_counts,
+    __global const uint *restrict offsets, __global const real *restrict pair_grads,
+    __global const real *restrict earlier, __global real *restrict grad_positions,
+    __global real *restrict grad_colours, __global real *restrict directions,
+    __global real *restrict grad_opacity_logits,
     __global real *restrict grad_log_scales, __global real *restrict grad_quaternions,
     __global real *restrict grad_means, __global uint *restrict active,
     __global uint *restrict skipped, __global const uint *restrict frozen,
     __global real *restrict grad_norm_sum, __global uint *restrict seen_count)
 {
+    GAUSSIANS_MEMORY
+    const uint count = min(work, counts[COUNT_VISIBLE]);
     if (get_global_id(0) == 0 && !counts[COUNT_FAILED]) {
         add_long(counts + COUNT_SUM_VISIBLE, counts[COUNT_VISIBLE]);
         counts[COUNT_DONE]++;
     }
-    FOR_EACH(v, min(work, counts[COUNT_VISIBLE])) {
+    FOR_EACH_GAUSSIAN(v, count, LOAD_HARMONICS(count) && LOAD_SUMS(count)) {
         const uint row = rows[v];
-        __global const real *sum = sums + (ulong)v * sum_count;
+        SUMS_OF(v, sum);
         const Footprint f =
             footprint_of(row, camera, positions, log_scales, quaternions, opacity_logits);
 
@@ -140,15 +169,17 @@ __kernel void project_adjoint(
         const real inverse_z = 1 / f.p.z;
         const real2 ratio = f.p.xy / f.p.z; // as clamped_ratio computes it
         const real2 along = focal * (real2)(dot(grad_a1, w3), dot(grad_a2, w3)); // by -ratio
-        const real2 across = focal * (real2)(dot(grad_a1, vload3(0, w)), dot(grad_a2, vload3(1, w)));
+        const real2 across =
+            focal * (real2)(dot(grad_a1, vload3(0, w)), dot(grad_a2, vload3(1, w)));
         const real2 by_ratio = select((real2)(0), -along, f.ratio == ratio); // zero where clamped
         real3 grad_p;
         grad_p.xy = (by_ratio + focal * f.p.z * grad_mean) * inverse_z;
         const real2 by_z =
             across - f.ratio * along + ratio * (by_ratio + focal * f.p.z * grad_mean);
         grad_p.z = -(by_z.x + by_z.y) * inverse_z;
-        if (sum_count > SUM_DEPTH)
-            grad_p.z += sum[SUM_DEPTH];
+#if SUMS > PAIR_SUMS
+        grad_p.z += sum[SUM_DEPTH];
+#endif
         real3 grad_position = to_world(camera, grad_p);
 
         // colour; where it is not drawn nothing flows
@@ -160,12 +191,12 @@ __kernel void project_adjoint(
         const real3 d = normalize(offset);
         harmonics(d, basis);
         for (uint k = 0; k < SH_ACTIVE; k++)
-            colour += basis[k] * vload3((ulong)row * SH_REST + k, sh_rest);
+            colour += basis[k] * HARMONIC(k);
 #endif
         grad_colour = select((real3)(0), grad_colour, drawn(colour));
 #if DEGREE > 0
         for (uint k = 0; k < SH_ACTIVE; k++)
-            weight[k] = dot(grad_colour, vload3((ulong)row * SH_REST + k, sh_rest));
+            weight[k] = dot(grad_colour, HARMONIC(k));
         const real3 g = harmonics_gradient(d, weight);
         grad_position += (g - d * dot(d, g)) / length(offset);
         vstore3(d, v, directions);
@@ -192,9 +223,27 @@ __kernel void project_adjoint(
 #if WITH_STATISTICS
         if (moves) {
             grad_norm_sum[row] += length(grad_mean * (real2)(half_width, half_height));
-            seen_count[row] += 1;
+            seen_count[row] += !MASKED || grad_mean.x != 0 || grad_mean.y != 0;
         }
 #endif
+    }
+}
+
+// The sums over the pairs of each splat in a band, for the bands that follow: totals: real[V,
+// SUMS], which may be `earlier`. A splat's pairs are emitted in the order of tiles, which is that
+// of bands too: the additions are those of a frame in one piece.
+__kernel void sum_pairs(__global const uint *restrict counts,
+                        __global const uint *restrict splat_counts,
+                        __global const uint *restrict offsets,
+                        __global const real *restrict pair_grads, __global const real *earlier,
+                        __global real *totals)
+{
+    GAUSSIANS_MEMORY
+    const uint count = counts[COUNT_VISIBLE];
+    FOR_EACH_GAUSSIAN(v, count, LOAD_SUMS(count)) {
+        SUMS_OF(v, sum);
+        for (int k = 0; k < SUMS; k++)
+            totals[v * SUMS + k] = sum[k];
     }
 }
 

@@ -9,9 +9,12 @@
 // NEAREST z, which bounds z ds/dz to some tens of image sizes; if all four texels of the sample
 // exist; and if what comes of it is finite. Others count nothing and have no gradient.
 //
-// geometries: real[P, GEOMETRY_REALS], rows H row-major and e; colours: real[P, TRANSFORM_REALS], rows
-// of [M | m]; `pair` says which row; photo: uchar[3, H, W]; neighbour: uchar[3, H2, W2]; partials:
-// real[H, 2], a row's sum of squares and number.
+// A photo with a fourth plane (`masked`, `neighbour_masked`) has pixels that do not count, where
+// that is 0: they are not valid, nor are samples of them.
+//
+// geometries: real[P, GEOMETRY_REALS], rows H row-major and e; colours: real[P, TRANSFORM_REALS],
+// rows of [M | m]; `pair` says which row; photo: uchar[3, H, W]; neighbour: uchar[3, H2, W2];
+// partials: real[H, 2], a row's sum of squares and number.
 #include "real.h"
 #include "each.h"
 #define COVERED 0.5
@@ -20,8 +23,8 @@
 
 // |colour difference|^2 and 1 of one pixel and the gradients by its depth and T, or zeros.
 inline real2 reproject_pixel(int x, int y, int width, int height, int neighbour_width,
-                             int neighbour_height, real depth, real transmittance,
-                             __global const uchar *restrict photo,
+                             int neighbour_height, int masked, int neighbour_masked, real depth,
+                             real transmittance, __global const uchar *restrict photo,
                              __global const uchar *restrict neighbour,
                              __global const real *restrict geometry,
                              __global const real *restrict colour, real2 *grads)
@@ -37,12 +40,20 @@ inline real2 reproject_pixel(int x, int y, int width, int height, int neighbour_
           s.x < neighbour_width - 1 && s.y < neighbour_height - 1)) // not so for a nan
         return (real2)(0);
 
-    // of s by z; a.xy e.z - e.xy a.z rather than (a.xy - s a.z) q.z: exactly zero without a baseline
+    // of s by z; a.xy e.z - e.xy a.z rather than (a.xy - s a.z) q.z: exactly zero without a
+    // baseline
     const real2 slope = (a.xy * e.z - e.xy * a.z) / q.z / q.z;
     const real2 corner = floor(s), f = s - corner;
     const long texel = (long)corner.y * neighbour_width + (long)corner.x;
     const long size = (long)neighbour_width * neighbour_height;
     const long pixel = (long)y * width + x, plane = (long)width * height;
+    if (masked && !photo[3 * plane + pixel])
+        return (real2)(0);
+    if (neighbour_masked) {
+        __global const uchar *at = neighbour + 3 * size + texel;
+        if (!(at[0] && at[1] && at[neighbour_width] && at[neighbour_width + 1]))
+            return (real2)(0);
+    }
     real sample[3], sample_by_z[3]; // of 255: whole numbers keep equal colours exactly equal
     for (int channel = 0; channel < 3; channel++) {
         __global const uchar *at = neighbour + channel * size + texel;
@@ -69,19 +80,19 @@ inline real2 reproject_pixel(int x, int y, int width, int height, int neighbour_
     return (real2)(square, 1);
 }
 
-// arguments of `reproject`, which has a form for CPUs and one for GPUs
-#define REPROJECT_ARGUMENTS                                                                        \
-    int width, int height, int neighbour_width, int neighbour_height,                              \
+#define NAME reproject
+#define ARGUMENTS                                                                                  \
+    int width, int height, int neighbour_width, int neighbour_height, int masked,                  \
+    int neighbour_masked,                                                                          \
     __global const real *restrict depth, __global const real *restrict transmittance,              \
     __global const uchar *restrict photo, __global const uchar *restrict neighbour,                \
-    __global const real *restrict geometries, __global const real *restrict colours, uint pair,    \
-    __global real *restrict grad_depth, __global real *restrict grad_transmittance,                \
-    __global real *restrict partials
-#if FORM_ITEM
-#include "item/reproject.cl"
-#else
-#include "group/reproject.cl"
-#endif
+    __global const real *restrict geometries, __global const real *restrict colours, uint pair
+#define PIXEL                                                                                      \
+    reproject_pixel(x, row, width, height, neighbour_width, neighbour_height, masked,              \
+                    neighbour_masked, depth[pixel], transmittance[pixel], photo, neighbour,        \
+                    geometries + GEOMETRY_REALS * (ulong)pair,                                     \
+                    colours + TRANSFORM_REALS * (ulong)pair, &grads)
+#include "depth_rows.h"
 
 // The gradients of the sum of squares to those of weight times its mean, in place.
 __kernel void scale_gradients(uint count, real weight, __global const real *restrict sums,

@@ -1,10 +1,10 @@
 // Stable radix sort of (uint key, uint value) by one digit of DIGIT_BITS bits; called once a digit,
-// least significant first: count digits a part, scatter. Written for few work-items, each of which walks a
-// part of the keys in order; the group form of binning needs no such sort (bin.cl).
+// least significant first: count digits a part, scatter. Written for few work-items, each of which
+// walks a part of the keys in order; the group form of binning needs no such sort (bin.cl).
 //
-// keys, values: uint[R], of which the first counts[COUNT_VISIBLE] count; table: uint[parts, digits]. In
-// the first pass (`first` is 1) the values are the positions themselves, so that a permutation results.
-// Integer only, one writer a slot: deterministic.
+// keys, values: uint[R], of which the first counts[COUNT_VISIBLE] count; table: uint[parts,
+// digits]. In the first pass (`first` is 1) the values are the positions themselves, so that a
+// permutation results. Integer only, one writer a slot: deterministic.
 #include "each.h"
 #define DIGITS (1u << DIGIT_BITS)
 #define DIGIT(key) (((key) >> shift) & (DIGITS - 1))

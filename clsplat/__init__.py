@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from clsplat.evaluation.run import Run as Run
     from clsplat.evaluation.score import Score as Score
     from clsplat.gaussians import Gaussians as Gaussians
+    from clsplat.georeference import Georeference as Georeference
     from clsplat.scene import Scene as Scene
     from clsplat.scene import View as View
     from clsplat.schedule.plan import Plan as Plan
@@ -31,15 +32,16 @@ __version__ = "0.1.0"
 _HOMES = {
     "Camera": "clsplat.camera", "ClsplatError": "clsplat.errors", "Device": "clsplat.api.device",
     "Frame": "clsplat.api.renderer", "Gaussians": "clsplat.gaussians",
+    "Georeference": "clsplat.georeference",
     "Plan": "clsplat.schedule.plan", "Renderer": "clsplat.api.renderer",
     "Run": "clsplat.evaluation.run", "Scene": "clsplat.scene", "Schedule": "clsplat.schedule.plan",
     "Score": "clsplat.evaluation.score", "StopTraining": "clsplat.errors", "View": "clsplat.scene",
     "evaluate": "clsplat.api.score", "render": "clsplat.api.renderer",
     "option": "clsplat.config.option", "train": "clsplat.api.train"}
 
-__all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Plan", "Renderer", "Run",
-           "Scene", "Schedule", "Score", "StopTraining", "View", "evaluate", "option", "render",
-           "train"]
+__all__ = ["Camera", "ClsplatError", "Device", "Frame", "Gaussians", "Georeference", "Plan",
+           "Renderer", "Run", "Scene", "Schedule", "Score", "StopTraining", "View", "evaluate",
+           "option", "render", "train"]
 
 
 def __getattr__(name: str) -> object:

@@ -27,16 +27,23 @@ def run() -> None:
     try:
         main(prog_name="clsplat")
     except SystemExit as end:
+        _ignore_signals()  # what is left is cleaning up
         if isinstance(end.code, int) and end.code > 128:  # interrupted
             atexit._run_exitfuncs()
             _flush()
             os._exit(end.code)  # Python would not wait for threads of OpenCL, and could crash
         raise
+    except KeyboardInterrupt:  # a second Ctrl-C, just when the first one was about to be told
+        _end(signal.SIGINT, None)
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):  # what is left is cleaning up
-            if signal.getsignal(number) in (_end, signal.SIG_DFL):
-                signal.signal(number, signal.SIG_IGN)
+        _ignore_signals()
         _flush()
+
+
+def _ignore_signals() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) in (_end, signal.SIG_DFL):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _end(number: int, frame: object) -> None:

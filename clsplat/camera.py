@@ -1,4 +1,4 @@
-"""Pinhole cameras.
+"""Pinhole cameras, the lenses of photos that are undistorted to theirs, and orthographic cameras.
 
 Conventions, used everywhere: camera axes are right, down, forward (COLMAP); the centre of pixel
 (0, 0) is at (0.5, 0.5); quaternions are wxyz; `x_camera = rotation @ x_world + translation`.
@@ -17,7 +17,7 @@ from clsplat.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera with a pose from world to camera.
+    """A camera with a pose from world to camera, a pinhole unless it is orthographic.
 
     Attributes
     ----------
@@ -29,6 +29,8 @@ class Camera:
     whole : (left, top, right, bottom), the borders of the whole photo in pixels of this image, if
         this is a part of it, such as (-100, 0, 540, 480); None: the image is the whole photo.
     offset : float64[3], the origin of its world in original coordinates.
+    orthographic : whether all rays are parallel to the axis, as in a map; `focal` is then in pixels
+        a world unit, whatever the depth.
     """
 
     width: int
@@ -39,6 +41,7 @@ class Camera:
     translation: NDArray[np.float64]
     whole: tuple[float, float, float, float] | None = None
     offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    orthographic: bool = False
 
     @classmethod
     def looking_at(cls, target: ArrayLike, position: ArrayLike, *, up: ArrayLike = (0, 0, 1),
@@ -106,6 +109,25 @@ class Camera:
             centre=(self.centre[0] - left, self.centre[1] - top),
             whole=_four(np.array(self.borders) - [left, top, left, top]))
 
+    def turned(self, quarters: int) -> Camera:
+        """The same camera for its image after clockwise quarter turns.
+
+        Parameters
+        ----------
+        quarters : how many, 0 to 3.
+        """
+        if not quarters:
+            return self
+        turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        left, top, right, bottom = self.borders
+        whole = None if self.whole is None else (self.height - bottom, left, self.height - top,
+                                                 right)
+        return replace(
+            self, width=self.height, height=self.width, focal=self.focal[::-1],
+            centre=(self.height - self.centre[1], self.centre[0]), whole=whole,
+            rotation=turn @ self.rotation, translation=turn @ self.translation
+        ).turned(quarters - 1)
+
     def reduced(self, downscale: float, max_resolution: float = 0) -> Camera:
         """The same camera for a smaller image, whose sides are rounded down.
 
@@ -116,7 +138,9 @@ class Camera:
         """
         left, top, right, bottom = self.borders
         factor = max(downscale, max(right - left, bottom - top) / (max_resolution or np.inf))
-        return self.resized(max(1, int(self.width / factor)), max(1, int(self.height / factor)))
+        # rounding may leave the longest side a digit below the whole number that was asked for
+        width, height = (max(1, int(side / factor + 1e-9)) for side in (self.width, self.height))
+        return self.resized(width, height)
 
     def shifted(self, offset: ArrayLike) -> Camera:
         """The same camera in a world with another origin.
@@ -142,8 +166,45 @@ class Camera:
         """
         p = np.asarray(points, np.float64) @ self.rotation.T + self.translation
         with np.errstate(divide="ignore", invalid="ignore"):
-            pixel = p[:, :2] / p[:, 2:] * self.focal + self.centre
+            divisor = 1.0 if self.orthographic else p[:, 2:]
+            pixel = p[:, :2] / divisor * self.focal + self.centre
         return pixel, p[:, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """How the stored photo of a view differs from that of a pinhole camera (io/lenses.py).
+
+    Attributes
+    ----------
+    model : COLMAP's name of the camera model, such as OPENCV.
+    size : (width, height), pixels, of the stored photo for which the parameters hold.
+    parameters : in COLMAP's order, pixels.
+    rotation : float64[3, 3], from the undistorted camera's frame to that of the stored photo.
+    width, height, focal, centre : the pinhole camera of the whole undistorted photo, pixels.
+    """
+
+    model: str
+    size: tuple[int, int]
+    parameters: tuple[float, ...]
+    rotation: NDArray[np.float64]
+    width: int
+    height: int
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+
+    def resized(self, scale_x: float, scale_y: float) -> Lens:
+        """The same lens with an undistorted photo of another size.
+
+        Parameters
+        ----------
+        scale_x, scale_y : by which the sides are multiplied, up to rounding to whole pixels.
+        """
+        width, height = max(1, round(self.width * scale_x)), max(1, round(self.height * scale_y))
+        sx, sy = width / self.width, height / self.height
+        return replace(self, width=width, height=height,
+                       focal=(self.focal[0] * sx, self.focal[1] * sy),
+                       centre=(self.centre[0] * sx, self.centre[1] * sy))
 
 
 def scene_extent(cameras: Sequence[Camera]) -> float:

@@ -20,6 +20,8 @@ SPLAT_DEPTH: Final = 11
 SPLAT_REALS: Final = 12
 CAMERA_REALS: Final = 27  # of a packed camera (cl/include/camera.h)
 TRANSFORM_REALS: Final = 12  # of a colour transform, 3 x 4
+VIGNETTING_TERMS: Final = 3  # powers of the squared radius (clsplat/response.py)
+VIGNETTING_REALS: Final = VIGNETTING_TERMS + 1  # and the scale of the radius
 GEOMETRY_REALS: Final = 12  # of what takes a pixel at a depth to another view (cl/reproject.cl)
 PAIR_SUMS: Final = 9  # of a pair in the blend adjoint; the depth channel has one more
 FREQUENCY_TERMS: Final = 11  # columns of cl/frequency.cl
@@ -52,7 +54,7 @@ COUNT_NEEDED_VISIBLE: Final = 4  # what that frame would have needed, or 0
 COUNT_NEEDED_PAIRS: Final = 5
 COUNT_MOST_VISIBLE: Final = 6  # the largest numbers of any frame
 COUNT_MOST_PAIRS: Final = 7
-COUNT_DONE: Final = 8  # units of work that were done (clsplat/training/replay.py)
+COUNT_DONE: Final = 8  # units of work that were done (clsplat/training/units.py)
 COUNT_SUM_VISIBLE: Final = 10  # sums over the frames, in two words each
 COUNT_SUM_PAIRS: Final = 12
 FRAME_COUNTS: Final = 14
@@ -60,6 +62,7 @@ FRAME_COUNTS: Final = 14
 # how kernels are cut
 LANES: Final = 256  # of a sum, in whatever groups: the order of additions; no group is larger
 PER_ITEM: Final = 8  # elements of a chunk that a work-item of the group form lists or sorts
+PROJECT_GROUP: Final = 64  # gaussians whose harmonics a group loads together
 EXPOSURE_BLOCK: Final = 2048  # pixels that a partial sum of the exposure's gradient covers
 
 SHARED: Final = MappingProxyType(

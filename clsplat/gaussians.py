@@ -91,32 +91,34 @@ class Gaussians:
 
         Parameters
         ----------
-        path : a PLY file, as clsplat and other splatting programs write it.
+        path : a file of gaussians, by its suffix .ply, .compressed.ply, .sog, .spz, .splat or .glb,
+            or of points, .ply, .las or .laz, which become the gaussians that a training starts
+            from.
 
         Raises
         ------
         clsplat.ClsplatError : if it is not such a file, or is damaged.
         """
-        from clsplat.io.ply import read_ply
+        from clsplat.io.models import read_model
 
-        return read_ply(Path(path))
+        return read_model(Path(path))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write a PLY file in original coordinates, which splat viewers open.
+        """Write a file in original coordinates.
 
         Parameters
         ----------
-        path : the file, which is replaced as a whole.
+        path : the file, which is replaced as a whole; its suffix selects the format: .ply keeps
+            every number, .glb keeps single precision, .compressed.ply, .sog, .spz and .splat are
+            smaller, .las and .laz hold the centres as points.
 
         Raises
         ------
-        clsplat.ClsplatError : if it cannot be written, or its suffix is not .ply.
+        clsplat.ClsplatError : if it cannot be written, or its suffix is another one.
         """
-        from clsplat.io.ply import write_ply
+        from clsplat.io.models import write_model
 
-        if Path(path).suffix.lower() != ".ply":
-            raise InputError(f"{path}: models are written as .ply; choose such a name")
-        write_ply(Path(path), self, self.offset)
+        write_model(Path(path), self)
 
     @property
     def count(self) -> int:

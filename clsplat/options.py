@@ -12,9 +12,16 @@ from clsplat.config.option import AUTO, MOST_STEPS, flag_name, option, options_o
 from clsplat.densify.options import GrowthOptions, SphereOptions
 from clsplat.errors import InputError
 from clsplat.io.options import SceneOptions
-from clsplat.loss.options import ExposureOptions, ImageLossOptions, ReprojectOptions
+from clsplat.loss.options import (
+    DepthOptions,
+    ExposureOptions,
+    ImageLossOptions,
+    RegulariseOptions,
+    ReprojectOptions,
+)
 from clsplat.optimise.options import OptimiseOptions
 from clsplat.rendering.options import RenderingOptions
+from clsplat.schedule.mcmc import McmcOptions
 from clsplat.schedule.registry import OURS, ScheduleOptions, others_that_load, schedule_of
 from clsplat.schedule.sig import SigOptions
 from clsplat.schedule.taming import TamingOptions
@@ -64,6 +71,9 @@ class RunOptions:
     eval_every: int = option(AUTO, "Run", "steps between evaluations on the held-out views; auto: "
                              "eight evaluations, fewer where they are slow; end: only at the end",
                              affects="time", main=True, words={AUTO: AUTO, "end": 0}, minimum=1)
+    lpips: str = option("", "Run", "ONNX file of an LPIPS network, by which the finished model is "
+                        "compared with the held-out photos as well; needs `pip install "
+                        "onnxruntime`", affects="nothing", words={"none": ""})
     snapshots: bool = option(False, "Run", "keep the model at the end of each level, for `clsplat "
                              "render --lod`", affects="time", part="levels")
     coarse: bool = option(False, "Run", "train the coarse model of a city: photos at half size, "
@@ -83,9 +93,10 @@ class DeviceOptions:
 
 
 @dataclass(frozen=True)
-class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, SphereOptions, SigOptions,
-                   OptimiseOptions, ReprojectOptions, ExposureOptions, ImageLossOptions,
-                   RenderingOptions, ScheduleOptions, SceneOptions, RunOptions):
+class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, McmcOptions, SphereOptions,
+                   SigOptions, OptimiseOptions, DepthOptions, ReprojectOptions, ExposureOptions,
+                   RegulariseOptions, ImageLossOptions, RenderingOptions, ScheduleOptions,
+                   SceneOptions, RunOptions):
     """Everything that decides a training; defaults are those of Kerbl et al. (2023).
 
     The help lists the groups from the last base to the first.
@@ -131,11 +142,14 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     return options
 
 
+EARLIER = {"vignetting": "off"}  # what runs did that do not record an option
+
+
 def recorded(record: dict[str, Any]) -> TrainOptions:
     """The options among the values of a run's options.json; InputError for a damaged one."""
     known = {option.name for option in options_of(TrainOptions)}
-    return resolve({name: checked("options.json", name, value) for name, value in record.items()
-                    if name in known}, {})
+    return resolve({name: checked("options.json", name, value)
+                    for name, value in {**EARLIER, **record}.items() if name in known}, {})
 
 
 def serves(known: declared.Option, schedule: str) -> bool:
@@ -152,6 +166,10 @@ def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
             raise InputError(
                 f"{flag_name(known.name)}: has no effect with --schedule {options.schedule}; leave "
                 f"it out, or use --schedule {' or '.join(serving)}")
+    if options.test_offset >= max(1, options.test_every):
+        every = options.test_every or "none"
+        raise InputError(f"--test-offset {options.test_offset}: must be less than --test-every, "
+                         f"which is {every}")
     if options.iterations * options.steps_scale > MOST_STEPS:
         raise InputError(f"--steps-scale {options.steps_scale:g}: turns {options.iterations:,} "
                          f"steps into more than {MOST_STEPS:,}; give a smaller factor")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.camera import Camera, scene_extent
+from clsplat.camera import Camera, Lens, scene_extent
+from clsplat.errors import InputError
+from clsplat.georeference import Georeference
+from clsplat.placement.first_view import first_view
+from clsplat.placement.up import up_axis
+from clsplat.response import Response
 
 if TYPE_CHECKING:
     from clsplat.partition.region import Region
@@ -32,11 +38,22 @@ class View:
     name : of the photo within the scene.
     camera : of the photo; its size may be smaller than the photo's.
     source : a file path, or the encoded image of a packed scene.
+    lens : of the photo as it is stored, if it is to be undistorted.
+    mask : an image in which dark pixels mark those of the stored photo that do not count, as
+        `source`; None: all count.
+    transparent : whether transparent pixels of the photo do not count.
+    depth : the file of its depth map (io/depth.py); None: it has none.
+    quarter_turns : how many clockwise quarter turns show the photo upright, by its EXIF.
     """
 
     name: str
     camera: Camera
     source: Path | bytes
+    lens: Lens | None = None
+    mask: Path | bytes | None = None
+    transparent: bool = False
+    depth: Path | None = None
+    quarter_turns: int = 0
 
     def sees(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Which points lie in front of the camera and within the image, occluded or not.
@@ -66,10 +83,26 @@ class View:
         ------
         clsplat.ClsplatError : if it does not exist, or is not an image that can be read.
         """
-        from clsplat.io.images import read_photo
+        from clsplat.io.views import read_photo
 
         pixels: NDArray[np.uint8] = read_photo(self)
         return pixels
+
+    def valid(self) -> NDArray[np.bool_] | None:
+        """Read which pixels of the photo count, from its mask, its alpha and its lens.
+
+        Returns
+        -------
+        bool[H, W] at the camera's size; None: all.
+
+        Raises
+        ------
+        clsplat.ClsplatError : if the mask is not an image that can be read, or does not fit.
+        """
+        from clsplat.io.views import read_valid
+
+        valid: NDArray[np.bool_] | None = read_valid(self)
+        return valid
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +123,11 @@ class Scene:
         (point, view), sorted; None if the file does not tell.
     held_out : names of the test views, if the data set defines them; otherwise None.
     region : the region that a block of a larger scene owns; otherwise None.
-    exposures : view name -> float64[3, 4], the initial colour transforms of a block's views.
+    exposures : view name -> response of a block's view, from the coarse run.
     notes : messages for the user about parts of the files that are not used or were interpreted.
+    georeference : where the original coordinates lie on the earth; None: unknown.
+    given_up : float64[3], the unit vector that points up, if the files or the user tell; None: it
+        is estimated, see `up`.
     """
 
     name: str
@@ -104,8 +140,10 @@ class Scene:
     unit: float = 1.0
     held_out: frozenset[str] | None = None
     region: Region | None = None
-    exposures: dict[str, NDArray[np.float64]] | None = None
+    exposures: dict[str, Response] | None = None
     notes: tuple[str, ...] = ()
+    georeference: Georeference | None = None
+    given_up: NDArray[np.float64] | None = None
 
     @classmethod
     def read(cls, path: str | PathLike[str], images: str = "") -> Scene:
@@ -113,8 +151,9 @@ class Scene:
 
         Parameters
         ----------
-        path : a folder with a COLMAP model, transforms.json or the layout of CityGaussian, or a
-            file of `clsplat pack`.
+        path : a folder with a COLMAP model, transforms.json, the layout of CityGaussian or the
+            project of another program, such as Metashape; the file of such a project; or a file of
+            `clsplat pack`.
         images : the folder of its photos, relative to the scene's folder; "": images.
 
         Raises
@@ -124,6 +163,46 @@ class Scene:
         from clsplat.io.scenes import read_scene
 
         return read_scene(path, images)
+
+    @cached_property
+    def up(self) -> NDArray[np.float64]:
+        """float64[3], the unit vector that points up: the one that was given, else the z axis of a
+        georeferenced scene, else an estimate from the cameras and points."""
+        if self.given_up is not None:
+            return self.given_up
+        if self.georeference is not None:
+            return np.array([0.0, 0.0, 1.0])
+        return up_axis(np.array([camera.rotation for camera in self._upright]), self.points)
+
+    @cached_property
+    def first_view(self) -> Camera:
+        """The camera, in local coordinates, from which a viewer should first look: obliquely from
+        above for aerial photos, facing north in a georeferenced scene, else that of a photo."""
+        north = None if self.georeference is None else np.array([0.0, 1.0, 0.0])
+        camera = first_view(self._upright, self.points, self.up, north)
+        return replace(camera, offset=self.offset)
+
+    @property
+    def _upright(self) -> list[Camera]:
+        """The cameras of the photos as they are shown, not as they are stored."""
+        return [view.camera.turned(view.quarter_turns) for view in self.views]
+
+    def with_up(self, up: ArrayLike) -> Scene:
+        """The same scene, in which a direction points up.
+
+        Parameters
+        ----------
+        up : float[3], of any length.
+
+        Raises
+        ------
+        clsplat.ClsplatError : if it has no direction.
+        """
+        vector = np.asarray(up, np.float64)
+        length = float(np.linalg.norm(vector))
+        if vector.shape != (3,) or not 0 < length < np.inf:
+            raise InputError(f"up {vector.tolist()}: is no direction; give one such as 0 0 1")
+        return replace(self, given_up=vector / length)
 
     @property
     def extent(self) -> float:
@@ -158,13 +237,15 @@ class Scene:
         """
         return requested / self.unit or self.near_plane
 
-    def split(self, test_every: int) -> tuple[tuple[View, ...], tuple[View, ...]]:
+    def split(self, test_every: int, test_offset: int = 0
+              ) -> tuple[tuple[View, ...], tuple[View, ...]]:
         """The training views and the held-out views.
 
         Parameters
         ----------
-        test_every : every test_every-th view by name, from the first, is held out, unless the data
-            set defines the test views (`held_out`); 0: none.
+        test_every : every test_every-th view by name is held out, unless the data set defines the
+            test views (`held_out`); 0: none.
+        test_offset : how many views come before the first one that is held out.
 
         Returns
         -------
@@ -174,7 +255,7 @@ class Scene:
             return self.views, ()
         held_out = self.held_out
         if held_out is None:
-            held_out = frozenset(view.name for view in self.views[::test_every])
+            held_out = frozenset(view.name for view in self.views[test_offset::test_every])
         return (tuple(v for v in self.views if v.name not in held_out),
                 tuple(v for v in self.views if v.name in held_out))
 
@@ -217,7 +298,7 @@ class Scene:
             seen = np.bincount(point, minlength=len(self.points)) > 0
             known = np.stack([np.cumsum(seen)[point] - 1, view], axis=1).astype(np.int32)
         return replace(self, views=views, points=self.points[seen], colours=self.colours[seen],
-                       observations=known)
+                       observations=known, given_up=self.up)
 
     def cropped(self, windows: dict[str, tuple[int, int, int, int]]) -> Scene:
         """The scene with views cropped to parts of their photos, and observations only in these.
@@ -263,7 +344,8 @@ class Scene:
         unit of the original coordinates."""
         extent = self.extent
         return replace(
-            self, points=self.points / extent, unit=self.unit * extent, views=tuple(
+            self, points=self.points / extent, unit=self.unit * extent, given_up=self.up,
+            views=tuple(
                 replace(v, camera=replace(v.camera, translation=v.camera.translation / extent))
                 for v in self.views))
 

@@ -110,6 +110,15 @@ def splats(count, width, height, seed=0, opacity=(0.05, 0.9), sigma=(0.6, 6.0)):
     }), np.argsort(np.float32(depths), kind="stable")
 
 
+def mask(width, height, seed=0):
+    """bool[H, W], pixels that count: all but a rectangle at a corner and single ones; at least one.
+    """
+    valid = np.random.default_rng([seed, 9]).random((height, width)) < 0.9
+    valid[:height // 3, :width // 2] = False
+    valid[-1, -1] = True
+    return valid
+
+
 def images(width, height, seed=0):
     """Two images [3, H, W] in 0 to 1: a smooth one with noise, and the same with other noise."""
     rng = _generator("images", seed)

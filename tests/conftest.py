@@ -108,7 +108,7 @@ class ExactBuffers:
     def __init__(self, context):
         self.context = context
 
-    def allocate(self, size):
+    def allocate(self, size, exact=False):
         import pyopencl as cl  # clsplat.device must be the first to import it
 
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)

@@ -207,6 +207,8 @@ def test_choices_set_what_there_is_to_legal_values():
                                 "prune_size": 0.1}),
     ({"schedule": "dash"}, {"reset_every": 3000, "exposure": "off"}),
     ({"schedule": "taming"}, {"reset_every": 3000, "exposure": "off", "prune_size": 0.1}),
+    ({"schedule": "mcmc"}, {"exposure": "off", "opacity_rate": 0.05, "position_noise": 5e5,
+                            "opacity_weight": 0.01, "scale_weight": 0.01}),
     ({"schedule": "sig"}, {}),
     ({"preset": "paper"}, PAPER),
     ({"preset": "release"}, RELEASE),
@@ -247,7 +249,8 @@ def test_a_flag_s_choice_replaces_the_file_s():
 
 @pytest.mark.parametrize("given", [
     {}, {"schedule": "constant"}, {"schedule": "dash"}, {"schedule": "taming"},
-    {"preset": "paper"}, {"preset": "release", "levels": (4, 1)}, {"size": "L"},
+    {"schedule": "mcmc"}, {"preset": "paper"}, {"preset": "release", "levels": (4, 1)},
+    {"size": "L"},
     {"time_budget": "10m"}])
 def test_a_run_s_record_gives_the_same_options_again(given):
     options = resolve({}, given)

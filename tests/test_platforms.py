@@ -123,19 +123,19 @@ def test_a_user_without_a_home(monkeypatch):
 
 def foreign(path, text):
     """Lines of a module that use what not every system has, or the system's own text encoding."""
-    tree = ast.parse(text)
-    guarded = {node.args[1].value for node in ast.walk(tree) if isinstance(node, ast.Call)
+    nodes = list(ast.walk(ast.parse(text)))
+    guarded = {node.args[1].value for node in nodes if isinstance(node, ast.Call)
                and ast.unparse(node.func) in ("hasattr", "getattr") and len(node.args) > 1
                and isinstance(node.args[1], ast.Constant)}
-    guarded |= {child.attr for node in ast.walk(tree) if isinstance(node, ast.Try)
+    guarded |= {child.attr for node in nodes if isinstance(node, ast.Try)
                 if any("AttributeError" in ast.unparse(handler.type or ast.Constant(""))
                        for handler in node.handlers)
                 for child in ast.walk(ast.Module(node.body, []))
                 if isinstance(child, ast.Attribute)}
-    tried = {id(child) for node in ast.walk(tree) if isinstance(node, ast.Try)
+    tried = {id(child) for node in nodes if isinstance(node, ast.Try)
              and any("ImportError" in ast.unparse(handler.type or ast.Constant(""))
                      for handler in node.handlers) for child in node.body}
-    for node in ast.walk(tree):
+    for node in nodes:
         said = _foreign(node, guarded, tried)
         if said:
             yield f"{path}:{node.lineno}: {said}"

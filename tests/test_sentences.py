@@ -300,7 +300,7 @@ def test_settings():
 
 
 @pytest.mark.parametrize("text, said", [
-    ("make one with `clsplat sfm`", "no command `clsplat sfm`"),
+    ("make one with `clsplat nothing`", "no command `clsplat nothing`"),
     ("`clsplat train --nothing`", "no option --nothing"),
     ("`clsplat train S --schedule fast`", "fast is none of"),
     ("`--nothing`", "no command has the option"),

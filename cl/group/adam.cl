@@ -31,18 +31,7 @@ inline uint element_at(uint first, uint later, uint elements)
     return first + later < elements ? first + later : first;
 }
 
-__kernel void adam_small(
-    uint work, uint now, real first, real correction, real share, real rate_positions,
-    real rate_sh_constant, real rate_sh_rest, real rate_opacity_logits, real rate_log_scales,
-    real rate_quaternions, __global const uint *restrict counts,
-    __global const uint *restrict visible, __global const uint *restrict rows,
-    __global const real *restrict grad_positions, __global const real *restrict grad_colours,
-    __global const real *restrict grad_opacity_logits,
-    __global const real *restrict grad_log_scales, __global const real *restrict grad_quaternions,
-    __global real *restrict positions, __global real *restrict sh_constant,
-    __global real *restrict opacity_logits, __global real *restrict log_scales,
-    __global real *restrict quaternions, __global real *restrict m, __global real *restrict v,
-    __global uint *restrict last_step, __global real *restrict coefficients)
+__kernel void adam_step(ADAM_STEP_ARGUMENTS)
 {
     if (counts[COUNT_FAILED])
         return;
@@ -52,6 +41,8 @@ __kernel void adam_small(
         add_terms(i, now, rates, correction, coefficients);
     __local uint live, live_rows[SHARE_OF(MOST_ITEMS, STEP_SPREAD)];
     __local uint live_places[SHARE_OF(MOST_ITEMS, STEP_SPREAD)];
+    // harmonics and colour gradient of a row
+    __local real shared[SHARE_OF(MOST_ITEMS, STEP_SPREAD) * (SH_ACTIVE + 3)];
     const uint count = min(work, counts[COUNT_VISIBLE]);
     const uint lane = get_local_id(0), size = get_local_size(0);
     const uint part = SHARE_OF(size, STEP_SPREAD);
@@ -69,6 +60,16 @@ __kernel void adam_small(
             const uint place = atomic_inc(&live);
             live_rows[place] = listed;
             live_places[place] = lane;
+#if DEGREE > 0
+            if (rank_one) {
+                real basis[SH_SIZE];
+                harmonics(vload3(begin + lane, directions), basis);
+                __local real *own = shared + place * (SH_ACTIVE + 3);
+                for (uint k = 0; k < SH_ACTIVE; k++)
+                    own[k] = basis[k];
+                vstore3(vload3(begin + lane, grad_colours), 0, own + SH_ACTIVE);
+            }
+#endif
         }
         barrier(CLK_LOCAL_MEM_FENCE);
         const uint elements = live * SMALL_COLUMNS;
@@ -107,105 +108,50 @@ __kernel void adam_small(
                 store_reals1(own_m[k], own_v[k], 0, m + moments, v + moments);
             }
         }
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-}
-
-__kernel void adam_harmonics(uint now, uint rank_one, real rate, real correction,
-                             __global const uint *restrict counts,
-                             __global const uint *restrict rows,
-                             __global const real *restrict grad_colours,
-                             __global const real *restrict directions,
-                             __global const real *restrict gradient, __global real *restrict sh_rest,
-                             __global moment *restrict m, __global moment *restrict v)
-{
 #if DEGREE > 0
-    __local uint live, live_rows[SHARE_OF(MOST_ITEMS, STEP_SPREAD)];
-    __local uint live_places[SHARE_OF(MOST_ITEMS, STEP_SPREAD)];
-    // harmonics and colour gradient of a row
-    __local real shared[SHARE_OF(MOST_ITEMS, STEP_SPREAD) * (SH_ACTIVE + 3)];
-    const uint count = counts[COUNT_VISIBLE];
-    const uint lane = get_local_id(0), size = get_local_size(0);
-    const uint part = SHARE_OF(size, STEP_SPREAD);
-    for (ulong begin = get_group_id(0) * (ulong)part; begin < count;
-         begin += get_num_groups(0) * (ulong)part) {
-        uint listed = NO_ROW;
-        real3 direction = (real3)(0), grad_colour = (real3)(0);
-        if (lane < part && begin + lane < count) {
-            listed = rows[begin + lane];
-            if (rank_one) {
-                direction = vload3(begin + lane, directions);
-                grad_colour = vload3(begin + lane, grad_colours);
-            }
-        }
-        if (lane == 0)
-            live = 0;
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (listed != NO_ROW) {
-            const uint place = atomic_inc(&live);
-            live_rows[place] = listed;
-            live_places[place] = lane;
-            if (rank_one) {
-                real basis[SH_SIZE];
-                harmonics(direction, basis);
-                __local real *own = shared + place * (SH_ACTIVE + 3);
-                for (uint k = 0; k < SH_ACTIVE; k++)
-                    own[k] = basis[k];
-                vstore3(grad_colour, 0, own + SH_ACTIVE);
-            }
-        }
-        barrier(CLK_LOCAL_MEM_FENCE);
-        const uint elements = live * SH_COLUMNS;
-        for (uint base = 0; base < elements; base += REST_AT_ONCE * size) {
+        const uint others = live * SH_COLUMNS;
+        for (uint base = 0; base < others; base += REST_AT_ONCE * size) {
             const uint i = base + lane;
-            if (i >= elements)
+            if (i >= others)
                 continue;
             uint row[REST_AT_ONCE], column[REST_AT_ONCE];
-            real parameter[REST_AT_ONCE], g[REST_AT_ONCE], first[REST_AT_ONCE],
-                second[REST_AT_ONCE];
+            real parameter[REST_AT_ONCE], g[REST_AT_ONCE], own_m[REST_AT_ONCE],
+                own_v[REST_AT_ONCE];
 #pragma unroll
             for (uint k = 0; k < REST_AT_ONCE; k++) {
-                const uint element = element_at(i, k * size, elements);
+                const uint element = element_at(i, k * size, others);
                 const uint place = element / SH_COLUMNS;
                 row[k] = live_rows[place];
                 column[k] = element % SH_COLUMNS;
                 const ulong moments = (ulong)row[k] * MOMENT_STRIDE + column[k];
                 __local const real *own = shared + place * (SH_ACTIVE + 3);
                 parameter[k] = sh_rest[(ulong)row[k] * SH_STRIDE + column[k]];
-                LOAD_MOMENTS(1)(m + moments, v + moments, first + k, second + k);
-                g[k] = rank_one ? own[column[k] / 3] * own[SH_ACTIVE + column[k] % 3]
-                                : gradient[(begin + live_places[place]) * SH_STRIDE + column[k]];
+                LOAD_MOMENTS(1)(m_rest + moments, v_rest + moments, own_m + k, own_v + k);
+                g[k] = rank_one
+                           ? own[column[k] / 3] * own[SH_ACTIVE + column[k] % 3]
+                           : grad_sh_rest[(begin + live_places[place]) * SH_STRIDE + column[k]];
             }
 #pragma unroll
             for (uint k = 0; k < REST_AT_ONCE; k++) {
-                if (i + k * size >= elements)
+                if (i + k * size >= others)
                     continue;
                 const ulong moments = (ulong)row[k] * MOMENT_STRIDE + column[k];
                 sh_rest[(ulong)row[k] * SH_STRIDE + column[k]] =
-                    stepped(parameter[k], g[k], rate, correction, first + k, second + k);
-                STORE_MOMENTS(1)(first[k], second[k], rounding_seed(row[k], column[k], now),
-                                 m + moments, v + moments);
+                    stepped(parameter[k], g[k], rate_sh_rest, correction, own_m + k, own_v + k);
+                STORE_MOMENTS(1)(own_m[k], own_v[k], rounding_seed(row[k], column[k], now),
+                                 m_rest + moments, v_rest + moments);
             }
         }
+#endif
         barrier(CLK_LOCAL_MEM_FENCE);
     }
-#endif
 }
 
 enum { // columns of what the group knows of a due row: C of the fields in the order of LAG_..., and
     DUE_DECAY1 = LAG_C, DUE_DECAY2, DUE_EPSILON, DUE_TERMS
 };
 
-__kernel void adam_catch_up(
-    uint count, uint now, uint keeps, uint has_frozen, uint by_camera,
-    __global const uint *restrict counts,
-    __global const real *restrict camera, __global const uint *restrict frozen,
-    __global const real *restrict coefficients, __global real *restrict positions,
-    __global real *restrict sh_constant, __global real *restrict sh_rest,
-    __global real *restrict opacity_logits, __global real *restrict log_scales,
-    __global real *restrict quaternions, __global real *restrict m, __global real *restrict v,
-    __global moment *restrict m_rest, __global moment *restrict v_rest,
-    __global uint *restrict last_step)
+__kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
 {
     if (counts[COUNT_FAILED])
         return;

@@ -1,11 +1,13 @@
-// Group form of bin.cl (see there): a group counts and emits the splats of a chunk of GROUP rows, and sorts
-// the pairs of a tile.
+// Group form of bin.cl (see there): a group counts and emits the splats of a chunk of GROUP rows,
+// and sorts the pairs of a tile.
 //
-// steps: uint[tiles + 1], zero before: how many splats begin to touch tiles at each tile, less those that
-// end there; place_pairs leaves zeros there again, and emit_pairs counts in them what each tile has.
-// totals: uint[chunks], the pairs of each chunk, then the emission index of its first. bucket_offsets:
-// uint[tiles], the first bucket of BUCKET pairs of each tile. keys: ulong[2, P], a pair's depth and
-// emission index, in the first half; the second is for tiles with more pairs than a group sorts at once.
+// steps: uint[tiles + 1], zero before: how many splats begin to touch tiles at each tile, less
+// those that end there; place_pairs leaves zeros there, emit_pairs counts in them what each tile
+// has, and sort_tiles leaves zeros again.
+// totals, first_indices: uint[chunks], the pairs of each chunk, and the emission index of its
+// first. bucket_offsets: uint[tiles], the first bucket of BUCKET pairs of each tile. keys: ulong[2,
+// P], a pair's depth and emission index, in the first half; the second is for tiles with more pairs
+// than a group sorts at once.
 #define GROUP SCAN_GROUP
 #include "group.h"
 DEFINE_GROUP_SCAN(group_scan, uint)
@@ -138,8 +140,9 @@ inline int tile_of_pair(Ellipse e, uint own, int tiles_x, int first_tile, int en
     return tile + (int)own;
 }
 
-// The pairs of a chunk are dealt to the items of its group one by one, so that none waits for another
-// whose splat has many. A giant's are dealt row by row of tiles, as finding them one by one would take long.
+// The pairs of a chunk are dealt to the items of its group one by one, so that none waits for
+// another whose splat has many. A giant's are dealt row by row of tiles, as finding them one by one
+// would take long.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void emit_pairs(int tiles_x, int first_tile, int end_tile, __global const uint *restrict counts,
                 __global const real *restrict splats, __global const uint *restrict splat_counts,
@@ -239,11 +242,11 @@ inline void sort_few(__local const ulong *unsorted, __local ulong *sorted, uint 
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-// A group a tile: runs of SORTED_AT_ONCE keys in local memory, which are then merged. Keys are unique: a
-// key's place is its place in its own run and the number of smaller ones in the other.
+// A group a tile: runs of SORTED_AT_ONCE keys in local memory, which are then merged. Keys are
+// unique: a key's place is its place in its own run and the number of smaller ones in the other.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void sort_tiles(uint room, __global const uint *restrict counts,
-                __global const uint *restrict ranges,
+                __global const uint *restrict ranges, __global uint *restrict steps,
                 __global const uint *restrict pair_splats,
                 __global const uint *restrict bucket_offsets, __global ulong *keys,
                 __global uint *restrict sorted_splats, __global uint *restrict emission_indices,
@@ -252,6 +255,8 @@ void sort_tiles(uint room, __global const uint *restrict counts,
     __local ulong chunk[SORTED_AT_ONCE];
     const uint tile = get_group_id(0), begin = ranges[2 * tile];
     const uint count = ranges[2 * tile + 1] - begin, buckets = (count + BUCKET - 1) / BUCKET;
+    if (get_local_id(0) == 0)
+        steps[tile] = 0;
     FOR_GROUP(i, buckets)
         bucket_tiles[bucket_offsets[tile] + i] = tile;
     // those past the last bucket: Intel's compiler reads what their tiles point to before it leaves

@@ -1,8 +1,9 @@
-// Group form of blend.cl (see there), for GPUs. Forward, a group owns a tile, a lane a pixel; splats are
-// staged in local memory and each wave walks those that reach its sub-tile; T and C of every pixel are
-// noted once a bucket of BUCKET pairs. Adjoint, a group owns a bucket: its lanes own the tile's pixels,
-// continue (T, C) from the bucket's beginning and walk its splats front to back; then a lane adds up one
-// of a splat's sums over all lanes, through local memory, in a fixed order.
+// Group form of blend.cl (see there), for GPUs. Forward, a group owns a tile, a lane a pixel;
+// splats are staged in local memory and each wave walks those that reach its sub-tile; T and C of
+// every pixel are noted once a bucket of BUCKET pairs. Adjoint, a group owns a bucket: its lanes
+// own the tile's pixels, continue (T, C) from the bucket's beginning and walk its splats front to
+// back; then a lane adds up one of a splat's sums over all lanes, through local memory, in a fixed
+// order.
 #include "subtiles.h"
 #define ROW_OF(INDEX) ((__global const real4 *)splats + (ulong)(INDEX) * (SPLAT_REALS / 4))
 #if BUCKET % 32 || ADJOINT_GROUP % WAVE || TILE * TILE % ADJOINT_GROUP
@@ -10,8 +11,8 @@
 #endif
 #define WORDS (PIXELS / 32) // of a bit mask with a bit a staged splat
 
-// Switches that tools/studies/blend_variants.py times. Of a sub-tile that an ellipse reaches, some pixel
-// nearly always is inside, so by default no pixel branches: those outside have weight zero.
+// Switches that tools/studies/blend_variants.py times. Of a sub-tile that an ellipse reaches, some
+// pixel nearly always is inside, so by default no pixel branches: those outside have weight zero.
 #if PIXEL_BRANCH
 #define SKIP_UNLESS(LIVE)                                                                          \
     if (!(LIVE))                                                                                   \
@@ -45,8 +46,8 @@ inline real staged_power(real4 k, real dx, real dy)
     return (k.x * dx + k.y * dy) * dx + k.z * dy * dy;
 }
 
-// Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth, by slots;
-// of pixels that had not ended before the bucket.
+// Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth, by
+// slots; of pixels that had not ended before the bucket.
 __kernel __attribute__((reqd_work_group_size(PIXELS, 1, 1)))
 void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
            __global real4 *restrict checkpoints, __global real *restrict depth_checkpoints)
@@ -119,7 +120,9 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
                 if (done)
                     break;
                 c += w * colour[j].xyz;
-#if WITH_DEPTH
+#if MEDIAN_DEPTH
+                z = w > 0 && t > (real)0.5 ? colour[j].w : z;
+#elif WITH_DEPTH
                 z += w * colour[j].w;
 #endif
                 t = next;
@@ -130,9 +133,19 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
     }
     if (inside) {
         const long plane = (long)width * height, pixel = (long)row * width + column;
-        image[pixel] = c.x + t * background[0];
-        image[plane + pixel] = c.y + t * background[1];
-        image[2 * plane + pixel] = c.z + t * background[2];
+        c += t * vload3(0, background);
+        image[pixel] = c.x;
+        image[plane + pixel] = c.y;
+        image[2 * plane + pixel] = c.z;
+#if WITH_VIGNETTING
+        __global const real *lens = lenses + lens_of[view] * VIGNETTING_REALS;
+        c *= GAIN(lens, squared_radius(camera, lens, x, y));
+#endif
+#if WITH_EXPOSURE
+        __global const real *e = transforms + (ulong)view * TRANSFORM_REALS;
+        for (int k = 0; k < 3; k++)
+            exposed[k * plane + pixel] = EXPOSED(e, k, c.x, c.y, c.z);
+#endif
         transmittance[pixel] = t;
         last_contributor[pixel] = latest;
 #if WITH_DEPTH
@@ -187,7 +200,8 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
     barrier(CLK_LOCAL_MEM_FENCE);
 
     const uint open = open_subtiles;
-    real t[OWNED], rest[OWNED]; // in front of the splat: transmittance; cotangent . all from there on
+    // in front of the splat: transmittance; cotangent . all from there on
+    real t[OWNED], rest[OWNED];
     real3 grad[OWNED];
 #if WITH_DEPTH
     real grad_z[OWNED];
@@ -304,20 +318,5 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
                 (total.x + total.y) + (total.z + total.w);
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-    }
-}
-
-// An element is a splat's column.
-__kernel void sum_pairs(uint carried, __global const uint *restrict counts,
-                        __global const uint *restrict splat_counts,
-                        __global const uint *restrict offsets,
-                        __global const real *restrict pair_grads, __global real *restrict totals)
-{
-    FOR_EACH(i, (ulong)counts[COUNT_VISIBLE] * SUMS) {
-        const ulong v = i / SUMS, begin = offsets[v], end = begin + splat_counts[v];
-        real total = carried ? totals[i] : 0;
-        for (ulong index = begin; index < end; index++)
-            total += pair_grads[index * SUMS + i % SUMS];
-        totals[i] = total;
     }
 }

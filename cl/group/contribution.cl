@@ -1,5 +1,5 @@
-// Group form of contribution.cl (see there): a group owns a tile, a lane a pixel; each splat is summed
-// over the group in a fixed tree.
+// Group form of contribution.cl (see there): a group owns a tile, a lane a pixel; each splat is
+// summed over the group in a fixed tree.
 #define GROUP (TILE * TILE)
 #include "group.h"
 DEFINE_GROUP_SUM(group_sum4, real4)
@@ -8,7 +8,8 @@ __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void contribution(int width, int height, int tiles_x, int first_tile,
                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
                   __global const uint *restrict emission_indices,
-                  __global const real *restrict splats, __global const int *restrict last_contributor,
+                  __global const real *restrict splats,
+                  __global const int *restrict last_contributor,
                   __global const real *restrict weights, __global real *restrict sums)
 {
     __local real4 scratch[GROUP];

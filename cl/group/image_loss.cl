@@ -1,6 +1,7 @@
-// Group form of image_loss.cl (see there): a group owns COLUMNS x ROWS pixels of one channel. It loads
-// these with their halo; then a lane adds up the windows across of RUN neighbours in a row, and then,
-// from these sums, the windows down of DOWN neighbours in a column: a value is read once for many windows.
+// Group form of image_loss.cl (see there): a group owns COLUMNS x ROWS pixels of one channel. It
+// loads these with their halo; then a lane adds up the windows across of RUN neighbours in a row,
+// and then, from these sums, the windows down of DOWN neighbours in a column: a value is read once
+// for many windows.
 #define GROUP (TILE * 8)
 #include "group.h"
 #define COLUMNS 32
@@ -11,11 +12,12 @@
 #define DOWN 6
 #define TASKS 128 // runs of a tile, and neighbours in its columns
 #define OWN_TASKS (TASKS / GROUP)
-#if WIDE_ROWS * COLUMNS != TASKS * RUN || (ROWS + DOWN - 1) / DOWN * COLUMNS != TASKS || TASKS % GROUP
+#if WIDE_ROWS * COLUMNS != TASKS * RUN || (ROWS + DOWN - 1) / DOWN * COLUMNS != TASKS ||           \
+    TASKS % GROUP
 #error "the tasks of a tile are to be the same number for all lanes"
 #endif
-// Rows in local memory. Where lanes read or write real4s of successive rows, these lie 4 or 12 words
-// apart, modulo 32, in different banks.
+// Rows in local memory. Where lanes read or write real4s of successive rows, these lie 4 or 12
+// words apart, modulo 32, in different banks.
 #define PITCH 44                // of values
 #define MAP_PITCH 36            // of the sums across of a map
 #define MOMENT_PITCH 33         // of the sums across of all moments, real4s
@@ -45,8 +47,8 @@ inline void load_run(__local const real4 *from, real *values)
     }
 
 // A lane loads every AT_ONCE-th row of its column of the tile and its halo, LOADS in all: of pixel
-// PIXEL_OF(i) of the channel, which INSIDE(i) tells not to stand in for one beyond the border, to `place`
-// in row i AT_ONCE, if HAS_PLACE(i). All are loaded at once, and so without branches.
+// PIXEL_OF(i) of the channel, which INSIDE(i) tells not to stand in for one beyond the border, to
+// `place` in row i AT_ONCE, if HAS_PLACE(i). All are loaded at once, and so without branches.
 #define AT_ONCE (GROUP / WIDE_COLUMNS)
 #define LOADS ((WIDE_ROWS + AT_ONCE - 1) / AT_ONCE)
 #define LOCATE_HALO                                                                                \
@@ -57,6 +59,11 @@ inline void load_run(__local const real4 *from, real *values)
 #define NEAR_Y(i) clamp(halo_y + (i) * AT_ONCE, 0, height - 1)
 #define PIXEL_OF(i) (NEAR_Y(i) * width + near_x)
 #define INSIDE(i) (halo_x == near_x && halo_y + (i) * AT_ONCE == NEAR_Y(i))
+#if MASKED
+#define COUNTS(PIXEL) (mask[PIXEL] != 0)
+#else
+#define COUNTS(PIXEL) true
+#endif
 #define HAS_PLACE(i) (halo_row < AT_ONCE && halo_row + (i) * AT_ONCE < WIDE_ROWS)
 
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -71,12 +78,16 @@ void image_loss(int width, int height, __global const real *restrict image,
     LOCATE_HALO;
     __global const real *channel_image = image + channel * plane;
     __global const uchar *channel_photo = photo + channel * plane;
+#if MASKED
+    __global const uchar *mask = photo + 3 * plane;
+#endif
     real loaded_x[LOADS], loaded_y[LOADS];
 #pragma unroll
     for (int i = 0; i < LOADS; i++) {
         const real x = channel_image[PIXEL_OF(i)], y = channel_photo[PIXEL_OF(i)];
-        loaded_x[i] = INSIDE(i) ? x : 0;
-        loaded_y[i] = INSIDE(i) ? y * (real)(1.0 / 255) : 0;
+        const bool counts = INSIDE(i) && COUNTS(PIXEL_OF(i));
+        loaded_x[i] = counts ? x : 0;
+        loaded_y[i] = counts ? y * (real)(1.0 / 255) : 0;
     }
 #pragma unroll
     for (int i = 0; i < LOADS; i++)
@@ -140,11 +151,13 @@ void image_loss(int width, int height, __global const real *restrict image,
             if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
                 __global real *map = own_maps + j * width;
                 real by_x, by_xx, by_xy;
-                totals[own].y +=
+                const real value =
                     ssim(means[j].x, means[j].y, means[j].z, means[j].w, &by_x, &by_xx, &by_xy);
-                map[0] = by_x;
-                map[plane] = by_xx;
-                map[2 * plane] = by_xy;
+                const bool counts = COUNTS((long)(y0 + first + j) * width + x0 + column);
+                totals[own].y += counts ? value : 1;
+                map[0] = counts ? by_x : 0;
+                map[plane] = counts ? by_xx : 0;
+                map[2 * plane] = counts ? by_xy : 0;
             }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -176,6 +189,9 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
     const int group = get_group_id(0), lane = get_local_id(0);
     LOCATE_PART(group, COLUMNS, ROWS);
     LOCATE_HALO;
+#if MASKED
+    __global const uchar *mask = photo + 3 * plane;
+#endif
 #pragma unroll
     for (int m = 0; m < 3; m++) {
         __global const real *map = maps + (3 * channel + m) * plane;
@@ -244,8 +260,9 @@ void image_loss_adjoint(int width, int height, __global const real *restrict ima
             if (x0 + column < width && y0 + first + j < height && first + j < ROWS) {
                 const long pixel = own_pixel + j * width;
                 const real x = image[pixel], y = photo[pixel] * (real)(1.0 / 255);
-                grad_image[pixel] = l1_scale * sign(x - y) +
-                                    ssim_scale * (by[0][j] + 2 * x * by[1][j] + y * by[2][j]);
+                const real gradient = l1_scale * sign(x - y) +
+                                      ssim_scale * (by[0][j] + 2 * x * by[1][j] + y * by[2][j]);
+                grad_image[pixel] = COUNTS(pixel - channel * plane) ? gradient : 0;
             }
     }
 }

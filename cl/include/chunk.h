@@ -1,9 +1,9 @@
-// Chunks of consecutive elements: a work-item walks one in the item form, a group of SCAN_GROUP items
-// in the group form.
+// Chunks of consecutive elements: a work-item walks one in the item form, a group of SCAN_GROUP
+// items in the group form.
 //
-// FOR_CHUNK(i, begin, end) { body }: every i once; CHUNK_TOTAL(value): the sum of an integer over the
-// chunk, for every item; CHUNK_LEADS: true for the one item that writes what belongs to the chunk.
-// CHUNK_SCRATCH declares the memory that CHUNK_TOTAL needs, at the top of a kernel.
+// FOR_CHUNK(i, begin, end) { body }: every i once; CHUNK_TOTAL(value): the sum of an integer over
+// the chunk, for every item; CHUNK_LEADS: true for the one item that writes what belongs to the
+// chunk. CHUNK_SCRATCH declares the memory that CHUNK_TOTAL needs, at the top of a kernel.
 #if FORM_ITEM
 #define CHUNK_KERNEL __kernel
 #define CHUNK_INDEX ((uint)get_global_id(0))

@@ -1,6 +1,6 @@
-// The numbers of a frame that only the device knows while it works: counts, uint[FRAME_COUNTS]. Their
-// places are in clsplat/constants.py. COUNT_FAILED is sticky: from the kernel that meets an array that is
-// too small until the host has enlarged it, no kernel changes what outlives a frame.
+// The numbers of a frame that only the device knows while it works: counts, uint[FRAME_COUNTS].
+// Their places are in clsplat/constants.py. COUNT_FAILED is sticky: from the kernel that meets an
+// array that is too small until the host has enlarged it, no kernel changes what outlives a frame.
 #if COUNT_SUM_PAIRS + 2 > FRAME_COUNTS
 #error "the counts do not fit"
 #endif

@@ -1,5 +1,5 @@
-// The exponential of the powers that matter, -6 to 0, of the width `vreal`. EXP_KIND, a choice at build
-// time: 0 exp, 1 native_exp, 3 to 6 the degree of our polynomial (docs/notebook/numerics.md).
+// The exponential of the powers that matter, -6 to 0, of the width `vreal`. EXP_KIND, a choice at
+// build time: 0 exp, 1 native_exp, 3 to 6 the degree of our polynomial (docs/notebook/numerics.md).
 // Default: degree 4 in the item form, whose error is that of float; in the group form native_exp
 // where it was seen accurate, else degree 6.
 #ifndef EXP_KIND
@@ -52,8 +52,8 @@ inline vreal exp2_of_fraction(vreal f, real scale)
 
 #define ROUNDING 12582912.0 // adding 1.5 2^23 rounds to an integer and leaves it in the low bits
 #if FORM_ITEM
-// scale 2^x, the scale a constant, for -80 < x < 80; anything elsewhere. The integer is added to the
-// exponent of what the polynomial gives.
+// scale 2^x, the scale a constant, for -80 < x < 80; anything elsewhere. The integer is added to
+// the exponent of what the polynomial gives.
 inline vreal exp2_scaled(vreal x, real scale)
 {
 #if REAL_IS_DOUBLE || EXP_KIND == 0

@@ -3,7 +3,8 @@
 // In 16 bits: the root s of v as a float of 6 bits of exponent and 10 of mantissa without sign,
 // 2^-54 to 2^10, 0 for less; m as the half m / s, whose size is at most 7.3 (adam.cl), so that no
 // scale is needed. A step of Adam changes s by less than its last digit: rounding to nearest would
-// hold it where it is, so it is rounded up or down by a hash of element and step, in the mean right.
+// hold it where it is, so it is rounded up or down by a hash of element and step, in the mean
+// right.
 #define DEFINE_REALS(NAME, S, LOAD, STORE)                                                         \
     inline void load_reals##NAME(__global const real *m, __global const real *v, real##S *first,   \
                                  real##S *second)                                                  \

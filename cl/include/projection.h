@@ -39,7 +39,7 @@ inline Footprint footprint_of(uint row, __global const real *camera, __global co
     rotation_rows(f.q, &f.r0, &f.r1, &f.r2);
     f.scale = exp(vload3(row, log_scales));
 
-    const real2 focal = vload2(0, camera + CAMERA_FOCAL) / f.p.z;
+    const real2 focal = vload2(0, camera + CAMERA_FOCAL) / divisor_of(f.p);
     __global const real *w = camera + CAMERA_ROTATION;
     const real3 w3 = vload3(2, w);
     const real3 a1 = focal.x * (vload3(0, w) - f.ratio.x * w3);
@@ -68,7 +68,8 @@ inline Footprint footprint_of(uint row, __global const real *camera, __global co
 
 inline real2 mean_pixel(__global const real *camera, real3 p)
 {
-    return vload2(0, camera + CAMERA_FOCAL) * p.xy / p.z + vload2(0, camera + CAMERA_CENTRE);
+    return vload2(0, camera + CAMERA_FOCAL) * p.xy / divisor_of(p) +
+           vload2(0, camera + CAMERA_CENTRE);
 }
 
 // Channels of a colour that are drawn; others are black and have no gradient: negative ones, and
@@ -76,8 +77,8 @@ inline real2 mean_pixel(__global const real *camera, real3 p)
 #define COLOUR_MAX 1e6
 #define drawn(COLOUR) (((COLOUR) > (real3)(0)) & ((COLOUR) < (real3)(COLOUR_MAX)))
 
-// Whether a footprint can be drawn; *cutoff and *extent (pixels) get its size. One past the float range
-// has no usable conic. Comparisons are written to fail for NaN.
+// Whether a footprint can be drawn; *cutoff and *extent (pixels) get its size. One past the float
+// range has no usable conic. Comparisons are written to fail for NaN.
 inline bool drawable(Footprint f, real *cutoff, real2 *extent)
 {
     *cutoff = 2 * log(ALPHA_STEPS * f.opacity * sqrt(f.area_ratio));

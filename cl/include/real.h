@@ -49,7 +49,8 @@ inline real8 sum16_each(real16 v0, real16 v1, real16 v2, real16 v3, real16 v4, r
     return (real8)(c0.even, c1.even) + (real8)(c0.odd, c1.odd);
 }
 
-// Whether any element of a comparison holds. Spelled out: PoCL's any() takes each element by itself.
+// Whether any element of a comparison holds. Spelled out: PoCL's any() takes each element by
+// itself.
 inline bool any16(mask16 v)
 {
 #if REAL_IS_DOUBLE

@@ -1,5 +1,5 @@
-// A splat: the screen footprint of a gaussian, SPLAT_REALS a row, written by project.cl. Its columns,
-// SPLAT_MEAN and so on, are in clsplat/constants.py.
+// A splat: the screen footprint of a gaussian, SPLAT_REALS a row, written by project.cl. Its
+// columns, SPLAT_MEAN and so on, are in clsplat/constants.py.
 #define ALPHA_MIN (1.0 / ALPHA_STEPS) // fainter contributions are skipped
 
 // Sums over a splat's pixels that the blend adjoint leaves, one row a pair.

@@ -1,6 +1,6 @@
-// Sub-tiles: a tile's pixels in blocks of WAVE, 8 wide, so that the lanes of a wave skip together what a
-// splat does not reach. They are numbered row by row; a pixel's slot is WAVE times its sub-tile's number
-// plus its place in it, row by row too.
+// Sub-tiles: a tile's pixels in blocks of WAVE, 8 wide, so that the lanes of a wave skip together
+// what a splat does not reach. They are numbered row by row; a pixel's slot is WAVE times its
+// sub-tile's number plus its place in it, row by row too.
 #include "tiles.h"
 #define PIXELS (TILE * TILE)
 #define SUBTILES (PIXELS / WAVE)
@@ -20,8 +20,8 @@ inline int slot_row(int slot)
     return slot / WAVE / SUBTILES_X * SUBTILE_ROWS + slot % WAVE / 8;
 }
 
-// Bit i is set where the ellipse may reach pixel centres of sub-tile i of the tile with its first pixel
-// at (x0, y0).
+// Bit i is set where the ellipse may reach pixel centres of sub-tile i of the tile with its first
+// pixel at (x0, y0).
 inline uint reached_subtiles(Ellipse e, int x0, int y0)
 {
 #if !SUBTILE_MASK

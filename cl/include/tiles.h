@@ -39,8 +39,9 @@ inline void tile_rows(Ellipse e, int tiles_y, int *begin, int *end)
     *end = min(tiles_y, to_tile(floor((e.mean_y + e.extent_y - 0.5) / TILE) + 1, tiles_y));
 }
 
-// The ellipse's ends, relative to its mean, in the strip between two rows of pixel centres, which it must
-// reach: the right one is at its rightmost point where that lies inside, else on the nearer edge.
+// The ellipse's ends, relative to its mean, in the strip between two rows of pixel centres, which
+// it must reach: the right one is at its rightmost point where that lies inside, else on the nearer
+// edge.
 inline void strip_ends(Ellipse e, real first_y, real last_y, real *left, real *right)
 {
     const real slope = e.shear * e.extent_y;

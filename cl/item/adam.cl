@@ -30,18 +30,21 @@ DEFINE_UPDATE(moment1, , moment, LOAD_ONE, STORE_ONE, LOAD_MOMENTS(1), STORE_MOM
 DEFINE_UPDATE(moment4, 4, moment, vload4, vstore4, LOAD_MOMENTS(4), STORE_MOMENTS(4))
 DEFINE_UPDATE(moment16, 16, moment, vload16, vstore16, LOAD_MOMENTS(16), STORE_MOMENTS(16))
 
-__kernel void adam_small(
-    uint work, uint now, real first, real correction, real share, real rate_positions,
-    real rate_sh_constant, real rate_sh_rest, real rate_opacity_logits, real rate_log_scales,
-    real rate_quaternions, __global const uint *restrict counts,
-    __global const uint *restrict visible, __global const uint *restrict rows,
-    __global const real *restrict grad_positions, __global const real *restrict grad_colours,
-    __global const real *restrict grad_opacity_logits,
-    __global const real *restrict grad_log_scales, __global const real *restrict grad_quaternions,
-    __global real *restrict positions, __global real *restrict sh_constant,
-    __global real *restrict opacity_logits, __global real *restrict log_scales,
-    __global real *restrict quaternions, __global real *restrict m, __global real *restrict v,
-    __global uint *restrict last_step, __global real *restrict coefficients)
+// CALL(WIDTH, LOAD) for all columns, of which the next is `column`.
+#define EACH_WIDTH(CALL)                                                                           \
+    uint column = 0;                                                                               \
+    for (; column + 16 <= SH_COLUMNS; column += 16)                                                \
+        CALL(16, vload16);                                                                         \
+    for (; column + 4 <= SH_COLUMNS; column += 4)                                                  \
+        CALL(4, vload4);                                                                           \
+    for (; column < SH_COLUMNS; column++)                                                          \
+        CALL(1, LOAD_ONE);
+
+#define STEP(WIDTH, LOAD)                                                                          \
+    step_moment##WIDTH(LOAD(0, g + column), rate_sh_rest, correction,                              \
+                       rounding_seed(row, column, now), sh_rest + to + column,                     \
+                       m_rest + moments + column, v_rest + moments + column)
+__kernel void adam_step(ADAM_STEP_ARGUMENTS)
 {
     if (counts[COUNT_FAILED])
         return;
@@ -69,36 +72,7 @@ __kernel void adam_small(
                    log_scales + 3ul * row, own_m + SMALL_SCALE, own_v + SMALL_SCALE);
         step_real4(vload4(i, grad_quaternions), rate_quaternions, correction, 0,
                    quaternions + 4ul * row, own_m + SMALL_TURN, own_v + SMALL_TURN);
-    }
-}
-
-// CALL(WIDTH, LOAD) for all columns, of which the next is `column`.
-#define EACH_WIDTH(CALL)                                                                           \
-    uint column = 0;                                                                               \
-    for (; column + 16 <= SH_COLUMNS; column += 16)                                                \
-        CALL(16, vload16);                                                                         \
-    for (; column + 4 <= SH_COLUMNS; column += 4)                                                  \
-        CALL(4, vload4);                                                                           \
-    for (; column < SH_COLUMNS; column++)                                                          \
-        CALL(1, LOAD_ONE);
-
-#define STEP(WIDTH, LOAD)                                                                          \
-    step_moment##WIDTH(LOAD(0, g + column), rate, correction, rounding_seed(row, column, now),    \
-                       sh_rest + to + column, m + moments + column, v + moments + column)
-__kernel void adam_harmonics(uint now, uint rank_one, real rate, real correction,
-                             __global const uint *restrict counts,
-                             __global const uint *restrict rows,
-                             __global const real *restrict grad_colours,
-                             __global const real *restrict directions,
-                             __global const real *restrict gradient, __global real *restrict sh_rest,
-                             __global moment *restrict m, __global moment *restrict v)
-{
 #if DEGREE > 0
-    const uint count = counts[COUNT_VISIBLE];
-    FOR_EACH(i, count) {
-        const uint row = rows[i];
-        if (row == NO_ROW)
-            continue;
         real g[SH_COLUMNS];
         if (rank_one) {
             real basis[SH_SIZE];
@@ -107,12 +81,12 @@ __kernel void adam_harmonics(uint now, uint rank_one, real rate, real correction
             for (uint k = 0; k < SH_ACTIVE; k++)
                 vstore3(basis[k] * grad_colour, k, g);
         } else
-            for (uint column = 0; column < SH_COLUMNS; column++)
-                g[column] = gradient[i * SH_STRIDE + column];
+            for (uint k = 0; k < SH_COLUMNS; k++)
+                g[k] = grad_sh_rest[i * SH_STRIDE + k];
         const ulong to = (ulong)row * SH_STRIDE, moments = (ulong)row * MOMENT_STRIDE;
         EACH_WIDTH(STEP)
-    }
 #endif
+    }
 }
 
 inline void coast_small(uint row, Lag lag, __global const real *c, __global real *positions,
@@ -132,19 +106,10 @@ inline void coast_small(uint row, Lag lag, __global const real *c, __global real
 }
 
 #define COAST(WIDTH, LOAD)                                                                         \
-    coast_moment##WIDTH(lag, c[LAG_SH_REST], rounding_seed(row, column, now),                     \
+    coast_moment##WIDTH(lag, c[LAG_SH_REST], rounding_seed(row, column, now),                      \
                         sh_rest + to + column, m_rest + moments + column,                          \
                         v_rest + moments + column)
-__kernel void adam_catch_up(
-    uint count, uint now, uint keeps, uint has_frozen, uint by_camera,
-    __global const uint *restrict counts,
-    __global const real *restrict camera, __global const uint *restrict frozen,
-    __global const real *restrict coefficients, __global real *restrict positions,
-    __global real *restrict sh_constant, __global real *restrict sh_rest,
-    __global real *restrict opacity_logits, __global real *restrict log_scales,
-    __global real *restrict quaternions, __global real *restrict m, __global real *restrict v,
-    __global moment *restrict m_rest, __global moment *restrict v_rest,
-    __global uint *restrict last_step)
+__kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
 {
     if (counts[COUNT_FAILED])
         return;

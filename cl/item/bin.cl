@@ -1,9 +1,11 @@
-// Item form of bin.cl (see there): a work-item counts and emits the splats of its part of the depth order.
-// The parts are the rows of `table`, uint[parts, tiles]: first how many pairs each part has in each tile,
-// then where they begin in the sorted lists. totals: uint[parts], the pairs of each part.
+// Item form of bin.cl (see there): a work-item counts and emits the splats of its part of the depth
+// order. The parts are the rows of `table`, uint[parts, tiles]: first how many pairs each part has
+// in each tile, then where they begin in the sorted lists. totals: uint[parts], the pairs of each
+// part, or the largest uint where there are more, for which no frame has room.
 
 __kernel void count_pairs(int tiles_x, int first_tile, int end_tile,
-                          __global const uint *restrict counts, __global const real *restrict splats,
+                          __global const uint *restrict counts,
+                          __global const real *restrict splats,
                           __global uint *restrict splat_counts, __global const uint *restrict order,
                           uint parts, __global uint *restrict table, __global uint *restrict totals)
 {
@@ -28,7 +30,7 @@ __kernel void count_pairs(int tiles_x, int first_tile, int end_tile,
                     own[tile - first_tile]++;
             }
             splat_counts[v] = touched;
-            total += touched;
+            total = add_sat(total, touched);
         }
         totals[part] = total;
     }
@@ -64,7 +66,8 @@ __kernel void emit_pairs(int tiles_x, int first_tile, int end_tile,
                          __global uint *restrict splat_counts, __global uint *restrict offsets,
                          __global const uint *restrict order, uint parts,
                          __global uint *restrict table, __global const uint *restrict totals,
-                         __global uint *restrict sorted_splats, __global uint *restrict emission_indices)
+                         __global uint *restrict sorted_splats,
+                         __global uint *restrict emission_indices)
 {
     const int tiles = end_tile - first_tile;
     FOR_EACH(part, parts) {

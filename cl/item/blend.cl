@@ -47,10 +47,10 @@ inline int16 load_indices(__global const int *row, int columns)
     return vload16(0, values);
 }
 
-// Rows are blended BLOCK at a time, so that the operations of one fill the waits of another. A row of a
-// block that an ellipse does not reach adds nothing, as its excess is below zero. EACH_ROW writes its
-// argument, which has no commas outside parentheses, once for each row k: PoCL would not unroll a loop,
-// nor keep arrays in registers.
+// Rows are blended BLOCK at a time, so that the operations of one fill the waits of another. A row
+// of a block that an ellipse does not reach adds nothing, as its excess is below zero. EACH_ROW
+// writes its argument, which has no commas outside parentheses, once for each row k: PoCL would not
+// unroll a loop, nor keep arrays in registers.
 #define BLOCK 4
 #define CHUNK 16 // pairs whose terms along x are kept for all blocks
 #define EACH_ROW(BODY) ONE_ROW(0, BODY) ONE_ROW(1, BODY) ONE_ROW(2, BODY) ONE_ROW(3, BODY)
@@ -66,8 +66,18 @@ inline int16 load_indices(__global const int *row, int columns)
 #define IF_DEPTH(CODE)
 #endif
 
-// Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h), so
-// that no pixel whose excess rounds to zero is left out.
+// The depth channel after a splat of weight w, before which the transmittance was t.
+inline real16 with_depth(real16 z, real depth, real16 w, real16 t)
+{
+#if MEDIAN_DEPTH
+    return select(z, (real16)depth, TO_MASK(w > 0) & TO_MASK(t > (real)0.5));
+#else
+    return z + w * depth;
+#endif
+}
+
+// Whether an ellipse reaches a row of the block that begins at `block_y`; a hair larger (tiles.h),
+// so that no pixel whose excess rounds to zero is left out.
 inline bool reaches_block(__global const real *splat, real block_y)
 {
     const real extent = splat[SPLAT_EXTENT_Y] * 1.001 + (0.01 + 0.5 * (BLOCK - 1));
@@ -150,7 +160,7 @@ void blend(BLEND_ARGUMENTS)
                     red[k] += w[k] * splat[SPLAT_COLOUR];
                     green[k] += w[k] * splat[SPLAT_COLOUR + 1];
                     blue[k] += w[k] * splat[SPLAT_COLOUR + 2];
-                    IF_DEPTH(z[k] += w[k] * splat[SPLAT_DEPTH];)
+                    IF_DEPTH(z[k] = with_depth(z[k], splat[SPLAT_DEPTH], w[k], t[k]);)
                     t[k] = next[k];)
             }
             EACH_ROW(
@@ -167,9 +177,24 @@ void blend(BLEND_ARGUMENTS)
     for (int r = 0; r < rows; r++) {
         const long pixel = (long)(y0 + r) * width + x0;
         const real16 rest = fabs(t_of[r]);
-        store_row(red_of[r] + rest * background[0], image + pixel, columns);
-        store_row(green_of[r] + rest * background[1], image + plane + pixel, columns);
-        store_row(blue_of[r] + rest * background[2], image + 2 * plane + pixel, columns);
+        real16 red = red_of[r] + rest * background[0];
+        real16 green = green_of[r] + rest * background[1];
+        real16 blue = blue_of[r] + rest * background[2];
+        store_row(red, image + pixel, columns);
+        store_row(green, image + plane + pixel, columns);
+        store_row(blue, image + 2 * plane + pixel, columns);
+#if WITH_VIGNETTING
+        __global const real *lens = lenses + lens_of[view] * VIGNETTING_REALS;
+        const real16 gain = GAIN(lens, squared_radius(camera, lens, x, (real16)(y0 + r + 0.5)));
+        red *= gain;
+        green *= gain;
+        blue *= gain;
+#endif
+#if WITH_EXPOSURE
+        __global const real *e = transforms + (ulong)view * TRANSFORM_REALS;
+        for (int k = 0; k < 3; k++)
+            store_row(EXPOSED(e, k, red, green, blue), exposed + k * plane + pixel, columns);
+#endif
         store_row(rest, transmittance + pixel, columns);
         IF_DEPTH(store_row(z_of[r], depth + pixel, columns);)
         store_indices(convert_int16(latest_of[r]), last_contributor + pixel, columns);
@@ -282,30 +307,5 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
 #if WITH_DEPTH
         sum[SUM_DEPTH] = sum16(s_z);
 #endif
-    }
-}
-
-// An element is a splat; eight columns are one vector, or Intel's compiler would sum every column over
-// several pairs at a time, in another order.
-__kernel void sum_pairs(uint carried, __global const uint *restrict counts,
-                        __global const uint *restrict splat_counts,
-                        __global const uint *restrict offsets,
-                        __global const real *restrict pair_grads, __global real *restrict totals)
-{
-    FOR_EACH(v, counts[COUNT_VISIBLE]) {
-        __global real *own = totals + v * SUMS;
-        real8 total = carried ? vload8(0, own) : (real8)(0);
-        real rest[SUMS - 8];
-        for (int j = 0; j < SUMS - 8; j++)
-            rest[j] = carried ? own[8 + j] : 0;
-        const ulong begin = (ulong)offsets[v] * SUMS, end = begin + (ulong)splat_counts[v] * SUMS;
-        for (ulong i = begin; i < end; i += SUMS) {
-            total += vload8(0, pair_grads + i);
-            for (int j = 0; j < SUMS - 8; j++)
-                rest[j] += pair_grads[i + 8 + j];
-        }
-        vstore8(total, 0, own);
-        for (int j = 0; j < SUMS - 8; j++)
-            own[8 + j] = rest[j];
     }
 }

@@ -1,10 +1,12 @@
-// Item form of contribution.cl (see there): a work-item owns a tile; a row of 16 pixels is one vector.
+// Item form of contribution.cl (see there): a work-item owns a tile; a row of 16 pixels is one
+// vector.
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void contribution(int width, int height, int tiles_x, int first_tile,
                   __global const uint *restrict ranges, __global const uint *restrict sorted_splats,
                   __global const uint *restrict emission_indices,
-                  __global const real *restrict splats, __global const int *restrict last_contributor,
+                  __global const real *restrict splats,
+                  __global const int *restrict last_contributor,
                   __global const real *restrict weights, __global real *restrict sums)
 {
     const int tile = get_global_id(0), place = first_tile + tile;

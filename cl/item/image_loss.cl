@@ -1,14 +1,15 @@
-// Item form of image_loss.cl (see there), for CPUs: value and gradient in one pass, so that the maps
-// never leave the cache. A work-item slides down a strip of 16 VECTORS columns and `strip` rows of a
-// channel. At row y the sums across the image join a ring of the last TAPS rows; the maps of row y - RADIUS are
-// complete, and their sums across join another ring; the gradient of row y - 2 RADIUS is complete.
+// Item form of image_loss.cl (see there), for CPUs: value and gradient in one pass, so that the
+// maps never leave the cache. A work-item slides down a strip of 16 VECTORS columns and `strip`
+// rows of a channel. At row y the sums across the image join a ring of the last TAPS rows; the maps
+// of row y - RADIUS are complete, and their sums across join another ring; the gradient of row y -
+// 2 RADIUS is complete.
 #define VECTORS 4
 #define IMAGE_VECTORS (VECTORS + 2) // from 2 RADIUS columns before the strip on
 #define MAP_VECTORS (VECTORS + 1)   // from RADIUS columns before it on
 #define MAPS 3
 
-// The 16 values that begin K after the first of A, which B continues; spelled out, LLVM 14 makes one
-// shuffle of them.
+// The 16 values that begin K after the first of A, which B continues; spelled out, LLVM 14 makes
+// one shuffle of them.
 #define AFTER_1(A, B)                                                                              \
     (real16)(A.s1, A.s2, A.s3, A.s4, A.s5, A.s6, A.s7, A.s8,                                       \
              A.s9, A.sa, A.sb, A.sc, A.sd, A.se, A.sf, B.s0)
@@ -57,15 +58,16 @@ inline real16 window_across(real16 a, real16 b)
 // Row `number` and the ten before it of a ring, oldest first; `step` vectors a row.
 #define LAST_ROWS(ROWS, RING, STEP, NUMBER)                                                        \
     const real16 *ROWS[TAPS];                                                                      \
-    for (int k = 0, slot = SLOT((NUMBER) + 1); k < TAPS; k++, slot = slot + 1 < TAPS ? slot + 1 : 0) \
+    for (int k = 0, slot = SLOT((NUMBER) + 1); k < TAPS;                                           \
+         k++, slot = slot + 1 < TAPS ? slot + 1 : 0)                                               \
         ROWS[k] = RING + slot * (STEP);
 #define SLOT(NUMBER) (((NUMBER) + 2 * TAPS) % TAPS) // a row's place in a ring, from -2 TAPS on
 
 // Down the rows of one vector of sums.
 inline real16 window_down(const real16 *const rows[TAPS], int i)
 {
-    return window(rows[0][i], rows[1][i], rows[2][i], rows[3][i], rows[4][i], rows[5][i], rows[6][i],
-                  rows[7][i], rows[8][i], rows[9][i], rows[10][i]);
+    return window(rows[0][i], rows[1][i], rows[2][i], rows[3][i], rows[4][i], rows[5][i],
+                  rows[6][i], rows[7][i], rows[8][i], rows[9][i], rows[10][i]);
 }
 
 inline real16 image16(__global const real *values)
@@ -78,8 +80,8 @@ inline real16 photo16(__global const uchar *values)
     return convert_real16(vload16(0, values)) * (real)(1.0 / 255);
 }
 
-// `count` vectors of a row from column `first` on, zeros outside the image: `padded` has them from the
-// beginning, and a call for other columns has a `padded` of its own.
+// `count` vectors of a row from column `first` on, zeros outside the image: `padded` has them from
+// the beginning, and a call for other columns has a `padded` of its own.
 #define PADDED (IMAGE_VECTORS * 16)
 #define DEFINE_LOAD(NAME, TYPE, LOAD16, FACTOR)                                                    \
     inline void NAME(__global const TYPE *row, int first, int count, int width, real *padded,      \
@@ -104,6 +106,19 @@ inline real16 photo16(__global const uchar *values)
 DEFINE_LOAD(load_image, real, image16, 1)
 DEFINE_LOAD(load_photo, uchar, photo16, 1.0 / 255)
 
+// MASK_ROW reads COUNT vectors of the mask's row Y from column FIRST on; COUNTED_ELSE is VALUE at
+// pixels of vector V that count, and ELSE at others.
+#if MASKED
+#define MASK_ROW(Y, FIRST, COUNT, PADDED_ROW)                                                      \
+    real16 mask_row[COUNT];                                                                        \
+    load_photo(mask + (long)(Y)*width, FIRST, COUNT, width, PADDED_ROW, mask_row)
+#define COUNTED_ELSE(V, VALUE, ELSE) select((real16)(ELSE), VALUE, TO_MASK(mask_row[V] > 0))
+#else
+#define MASK_ROW(Y, FIRST, COUNT, PADDED_ROW)
+#define COUNTED_ELSE(V, VALUE, ELSE) (VALUE)
+#endif
+#define COUNTED(V, VALUE) COUNTED_ELSE(V, VALUE, 0)
+
 // A vector of a row, as far as the image goes.
 inline void store_row(real16 value, __global real *row, int columns)
 {
@@ -125,11 +140,15 @@ void image_loss(int width, int height, __global const real *restrict image,
     LOCATE_PART(get_global_id(0), 16 * VECTORS, strip);
     const int x_end = min(x0 + 16 * VECTORS, width), y_end = min(y0 + strip, height);
     image += channel * plane;
+#if MASKED
+    __global const uchar *mask = photo + 3 * plane;
+#endif
     photo += channel * plane;
     grad_image += channel * plane;
-    real padded[4][PADDED];
-    for (int i = 0; i < PADDED; i++)
-        padded[0][i] = padded[1][i] = padded[2][i] = padded[3][i] = 0;
+    real padded[4 + 3 * MASKED][PADDED];
+    for (int p = 0; p < 4 + 3 * MASKED; p++)
+        for (int i = 0; i < PADDED; i++)
+            padded[p][i] = 0;
     mask16 inside[MAP_VECTORS], own[MAP_VECTORS]; // of the maps' columns
     for (int v = 0; v < MAP_VECTORS; v++) {
         const real16 x = IOTA + (real)(x0 - RADIUS + 16 * v);
@@ -145,8 +164,14 @@ void image_loss(int width, int height, __global const real *restrict image,
                 newest[i] = 0;
         } else {
             real16 xs[IMAGE_VECTORS], ys[IMAGE_VECTORS];
-            load_image(image + (long)y * width, x0 - 2 * RADIUS, IMAGE_VECTORS, width, padded[0], xs);
-            load_photo(photo + (long)y * width, x0 - 2 * RADIUS, IMAGE_VECTORS, width, padded[1], ys);
+            const int first = x0 - 2 * RADIUS;
+            load_image(image + (long)y * width, first, IMAGE_VECTORS, width, padded[0], xs);
+            load_photo(photo + (long)y * width, first, IMAGE_VECTORS, width, padded[1], ys);
+            MASK_ROW(y, first, IMAGE_VECTORS, padded[MASKED ? 4 : 0]);
+            for (int v = 0; v < IMAGE_VECTORS; v++) {
+                xs[v] = COUNTED(v, xs[v]);
+                ys[v] = COUNTED(v, ys[v]);
+            }
             for (int v = 0; v < MAP_VECTORS; v++) {
                 const real16 x = xs[v], y = ys[v], next_x = xs[v + 1], next_y = ys[v + 1];
                 newest[MEANS * v] = window_across(x, next_x);
@@ -167,16 +192,17 @@ void image_loss(int width, int height, __global const real *restrict image,
             LAST_ROWS(rows, sums, MAP_VECTORS * MEANS, y);
             real16 by[MAPS][MAP_VECTORS];
             real16 row_total = 0;
+            MASK_ROW(map_y, x0 - RADIUS, MAP_VECTORS, padded[MASKED ? 5 : 0]);
             for (int v = 0; v < MAP_VECTORS; v++) {
                 real16 by_x, by_xx, by_xy;
                 const real16 value = ssim(
                     window_down(rows, MEANS * v), window_down(rows, MEANS * v + 1),
                     window_down(rows, MEANS * v + 2), window_down(rows, MEANS * v + 3), &by_x,
                     &by_xx, &by_xy);
-                by[0][v] = select((real16)0, by_x, inside[v]);
-                by[1][v] = select((real16)0, by_xx, inside[v]);
-                by[2][v] = select((real16)0, by_xy, inside[v]);
-                row_total += select((real16)0, value, own[v]);
+                by[0][v] = COUNTED(v, select((real16)0, by_x, inside[v]));
+                by[1][v] = COUNTED(v, select((real16)0, by_xx, inside[v]));
+                by[2][v] = COUNTED(v, select((real16)0, by_xy, inside[v]));
+                row_total += select((real16)0, COUNTED_ELSE(v, value, 1), own[v]);
             }
             if (map_y >= y0 && map_y < y_end)
                 total += row_total;
@@ -191,13 +217,17 @@ void image_loss(int width, int height, __global const real *restrict image,
         real16 xs[VECTORS], ys[VECTORS];
         load_image(image + (long)out * width, x0, VECTORS, width, padded[2], xs);
         load_photo(photo + (long)out * width, x0, VECTORS, width, padded[3], ys);
+        MASK_ROW(out, x0, VECTORS, padded[MASKED ? 6 : 0]);
         for (int v = 0; v < VECTORS; v++) {
-            const real16 by_x = window_down(rows, MAPS * v), by_xx = window_down(rows, MAPS * v + 1);
+            xs[v] = COUNTED(v, xs[v]);
+            ys[v] = COUNTED(v, ys[v]);
+            const real16 by_x = window_down(rows, MAPS * v);
+            const real16 by_xx = window_down(rows, MAPS * v + 1);
             const real16 by_xy = window_down(rows, MAPS * v + 2), difference = xs[v] - ys[v];
             l1 += fabs(difference); // zero outside the image
             const int first = x0 + 16 * v;
-            store_row(l1_scale * sign(difference) +
-                          ssim_scale * (by_x + 2 * xs[v] * by_xx + ys[v] * by_xy),
+            store_row(COUNTED(v, l1_scale * sign(difference) +
+                                     ssim_scale * (by_x + 2 * xs[v] * by_xx + ys[v] * by_xy)),
                       grad_image + (long)out * width + first, width - first);
         }
     }

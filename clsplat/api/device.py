@@ -40,6 +40,15 @@ class Device(OpenedDevice):
         return table(rows)
 
 
+def opened_device(device: OpenedDevice | None) -> OpenedDevice:
+    """The device, or the default one for None; InputError for anything but an open device."""
+    if device is None:
+        return best_device()
+    if not isinstance(device, OpenedDevice):
+        raise InputError(f"device {device!r}: not an open device; give clsplat.Device({device!r})")
+    return device
+
+
 @functools.cache
 def best_device() -> Device:
     """The default device, opened once."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.api.device import best_device
+from clsplat.api.device import opened_device
 from clsplat.camera import Camera
 from clsplat.constants import NO_ROW
 from clsplat.device import Device as OpenedDevice
@@ -46,8 +46,8 @@ def render(model: Gaussians, camera: Camera, *, device: OpenedDevice | None = No
     ------
     clsplat.ClsplatError : if no device works, or the frame does not fit its memory.
     """
-    chosen = device or best_device()
-    opened, rows = open_model(chosen, model, _near(model, near), antialiased, background)
+    opened, rows = open_model(opened_device(device), model, _near(model, near), antialiased,
+                              background)
     moved = _in_frame_of(model, camera)
     frame = opened.render(rows, opened.pack(moved), camera.width, camera.height,
                           model.sh_degree, with_depth=depth)
@@ -75,8 +75,7 @@ class Frame:
     _frame: Any = field(repr=False)
 
     def _repr_png_(self) -> bytes:
-        pixels = (np.clip(self.image, 0, 1) * 255 + 0.5).astype(np.uint8)
-        return encode_image(pixels, "png", 100, "PNG")
+        return encode_image(self.image, "png", 100, "PNG")
 
 
 class Renderer:
@@ -96,11 +95,12 @@ class Renderer:
     def __init__(self, device: OpenedDevice, model: Gaussians, *,
                  background: tuple[float, float, float] = (0.0, 0.0, 0.0),
                  near: float | None = None, antialiased: bool = False) -> None:
+        self.device = opened_device(device)
         limit = gaussian_limit(device, model.sh_degree)
         if model.count > limit:
             raise InputError(f"{model.count:,} gaussians: the device has memory for {limit:,}; "
                              "use clsplat.render, which renders larger models in slabs")
-        self.device, self.model = device, model
+        self.model = model
         self._pipeline = pipeline.Renderer(device, model.sh_degree, _near(model, near), antialiased,
                                            background)
         self._rows = {f.name: device.upload(model.rows[f.name]) for f in LEARNED}
@@ -110,9 +110,10 @@ class Renderer:
 
         Parameters
         ----------
-        fields : positions float[N, 3] (world), log_scales float[N, 3], quaternions float[N, 4]
-            (wxyz), opacity_logits float[N], sh_constant float[N, 3], sh_rest float[N, bands, 3];
-            numpy arrays, or objects with `__array__` or `__dlpack__`.
+        fields : those of `Gaussians`, in the same coordinates as the model's: positions
+            float[N, 3], log_scales float[N, 3], quaternions float[N, 4] (wxyz), opacity_logits
+            float[N], sh_constant float[N, 3], sh_rest float[N, bands, 3]; numpy arrays, or objects
+            with `__array__` or `__dlpack__`.
 
         Raises
         ------

@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from clsplat.api.device import opened_device
 from clsplat.device import Device as OpenedDevice
 from clsplat.device import choose_device
 from clsplat.errors import Interrupted
@@ -25,14 +26,15 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
     ----------
     scene : a Scene as it was read (the option `downscale` makes its photos smaller), or its path.
     output : the folder of the run; None: a new one in the folder for temporary files.
-    device : an open device; None: that of the option `device`, by default the best one that works.
+    device : an open device; None: the best one that works.
     overwrite : whether a run in the folder is replaced.
     callbacks : functions that are called with each record, a dict with `event`, `iteration`,
         `train_seconds`, `level` and `gaussians`. Every step has a record of event "step" with its
         `loss`, `l1` and `ssim`, for which the host waits for the device. Other events are those of
         metrics.jsonl: "plan", "level", "grow", "eval". A function that raises
         `clsplat.StopTraining` ends the training after the step; `Run.resume` continues it.
-    options : those of `clsplat train --help-all`, with underscores: iterations=7000, sh_degree=2.
+    options : those of `clsplat train --help-all` but `device`, with underscores: iterations=7000,
+        sh_degree=2.
 
     Returns
     -------
@@ -44,8 +46,8 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
     """
     chosen = resolve({}, options)
     data = scene if isinstance(scene, Scene) else Scene.read(scene, chosen.images)
+    opened = opened_device(device) if device else choose_device("auto", form=chosen.form)
     folder = Path(output if output is not None else tempfile.mkdtemp(prefix="clsplat-run-"))
-    opened = device or choose_device(chosen.device, form=chosen.form)
     with RunFolder(folder).locked():
         run = RunFolder.create(folder, overwrite=overwrite)
         try:

@@ -1,4 +1,4 @@
-"""Blending a frame's splats, and the adjoint with its sums by splat."""
+"""Blending a frame's splats, and the adjoint by pair of tile and splat."""
 
 from functools import partial
 
@@ -30,9 +30,7 @@ def main(argv: list[str]) -> None:
         states = 0 if blended.checkpoints is None else blended.checkpoints.nbytes
         traffic = {
             "forward": pairs.count * (4 + 12 * real) + width * height * (4 * real + 4) + states,
-            # the sums of a pair are written, and read to be added up
-            "adjoint": pairs.count * (8 + 30 * real) + width * height * (4 * real + 4)
-            + len(splats) * 9 * real + states}
+            "adjoint": pairs.count * (8 + 21 * real) + width * height * (4 * real + 4) + states}
         size = {**city.size, "blended_pixels": blended_pixels}
         for case, function in cases.items():
             operations = blended_pixels * (

@@ -1,11 +1,18 @@
-"""A view's colour transform, its adjoint and its step, at the size of a real photo."""
+"""The adjoint of a view's response and its step, at the size of a real photo."""
 
 import numpy as np
 
+from clsplat.camera import Camera
 from clsplat.loss.exposure import Exposures
 from clsplat.primitives.compact import new_counts
+from clsplat.rendering.project import pack_camera
+from clsplat.response import Lenses
 
 from .measure import Bench
+
+# a pixel takes a transposed matrix of 3 x 3 and twelve sums of products; with vignetting, the
+# squared radius, the gain and its products, and three sums more
+OPERATIONS = {False: 36, True: 66}
 
 
 def main(argv: list[str]) -> None:
@@ -14,14 +21,17 @@ def main(argv: list[str]) -> None:
     device, (width, height) = bench.device, bench.options.size
     rng = np.random.default_rng(0)
     image = device.upload(rng.random((3, height, width)))
-    grad = device.upload(rng.normal(size=image.shape))
-    exposures, counts = Exposures(device, 100), new_counts(device)
+    grad, counts = device.upload(rng.normal(size=image.shape)), new_counts(device)
+    camera = Camera(width, height, (width, width), (width / 2, height / 2), np.eye(3), np.zeros(3))
+    packed, views = pack_camera(device, camera, 0.01), 100
+    for vignetting, operations in OPERATIONS.items():
+        exposures = Exposures(device, views, lenses=Lenses.of_cameras(views * [camera])
+                              if vignetting else None)
 
-    def both() -> None:
-        exposures.apply(0, image)
-        exposures.step(0, exposures.adjoint(0, image, grad)[1], counts)
+        def both(exposures: Exposures = exposures) -> None:
+            exposures.step(0, exposures.adjoint(0, packed, image, grad)[1], counts)
 
-    # the image is read twice, the gradient once; the result and its gradient are written. A pixel
-    # goes through a matrix of 3 x 4, its transpose, and twelve sums of products
-    bench.report("exposure", "apply and adjoint", bench.milliseconds(both),
-                 {"width": width, "height": height}, 5 * image.nbytes, 57 * width * height)
+        # the image and the gradient are read, the gradient by the image is written
+        bench.report("exposure", "adjoint and step" + " with vignetting" * vignetting,
+                     bench.milliseconds(both), {"width": width, "height": height},
+                     3 * image.nbytes, operations * width * height)

@@ -20,19 +20,21 @@ def main(argv: list[str]) -> None:
     for count in bench.options.gaussians:
         city = CityFrame(device, count)
         rows, camera, frame, renderer = city.rows, city.camera, city.frame, city.renderer
-        visible = frame.visible
+        visible, pairs = frame.visible, frame.pairs
         seen = len(visible)
-        sums = blend_adjoint(
-            device, frame.splats, frame.pairs, frame.blended, renderer.background, frame.image,
+        splat_grads = blend_adjoint(
+            device, frame.splats, pairs, frame.blended, renderer.background, frame.image,
             device.zeros((1, 1)), device.zeros((1, 1)),
             blend_defines(with_depth=False))
         inputs = device, rows, visible, frame.counts, camera, 3, DEFINES
         cases = {  # function, bytes, operations
             "project": (partial(project, *inputs), seen * (8 + (PARAMETERS + 12) * real),
                         seen * PROJECT_OPERATIONS),
-            # parameters and their gradients, nine sums, the mean's gradient, two indices
-            "adjoint": (partial(project_adjoint, *inputs, sums, renderer.skipped),
-                        seen * (8 + (2 * PARAMETERS + 11) * real), seen * ADJOINT_OPERATIONS)}
+            # parameters, gradients (those of the harmonics as 6 numbers) and the mean's, nine
+            # gradients of each pair, four indices
+            "adjoint": (partial(project_adjoint, *inputs, splat_grads, renderer.skipped),
+                        seen * (16 + (PARAMETERS + 19) * real) + pairs.count * 9 * real,
+                        seen * ADJOINT_OPERATIONS)}
         for case, (function, traffic, operations) in cases.items():
             bench.report("project", case, bench.milliseconds(function),
                          {"gaussians": count, "visible": seen}, traffic, operations)

@@ -1,7 +1,8 @@
 """A correctness self-test for any driver, in a few seconds: `check(device)`.
 
-An error of a driver or compiler shows here and not as a bad model after hours: every family of
-kernels runs in both forms, in single precision, and is compared with numpy or with itself.
+An error of a driver or compiler shows here and not as a bad model after hours: the kernels of which
+every training consists run in both forms, in single precision, and are compared with numpy or with
+themselves.
 """
 
 from collections.abc import Callable

@@ -120,7 +120,7 @@ class VariantDevice(Device):
                **values: Any) -> None:
         """The same as `Device.launch`, with the approximation of the variant."""
         half = self.variant.half
-        if half == "sums" and kernel.function == "sum_pairs":
+        if half == "sums" and kernel.function == "project_adjoint":
             _round_to_half(values["pair_grads"], slice(None), self.variant.half_scale)
         if kernel.file in RENDERING:
             defines += self.variant.defines

@@ -12,9 +12,10 @@ from clsplat.city.stages import COARSE_FACTOR, draw
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.evaluation.views import evaluate_run, training_pictures
+from clsplat.evaluation.views import evaluate_run, final_metrics, training_pictures
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
+from clsplat.io.georeference.files import placement_comments
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.options import TrainOptions
@@ -58,10 +59,15 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     merged.check()
     run, spent = RunFolder(city.path), cost(city)
     run.write_options({**run_record(scene, options, device), "blocks": len(merged.shares)})
+    run.write_placement(scene)
     run.rewind(-1)
     run.log({"event": "merge", **spent, "level": 1.0, "gaussians": merged.gaussians.count,
              **merged.record()})
-    run.save_model(merged.gaussians, scene.offset, (f"merged of {len(merged.shares)} blocks",))
+    run.save_model(merged.gaussians, scene.offset, (
+        f"merged of {len(merged.shares)} blocks",
+        *placement_comments(scene.up, scene.georeference)))
+    if responses := RunFolder(city.coarse).load_exposures():
+        run.save_exposures(responses)
     keep_coarse_levels(city, scene)
     merge_levels(city, scene)
     return merged
@@ -98,9 +104,11 @@ def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device:
     spent = {**cost(city), "level": 1.0, "gaussians": merged["gaussians"]}
     counts = np.array([share["gaussians"] for share in merged["blocks"]])
     scores = seams = None
-    train, test = scene.reduced(options.downscale, options.max_resolution).split(options.test_every)
+    train, test = scene.reduced(options.downscale, options.max_resolution).split(
+        options.test_every, options.test_offset)
     if test:
-        scores = evaluate_run(run, device, save_images=False)
+        scores = evaluate_run(run, device, save_images=False,
+                              metrics=final_metrics(options.lpips))
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
     partition = city.partition(scene)

@@ -10,7 +10,9 @@ from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
+from clsplat.schedule import schedule_of
 from clsplat.training.block import block_options
+from clsplat.training.facts import scene_facts
 from clsplat.training.model import GROWTH_ROOM
 
 GIB = 2**30
@@ -19,15 +21,16 @@ PLY_BYTES = 248  # of a gaussian with all spherical harmonics
 # for each block, of a cluster's scheduler, client and workers: tools/studies/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
-PIXELS_PER_GAUSSIAN = 40  # of training photos: the limit of the sig schedule
+PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
 
 def expected_gaussians(scene: Scene, options: TrainOptions) -> int:
     """About how many gaussians the whole scene has at the end."""
-    views, _ = scene.reduced(options.downscale, options.max_resolution).split(options.test_every)
-    pixels = sum(view.camera.width * view.camera.height for view in views)
-    return max(len(scene.points), int(pixels / (options.pixels_per_gaussian
-                                                or PIXELS_PER_GAUSSIAN)))
+    scene = scene.reduced(options.downscale, options.max_resolution)
+    views, _ = scene.split(options.test_every, options.test_offset)
+    facts = scene_facts(scene, views)
+    limit, _ = schedule_of(options.schedule).planned_limit(options, facts)
+    return max(facts.count, facts.pixels // PIXELS_PER_GAUSSIAN if limit is None else limit)
 
 
 def gaussians_that_fit(device: Device, options: TrainOptions) -> int:

@@ -157,10 +157,14 @@ def _inspect_views(borders: list[Border], space: Space, offset: NDArray[np.float
     errors: list[list[list[NDArray[np.float64]]]] = [[] for _ in range(len(borders) + 1)]
     for view in views:
         image, place = _picture(merged, view.camera)
-        known = np.isfinite(place).all(axis=-1)
+        known, valid = np.isfinite(place).all(axis=-1), view.valid()
+        if valid is not None:
+            known &= valid
+            if not known.any():
+                continue
         coordinates = space.to(place[known] + offset)
         photo = photo_of(view)
-        wrong = [((fit_colour(shown, photo) - photo) ** 2).mean(axis=-1)[known]
+        wrong = [((fit_colour(shown, photo, valid) - photo) ** 2).mean(axis=-1)[known]
                  for shown in (image, render_view(*reference, view.camera))]
         values = np.stack([np.ones_like(wrong[0]), *wrong], axis=-1)
         pixels, away = np.flatnonzero(known), np.ones(len(values), bool)

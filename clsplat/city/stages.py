@@ -17,12 +17,15 @@ from clsplat.device import Device
 from clsplat.distribute import Outcome, Task, run
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
+from clsplat.evaluation.views import final_metrics
 from clsplat.io.atomic import replacing
 from clsplat.io.city import PARTITION, CityFolder
+from clsplat.io.depth import with_depths
 from clsplat.io.folders import make_folder
 from clsplat.io.run import CITY, RunFolder
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions, checked, resolve
 from clsplat.partition.blocks import block_start, find_windows
 from clsplat.partition.input import world_of
@@ -35,6 +38,7 @@ from clsplat.scene import Scene
 from clsplat.schedule import schedule_of
 from clsplat.training.block import block_options, decided_by, options_of_blocks, train_block
 from clsplat.training.loop import resume, train
+from clsplat.training.photos import THREADS
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
@@ -47,8 +51,10 @@ def begin(city: CityFolder, scene: Scene, options: TrainOptions) -> None:
 
     Raises
     ------
-    InputError : the folder holds a city of another scene, or one with other options.
+    InputError : the folder holds a city of another scene, or one with other options; or the
+        network of `options.lpips` cannot be read.
     """
+    final_metrics(options.lpips)  # a network that cannot be read is refused before the work
     record = {**scene_record(scene.path, city.path), "fingerprint": fingerprint(scene),
               "options": dataclasses.asdict(options)}
     if city.has_record:
@@ -107,6 +113,7 @@ def train_coarse(city: CityFolder, scene: Scene, options: TrainOptions, device: 
         raise InputError(f"{folder.path}: is a run of another scene; choose another --output")
     if folder.is_finished:
         return folder
+    scene = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
     with folder.locked():
         start = resume if folder.is_begun else train
         folder = folder if folder.is_begun else RunFolder.create(city.coarse)
@@ -120,7 +127,8 @@ def coarse_options(options: TrainOptions) -> TrainOptions:
         options, coarse=True, downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
         snapshots="levels" in schedule_of(options.schedule).parts,
-        iterations=max(1, int(COARSE_SHARE * options.iterations)), eval_at=(), eval_every=0)
+        iterations=max(1, int(COARSE_SHARE * options.iterations)), eval_at=(), eval_every=0,
+        lpips="")
 
 
 def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
@@ -140,10 +148,12 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     -------
     The partition, and the coarse gaussians that each block owns, [B].
     """
+    # blocks are pinhole scenes
+    scene = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
     coarse = Run.open(city.coarse)
     small, gaussians = coarse.options, coarse.finished_model
     decided = decided_by(coarse.folder)
-    training = {view.name for view in scene.split(options.test_every)[0]}
+    training = {view.name for view in scene.split(options.test_every, options.test_offset)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
     if city.has_partition:
         city.adopt()
@@ -168,9 +178,12 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         windows = find_windows(gaussians, scene, region, own.views)
         own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
         part = block_start(gaussians, scene, region, own.views)
+        given = block_steps(options, len(chosen) / len(views))
+        if not any(view.depth for view in own.views):
+            given["depth"] = ""
         city.write_block(
             number, scene, chosen, region, windows, part.gaussians, exposures,
-            options_of_blocks(block_steps(options, len(chosen) / len(views)), decided),
+            options_of_blocks(given, decided),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings})
     return partition, counts
@@ -180,7 +193,7 @@ def block_steps(options: TrainOptions, share: float) -> dict[str, Any]:
     """The options, by name, of a block with this share of the views."""
     steps = max(1, round(options.iterations * share))
     schedule = schedule_of(options.schedule)
-    shrunk = dataclasses.replace(options, iterations=steps, eval_at=(), eval_every=0,
+    shrunk = dataclasses.replace(options, iterations=steps, eval_at=(), eval_every=0, lpips="",
                                  snapshots="levels" in schedule.parts,
                                  **schedule.options_of_block(options))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)

@@ -8,46 +8,62 @@ from typing import Any
 
 import click
 
+from clsplat.cli.flags import device_flag, moved_scene_flag
+
+PERCEPTUAL = ("flip", "flip_cc", "lpips", "lpips_cc")  # which older runs lack
+
 
 @click.command("eval")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--device", default="auto", show_default=True,
-              help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
+@device_flag
 @click.option("--images/--no-images", default=True, show_default=True,
               help="Write each view's photo, renders and error side by side as PNG, and replace "
-              "the pictures in report.html.")
-@click.option("--scene", type=click.Path(path_type=Path),
-              help="Where the scene is now, if it was moved.")
-def evaluate(run: Path, device: str, images: bool, scene: Path | None) -> None:
+              "the pictures and scores in report.html.")
+@click.option("--lpips", type=click.Path(path_type=Path), metavar="FILE",
+              help="ONNX file of an LPIPS network, by which to compare as well; needs "
+              "`pip install onnxruntime`.")
+@moved_scene_flag
+def evaluate(run: Path, device: str, images: bool, lpips: Path | None, scene: Path | None) -> None:
     """Compare the held-out views of RUN with their photos.
 
-    PSNR (dB) and SSIM are means over views, plain and after a quadratic fit of each render's
-    colours to its photo. For a synthetic city, floaters are the share of opacity that is more than
-    1, 3 and 10 pixels away from the true surface.
+    PSNR (dB), SSIM and FLIP (0 to 1, lower is better) are means over views, plain and after a
+    quadratic fit of each render's colours to its photo. Where the run learned exposures, held-out
+    views are rendered with one that follows from those of the training photos alone. For a
+    synthetic city, floaters are the share of opacity that is more than 1, 3 and 10 pixels away from
+    the true surface.
     """
     from clsplat.device import choose_device
     from clsplat.evaluation.error_map import LEGEND
     from clsplat.evaluation.run import Run
-    from clsplat.evaluation.views import PANELS, evaluate_run
+    from clsplat.evaluation.views import PANELS, evaluate_run, final_metrics
     opened = Run.open(run)
     folder = opened.folder
     folder.check_model()
+    metrics = final_metrics(lpips)
     with folder.locked() if images else nullcontext():
-        result = evaluate_run(opened, choose_device(device), images, scene)
+        result = evaluate_run(opened, choose_device(device), images, scene, metrics)
         click.echo(summary(result))
         if images:
-            from clsplat.report.run import renew_pictures
+            from clsplat.report.run import renew_report
+            if opened.is_finished:  # else its last evaluation was that of another model
+                folder.add_scores({key: result[key] for key in PERCEPTUAL if key in result})
             click.echo(f"pictures: {folder.renders.folder}\n"
                        f"  from left to right: {', '.join(PANELS)} ({LEGEND})\n"
-                       f"report: {renew_pictures(folder, result['pictures'])}")
+                       f"report: {renew_report(folder, result['pictures'])}")
 
 
 def summary(result: dict[str, Any]) -> str:
     """The table of an evaluation, as text."""
+    from clsplat.evaluation.held_out_responses import Predicted
     views = f"{result['views']} held-out view{'s' if result['views'] != 1 else ''}"
-    lines = [f"{views:<20}{'PSNR':>8}{'SSIM':>8}"]
+    names = [name for name in ("psnr", "ssim", "flip", "lpips") if name in result]
+    lines = [f"{views:<20}" + "".join(f"{name.upper():>8}" for name in names)]
     for label, suffix in (("plain", ""), ("colour-corrected", "_cc")):
-        lines.append(f"{label:<20}{result['psnr' + suffix]:>8.2f}{result['ssim' + suffix]:>8.4f}")
+        lines.append(f"{label:<20}" + "".join(
+            f"{result[name + suffix]:>8.{2 if name == 'psnr' else 4}f}" for name in names))
+    if "exposure_weight" in result:
+        lines.append("exposure of held-out views: "
+                     f"{Predicted(weight=result['exposure_weight'])}")
     if "floaters" in result:
         lines.append(f"{'pixels off':<20}{'> 1':>8}{'> 3':>8}{'> 10':>8}")
         shares = (result[key] for key in ("floaters", "floaters_3", "floaters_10"))

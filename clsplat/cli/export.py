@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import FiniteRange
+from clsplat.cli.flags import FiniteRange, check_free
 from clsplat.errors import InputError
 
 if TYPE_CHECKING:
-    from clsplat.evaluation.run import Run
+    import numpy as np
+    from numpy.typing import NDArray
 
-FORMATS = {".ply": "the format of Kerbl et al. 2023, which splat viewers open"}
+    from clsplat.cli.progress import Progress
+    from clsplat.evaluation.run import Run
 
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
-              help="File to write; its suffix selects the format (.ply).")
+              help="File to write; its suffix selects the format: .ply, .compressed.ply, .sog, "
+              ".spz, .splat, .glb, points as .las or .laz, or .html, a page for the browser. "
+              "Without a suffix: a folder of 3D Tiles with levels of detail.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--upright", is_flag=True, help="Turn the model so that up is -y, as most viewers "
+              "expect. It then no longer fits the scene's cameras.")
+@click.option("--plain-tiles", is_flag=True, help="For 3D Tiles: write floats, without the "
+              "compression that CesiumJS needs.")
 @click.option("--sh-degree", type=click.Choice(("all", "auto", "0", "1", "2", "3")), default="all",
               show_default=True, help="Highest degree of the spherical harmonics to write; auto: "
               "the lowest that costs the held-out views less than --sh-cost.")
@@ -30,47 +40,115 @@ FORMATS = {".ply": "the format of Kerbl et al. 2023, which splat viewers open"}
               help="For --sh-degree auto: as for `clsplat eval`.")
 @click.option("--scene", type=click.Path(path_type=Path),
               help="For --sh-degree auto: where the scene is now, if it was moved.")
-def export(run: Path, output: Path, sh_degree: str, sh_cost: float, device: str,
-           scene: Path | None) -> None:
+def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles: bool,
+           sh_degree: str, sh_cost: float, device: str, scene: Path | None) -> None:
     """Write the gaussians of RUN to a file for other programs.
 
-    They are in the world coordinates of the scene. Gaussians that are invisible in every view, with
-    an opacity below one step of 8 bits, are left out.
+    They are in the world coordinates of the scene; in .las and .laz, in map coordinates if it is
+    georeferenced. Gaussians that are invisible in every view, with an opacity below one step of 8
+    bits, and degrees of spherical harmonics that are zero everywhere are left out.
     """
-    if output.suffix.lower() not in FORMATS:
-        known = "; ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
-        raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: {known}")
+    from clsplat.cli.progress import Progress
+    from clsplat.edit.harmonics import used_sh_degree
+    from clsplat.edit.select import selected
     from clsplat.evaluation.run import Run
+    from clsplat.export.page import write_run_page
     from clsplat.export.prune import alive
-    from clsplat.io.atomic import replacing
-    from clsplat.io.ply import write_part
+    from clsplat.export.tiles import write_run_tiles
+    from clsplat.export.upright import write_run_model
+    is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
+    has_harmonics = _check_format(output, is_page or is_folder, upright, plain_tiles)
     opened = Run.open(run)
     source = opened.folder.model_path
     if output.exists() and output.samefile(source):
         raise InputError(f"{output}: is the run's own model; name another file")
-    gaussians = opened.finished_model  # reads all of it: a damaged model is not passed on
-    keep, degree = alive(gaussians), gaussians.sh_degree
-    if sh_degree == "auto":
-        degree = _measured_degree(opened, device, sh_cost, scene)
-    elif sh_degree != "all":
-        degree = int(sh_degree)
-    if not keep.any():
-        what = f"all {len(keep):,} gaussians are too faint to be seen" if len(keep) else "is empty"
-        raise InputError(f"{source}: {what}, so nothing is left to write; train longer, or see the "
-                         "report of the run")
-    if keep.all() and degree == gaussians.sh_degree:
+    if not is_folder:
+        check_free(output, overwrite)
+    with Progress() as progress:
+        progress.phase(f"reading {run}")
+        gaussians = opened.finished_model  # reads all of it: a damaged model is not passed on
+        keep, degree = alive(gaussians), 0
+        if has_harmonics:
+            degree = min(used_sh_degree(gaussians), _wanted_degree(
+                sh_degree, opened, gaussians.sh_degree, device, sh_cost, scene, progress))
+        if not keep.any():
+            what = (f"all {len(keep):,} gaussians are too faint to be seen" if len(keep)
+                    else "is empty")
+            raise InputError(f"{source}: {what}, so nothing is left to write; train longer, or see "
+                             "the report of the run")
+        progress.phase(f"writing {output}")
+        if _is_plain_ply(output) and not upright:
+            _copy(source, output, keep, degree, gaussians.sh_degree)
+        else:
+            part = selected(gaussians, keep).with_sh_degree(degree)
+            if is_folder:
+                tree = write_run_tiles(output, opened, part, not plain_tiles,
+                                       partial(progress.count, "tile"))
+            elif is_page:
+                write_run_page(output, opened, part)
+            else:
+                write_run_model(output, opened, part, upright)
+    if is_folder:
+        tiles = sum(1 for _ in tree.all())
+        click.echo(f"{output}/tileset.json: {tiles:,} {'tile' if tiles == 1 else 'tiles'}")
+    invisible = len(keep) - keep.sum()
+    left_out = f"; left out as invisible: {invisible:,}" if invisible else ""
+    click.echo(f"{output}: {keep.sum():,} gaussians, spherical harmonics to degree {degree}"
+               f"{left_out}")
+
+
+def _check_format(output: Path, is_other: bool, upright: bool, plain_tiles: bool) -> bool:
+    """Whether a format holds spherical harmonics; InputError if it does not fit the options.
+
+    Parameters
+    ----------
+    is_other : whether it is a page or a folder of tiles, which `io.models` does not know.
+    """
+    from clsplat.io.models import format_of
+    if upright and is_other:
+        raise InputError("--upright: pages and 3D Tiles are upright; leave it out")
+    if plain_tiles and output.suffix:
+        raise InputError("--plain-tiles: is for a folder of 3D Tiles; leave it out, or name an "
+                         "--output without a suffix")
+    if is_other:
+        return True
+    try:
+        return format_of(output).harmonics
+    except InputError as error:
+        raise InputError(f"{error}; .html (a page for the browser); none (a folder of 3D Tiles)"
+                         ) from None
+
+
+def _is_plain_ply(output: Path) -> bool:
+    name = output.name.lower()
+    return name.endswith(".ply") and not name.endswith(".compressed.ply")
+
+
+def _copy(source: Path, output: Path, keep: NDArray[np.bool_], degree: int, highest: int) -> None:
+    """Copy a run's PLY, without rounding, or the part of it that is wanted."""
+    from clsplat.io.atomic import replacing
+    from clsplat.io.ply import write_part
+    if keep.all() and degree == highest:
         with open(source, "rb") as model, replacing(output) as copy:
             shutil.copyfileobj(model, copy)
     else:
         write_part(output, source, keep, degree)
-    click.echo(f"{output}: {keep.sum():,} gaussians, spherical harmonics to degree {degree}; "
-               f"{len(keep) - keep.sum():,} invisible ones are left out")
 
 
-def _measured_degree(opened: Run, device: str, cost: float, scene: Path | None) -> int:
+def _wanted_degree(wanted: str, opened: Run, highest: int, device: str, cost: float,
+                   scene: Path | None, progress: Progress) -> int:
+    """The degree that --sh-degree asks for, of a model that has `highest`."""
     from clsplat.device import choose_device
     from clsplat.export.prune import needed_sh_degree
-    degree, scores = needed_sh_degree(opened, choose_device(device), cost, scene)
-    click.echo("held-out PSNR, dB: " + ", ".join(
-        f"degree {number} {score:.3f}" for number, score in enumerate(scores)))
-    return degree
+    if wanted == "all":
+        return highest
+    if wanted == "auto":
+        progress.phase("comparing degrees of spherical harmonics")
+        degree, scores = needed_sh_degree(opened, choose_device(device), cost, scene)
+        progress.message("held-out PSNR, dB: " + ", ".join(
+            f"degree {number} {score:.3f}" for number, score in enumerate(scores)))
+        return degree
+    if int(wanted) > highest:
+        raise InputError(f"{opened.folder.model_path}: has spherical harmonics up to degree "
+                         f"{highest}, not {wanted}; give a lower degree")
+    return int(wanted)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -38,8 +39,32 @@ class NonEmptyPath(click.Path):
         return super().convert(value, param, ctx)
 
 
+class Parsed(click.ParamType):  # type: ignore[type-arg]  # generic only since click 8.3
+    """A value that a function makes of a text.
+
+    Parameters
+    ----------
+    name : the placeholder in the help.
+    parse : raises ValueError, whose text says what the value is not, and what to give.
+    """
+
+    def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
+        self.name, self.parse = name, parse
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Parse a text; another value is one that was parsed."""
+        try:
+            return self.parse(value) if isinstance(value, str) else value
+        except ValueError as error:
+            self.fail(f"{value} is {error}", param, ctx)
+
+
 class FiniteRange(click.FloatRange):
-    """A finite number within limits; click's own type accepts nan."""
+    """A finite number, within limits if there are any; click's own type accepts nan."""
+
+    def _describe_range(self) -> str:
+        """The limits in the help, where click writes x<=None for none."""
+        return "" if self.min is None and self.max is None else super()._describe_range()
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None
                 ) -> float:
@@ -92,6 +117,17 @@ def flags_of(kind: type) -> Callable[[Command], Command]:
 
 
 training_flags = flags_of(TrainOptions)
+device_flag = click.option("--device", default="auto", show_default=True,
+                           help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
+moved_scene_flag = click.option("--scene", type=click.Path(path_type=Path),
+                                help="Where the scene is now, if it was moved.")
+
+
+def check_free(output: Path, overwrite: bool) -> None:
+    """InputError if an output exists that must not be overwritten."""
+    if output.exists() and not overwrite:
+        raise InputError(f"{output}: exists already; replace it with --overwrite, or choose "
+                         "another --output")
 
 
 def given_options(ctx: click.Context, kind: type = TrainOptions) -> dict[str, Any]:

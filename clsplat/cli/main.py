@@ -19,15 +19,21 @@ from clsplat.cli.city import city, merge, partition_command
 from clsplat.cli.compare import compare
 from clsplat.cli.completion import completion
 from clsplat.cli.devices import devices
+from clsplat.cli.edit import edit
 from clsplat.cli.evaluate import evaluate
 from clsplat.cli.export import export
+from clsplat.cli.film import film
 from clsplat.cli.flags import NonEmptyPath
+from clsplat.cli.georeference import georeference
+from clsplat.cli.map import map_command
 from clsplat.cli.pack import pack
 from clsplat.cli.plan import plan
 from clsplat.cli.render import render
 from clsplat.cli.sections import SectionedGroup
+from clsplat.cli.sfm import sfm
 from clsplat.cli.synth import synth
 from clsplat.cli.train import train
+from clsplat.cli.view import view
 from clsplat.errors import ClsplatError, Interrupted
 from clsplat.training.interrupt import handled_interrupts
 
@@ -61,6 +67,7 @@ class Reporting(SectionedGroup):
                 sys.stdout.flush()
                 return code if isinstance(code, int) else 0
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the outermost place)
+                interrupts.end()
                 message, code = verdict(error, interrupts.number)
                 if "--traceback" in arguments or code == BUG:
                     say("".join(traceback.format_exception(error)).rstrip())
@@ -123,9 +130,10 @@ def main(ctx: click.Context) -> None:
         click.echo(ctx.get_help())
 
 
-main.add_section("Train", plan, train, evaluate, compare, render, export)
+main.add_section("Train", plan, train, evaluate, compare)
+main.add_section("Results", render, view, export, edit, map_command, film)
 main.add_section("Large scenes", city, partition_command, block, merge)
-main.add_section("Data", synth, pack)
+main.add_section("Data", sfm, georeference, synth, pack)
 main.add_section("Machine", devices, bench, completion)
 
 # `Reporting` finds the flag in the arguments; as an option it is in the help and allowed anywhere

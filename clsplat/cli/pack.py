@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import FiniteRange
+from clsplat.cli.flags import FiniteRange, check_free
 from clsplat.errors import InputError
 
 
@@ -35,9 +35,7 @@ def pack(scene: Path, output: Path, downscale: float, images: str, overwrite: bo
         raise InputError(f"{output}: the suffix of a packed scene is .npz; change --output")
     truth, beside = geometry_path(scene), geometry_path(output)
     for path in (output, beside) if truth.is_file() else (output,):
-        if path.exists() and not overwrite:
-            raise InputError(f"{path}: exists already; replace it with --overwrite, or choose "
-                             "another --output")
+        check_free(path, overwrite)
     data = read_scene(scene, images)
     with ExitStack() as stack:
         if truth.is_file():

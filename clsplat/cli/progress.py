@@ -84,7 +84,8 @@ class Progress:
 
     def _report(self, phase: str, done: int, total: int, reached: str = "", unit: str = "",
                 more: Sequence[tuple[int, str]] = ()) -> None:
-        """Show numbers, at once in a new phase and otherwise after DRAW_SECONDS or LOG_SECONDS."""
+        """Show numbers: on a terminal after DRAW_SECONDS or in a new phase, in a log after
+        LOG_SECONDS or at the end."""
         now, before = time.monotonic(), self._phase
         self._measure(now, done)
         self._phase = phase
@@ -98,7 +99,7 @@ class Progress:
         if self._live and (before != phase or now - self._shown_at >= DRAW_SECONDS):
             self._shown_at = now
             self._draw_line()
-        elif not self._live and now - self._shown_at >= LOG_SECONDS:
+        elif not self._live and (done == total or now - self._shown_at >= LOG_SECONDS):
             self._shown_at = now
             self._log(self._latest)
             self._latest = ""

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import FiniteRange
+from clsplat.cli.flags import FiniteRange, device_flag
 from clsplat.errors import InputError
 
 
 @click.command()
-@click.argument("model", metavar="RUN_OR_PLY", type=click.Path(path_type=Path))
+@click.argument("model", metavar="RUN_OR_FILE", type=click.Path(path_type=Path))
 @click.option("--scene", type=click.Path(path_type=Path),
               help="Scene whose cameras to use; default for a run: its own scene.")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
@@ -24,11 +24,10 @@ from clsplat.errors import InputError
 @click.option("--lod-bias", type=FiniteRange(0, 1e6, min_open=True), default=1.0,
               show_default=True, help="With --lod: multiply distances by this when choosing the "
               "levels; more than 1 is coarser.")
-@click.option("--device", default="auto", show_default=True,
-              help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
+@device_flag
 def render(model: Path, scene: Path | None, output: Path, views: str, beside: bool, lod: bool,
            lod_bias: float, device: str) -> None:
-    """Render a run or a PLY file from the cameras of a scene."""
+    """Render a run, or a file of gaussians, from the cameras of a scene."""
     from functools import partial
 
     from clsplat.device import choose_device
@@ -38,7 +37,7 @@ def render(model: Path, scene: Path | None, output: Path, views: str, beside: bo
         raise InputError("--lod-bias: has no effect without --lod; add --lod, or leave this out")
     run = Run.open(model) if lod else None
     gaussians, data, options = to_render(model, scene)
-    train, test = data.split(options.test_every)
+    train, test = data.split(options.test_every, options.test_offset)
     chosen = {"all": data.views, "train": train, "test": test}[views]
     if not chosen:
         raise InputError(f"{data.name}: has no {views} views; choose others with --views")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from contextlib import nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import click
 
-from clsplat.cli.flags import given_options, training_flags
+from clsplat.cli.flags import FiniteRange, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.cli.sfm import trained_scene
 from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError
 from clsplat.options import RunOptions, TrainOptions, from_toml, recorded, resolve
@@ -27,6 +28,9 @@ FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
               help="Folder of the run: options, metrics, checkpoints, point_cloud.ply.")
 @click.option("--config", type=click.Path(path_type=Path), **FOLDER,
               help="TOML file of options; flags override it.")
+@click.option("--up", nargs=3, type=FiniteRange(), **FOLDER, help="X Y Z: the direction in the "
+              "scene that points up; default: that of the scene's files, or estimated from the "
+              "cameras and points.")
 @click.option("--resume", is_flag=True, **FOLDER,
               help="Continue from the run's last checkpoint, with its options; SCENE is needed "
               "only if the scene was moved.")
@@ -36,44 +40,58 @@ FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
               "continues where the last one ended.")
 @click.option("--seeds", type=int, default=1, show_default=True, **FOLDER,
               help="Number of seeds, with --schedules.")
+@click.option("--view", is_flag=True, **FOLDER, help="Show the training on a page for the browser "
+              "of this machine, at an address that is printed; the result is the same.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 @click.option("--log-level", type=click.Choice(LOG_LEVELS), default="warning", show_default=True,
               help="The least severe log messages to show.")
 @click.pass_context
 def train(ctx: click.Context, /, scene: Path | None, output: Path, config: Path | None,
-          resume: bool, overwrite: bool, schedules: str | None, seeds: int, quiet: bool,
+          up: tuple[float, float, float] | None, resume: bool, overwrite: bool,
+          schedules: str | None, seeds: int, view: bool, quiet: bool,
           log_level: str, **_options: object) -> None:
-    """Train gaussians on SCENE, such as a COLMAP folder.
+    """Train gaussians on SCENE, such as a COLMAP folder, or on photos.
 
-    A COLMAP folder has sparse/ and images/. Defaults are those of --schedule sig; other schedules,
-    --preset and --size L change some of them. The run's options.json has all values that were used.
+    A COLMAP folder has sparse/ and images/. From a folder of photos, or a video, a scene is made
+    first, as `clsplat sfm` does, in OUTPUT_scene. Defaults are those of --schedule sig; other
+    schedules, --preset and --size L change some of them. The run's options.json has all values that
+    were used.
     """
     logging.basicConfig(level=log_level.upper(), format="%(levelname)s %(name)s: %(message)s")
-    if resume and (overwrite or config):
-        raise InputError(f"{'--overwrite' if overwrite else '--config'}: cannot be used with "
-                         "--resume, which continues the run as it was; leave one of them out")
+    for given, name in ((overwrite, "--overwrite"), (config, "--config"), (up, "--up")):
+        if resume and given:
+            raise InputError(f"{name}: cannot be used with --resume, which continues the run as it "
+                             "was; leave one of them out")
     flags = given_options(ctx)
     values = from_toml(config) if config else {}
     if scene is None and not resume:
         raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
+    options = None if resume or schedules else resolve(values, flags)
+    if scene is not None:
+        scene = trained_scene(scene, output, quiet, None if options is None else overwrite)
     if schedules:
         if resume or overwrite or "schedule" in flags:
             raise InputError("--schedules: resumes runs by itself and names the schedules; leave "
                              "out --resume, --overwrite and --schedule")
+        if view:
+            raise InputError("--view: shows a single training; leave out --schedules, or look at "
+                             "each run with `clsplat view`")
         assert scene is not None  # else the error above
-        _campaign(scene, output, values, flags, schedules, seeds, quiet)
+        _campaign(scene, output, values, flags, schedules, seeds, quiet, up)
         return
     if seeds != 1:
         raise InputError("--seeds: needs --schedules; for one run, use --seed")
-    _train(scene, output, None if resume else resolve(values, flags), flags, overwrite, quiet)
+    _train(scene, output, options, flags, overwrite, quiet, up, view)
     if not quiet:
         click.echo(f"{output}: next, `clsplat eval {output}`")
 
 
 def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags: dict[str, Any],
-           overwrite: bool, quiet: bool) -> None:
+           overwrite: bool, quiet: bool, up: tuple[float, float, float] | None = None,
+           view: bool = False) -> None:
     """Train one run; without options, continue from its checkpoint with `flags`."""
     from clsplat.cli.progress import Progress
+    from clsplat.cli.view import announce
     from clsplat.device import choose_device
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
@@ -83,22 +101,35 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
     if options is None:
         options, scene = resumed_options(run.read_options(), flags), run.scene_path(scene)
     data = read_scene(scene, options.images)
+    if up is not None:
+        if data.georeference is not None:
+            raise InputError(f"--up: {scene} is georeferenced, so its z axis points up; leave it "
+                             "out")
+        data = data.with_up(up)
     device = choose_device(options.device, form=options.form)
-    with run.locked(), nullcontext() if quiet else Progress(options.stop_at) as progress:
+    with ExitStack() as stack:
+        stack.enter_context(run.locked())
+        progress = None if quiet else stack.enter_context(Progress(options.stop_at))
+        watcher = None
+        if view:
+            from clsplat.view.live import TrainingView
+            watcher = progress = stack.enter_context(TrainingView(data, progress))
+            announce(watcher.address)
         if resumes:
-            loop.resume(data, options, device, run, progress=progress)
+            loop.resume(data, options, device, run, progress=progress, watcher=watcher)
         else:
             run = RunFolder.create(output, overwrite=overwrite)
-            loop.train(data, options, device, run, progress=progress)
+            loop.train(data, options, device, run, progress=progress, watcher=watcher)
 
 
 def _campaign(scene: Path, output: Path, values: dict[str, Any], flags: dict[str, Any],
-              schedules: str, seeds: int, quiet: bool) -> None:
+              schedules: str, seeds: int, quiet: bool, up: tuple[float, float, float] | None
+              ) -> None:
     """Train every schedule with every seed, then compare them."""
     from clsplat.cli.campaign import combinations, run_campaign
 
     def train_one(options: TrainOptions, folder: Path, resume: bool) -> None:
-        _train(scene, folder, None if resume else options, {}, True, quiet)
+        _train(scene, folder, None if resume else options, {}, True, quiet, up)
 
     run_campaign(train_one, combinations(values, flags, schedules, seeds), output, scene)
 

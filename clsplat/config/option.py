@@ -226,6 +226,7 @@ def differences(record: dict[str, Any], options: Any) -> Iterator[tuple[str, Any
     """
     present = plain(options)
     for known in options_of(type(options)):
-        recorded = plain(record.get(known.name))
+        # a record of an earlier version lacks later options, whose defaults change nothing
+        recorded = plain(record.get(known.name, known.default))
         if known.metadata["affects"] != "nothing" and recorded != present[known.name]:
             yield known.name, recorded, present[known.name]

@@ -38,7 +38,7 @@ def exposure_drift(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     Parameters
     ----------
     views : the views to compare.
-    photos : for each view uint8[3, h, w], of any size.
+    photos : for each view uint8[3, h, w], of any size, or uint8[4, h, w] with a mask.
     points : [N, 3], in the views' frame.
     colours : [N, 3], of the points.
 
@@ -46,13 +46,15 @@ def exposure_drift(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     -------
     The drift; 0 if fewer than two photos show at least LEAST_POINTS points.
     """
-    own = _log_luma(colours.T)
+    own = log_luma(colours.T)
     medians, errors = [], []
     for view, photo in zip(views, photos):
-        shown, column, row = _shown(view.camera, photo, points)
+        shown, column, row = shown_points(view.camera, photo, points)
+        counted = np.flatnonzero((photo[3:, row, column] > 0).all(axis=0))
+        shown, column, row = shown[counted], column[counted], row[counted]
         if len(shown) < LEAST_POINTS:
             continue
-        brighter = _log_luma(photo[:, row, column]) - own[shown]
+        brighter = log_luma(photo[:3, row, column]) - own[shown]
         medians.append(np.median(brighter))
         scatter = 1.4826 * np.median(np.abs(brighter - medians[-1]))
         errors.append(1.2533 * scatter / np.sqrt(len(shown)))  # of the median of a normal sample
@@ -61,12 +63,12 @@ def exposure_drift(views: Sequence[View], photos: Iterable[NDArray[np.uint8]],
     return float(np.sqrt(max(0, np.var(medians) - np.mean(np.square(errors)))))
 
 
-def _log_luma(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
+def log_luma(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Log luma [N] of pixels [3, N]."""
     return np.log(np.maximum(LUMA @ pixels / 255, DARKEST_LUMA))
 
 
-def _shown(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating]
+def shown_points(camera: Camera, photo: NDArray[np.uint8], points: NDArray[np.floating]
            ) -> tuple[NDArray[np.integer], NDArray[np.integer], NDArray[np.integer]]:
     """Index, pixel column and pixel row of the points in the photo that no nearer point hides.
 

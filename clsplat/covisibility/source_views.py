@@ -105,7 +105,7 @@ def visibility(scene: Scene, views: Sequence[View]
     The points [P, 3], and the pairs of a point [M] and an index into `views` [M] that see it.
     """
     if scene.observations is None:
-        return _projected(scene.points, views)
+        return projected_points(scene.points, views)
     return scene.points, *_observed(scene.observations, scene.views, views)
 
 
@@ -118,10 +118,11 @@ def _observed(observations: NDArray[np.integer], all_views: Sequence[View], view
     return point[view >= 0], view[view >= 0]
 
 
-def _projected(points: NDArray[np.float64], views: Sequence[View]
-               ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
-    """Some of the points [P, 3], and the pairs of point [M] and view [M] that show them."""
-    points = points[::-(-len(points) // MOST_PROJECTED)]
+def projected_points(points: NDArray[np.float64], views: Sequence[View]
+                     ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
+    """At most 10000 evenly chosen points [P, 3], and the pairs of a point [M] and an index into
+    `views` [M] whose image contains it, without an occlusion test."""
+    points = points[::max(1, -(-len(points) // MOST_PROJECTED))]
     inside = [np.flatnonzero(view.sees(points)) for view in views]
     lengths = [len(point) for point in inside]
     return points, np.concatenate([[], *inside]).astype(int), np.repeat(range(len(views)), lengths)

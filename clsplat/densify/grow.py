@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from clsplat.options import TrainOptions
 
 SPLIT_SHRINK = 1.6
+SHRINK = np.log(SPLIT_SHRINK)
 CHILDREN = 2
 
 
@@ -30,8 +31,8 @@ class Growth:
     Attributes
     ----------
     source : uint32[M], the old row of each new row: first the rows that stay, then clones, then the
-        children of splits.
-    kept : how many rows stay.
+        children of splits; or after those that stay all that share in a relocation.
+    kept : how many rows stay, with their moments.
     cloned : how many rows are cloned.
     split : how many rows are replaced by their children.
     pruned : how many rows are removed without children.
@@ -58,9 +59,8 @@ class Candidates:
 
     Attributes
     ----------
-    scales : float64[N, 3], standard deviations, world units.
-    largest : float64[N], the largest of the three.
-    limit : the largest standard deviation that is not pruned, world units.
+    largest : float32[N], the largest of the three logarithms of standard deviations, world units.
+    limit : the logarithm of the largest standard deviation that is not pruned.
     is_small : bool[N], those that are cloned rather than split.
     visible : bool[N], those neither transparent nor outside their sphere.
     """
@@ -68,15 +68,17 @@ class Candidates:
     def __init__(self, rows: dict[str, NDArray[np.float32]], extent: float, options: TrainOptions,
                  prunes_large: bool) -> None:
         self.rows, self.options = rows, options
-        self.scales = np.exp(rows["log_scales"].astype(np.float64))
-        self.largest = np.maximum.reduce(self.scales.T)  # by columns: much faster than by rows
+        # thresholds are taken to logarithms and logits rather than all rows from them
+        x, y, z = rows["log_scales"].T
+        self.largest = np.maximum(np.maximum(x, y), z)  # thirty times as fast as a reduction
         limited = prunes_large and options.prune_size > 0
-        self.limit = options.prune_size * extent if limited else np.finfo(float).max
-        self.is_small = self.largest <= options.split_size * extent
-        with np.errstate(over="ignore"):  # an infinity makes an opacity of 0, which is right
-            opacity = 1 / (1 + np.exp(-rows["opacity_logits"].astype(np.float64)))
+        with np.errstate(divide="ignore"):  # a threshold of 0 or 1 is infinite
+            self.limit = np.log(options.prune_size * extent if limited else np.finfo(float).max)
+            self.is_small = self.largest <= np.log(np.float64(options.split_size * extent))
+            least = np.float64(options.prune_opacity)
+            logit = np.log(least) - np.log1p(-least)
         # false for NaN too
-        self.visible: NDArray[np.bool_] = opacity >= options.prune_opacity
+        self.visible: NDArray[np.bool_] = rows["opacity_logits"] >= logit
         if "anchors" in rows:
             self.visible &= ~outside(rows["positions"], rows["anchors"], rows["max_offsets"],
                                      options.sphere_reach)
@@ -100,16 +102,17 @@ def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArra
         are small enough.
     rng : draws the positions of children.
     """
-    rows, options, scales = candidates.rows, candidates.options, candidates.scales
+    rows, options = candidates.rows, candidates.options
     splits = np.flatnonzero(grows & ~candidates.is_small)
     clones = np.flatnonzero(grows & candidates.is_small & ~prunes)
     children = np.repeat(splits, CHILDREN)
     # drawn for every child, so that pruning one does not change the position of another
+    log_scales = rows["log_scales"][children].astype(np.float64)
     offsets = _rotated(rows["quaternions"][children],
-                       rng.standard_normal((len(children), 3)) * scales[children])
+                       rng.standard_normal((len(children), 3)) * np.exp(log_scales))
     positions = (rows["positions"][children] + offsets).astype(np.float32)
     # a parent that is pruned only for its size may have children
-    lives = (candidates.visible | ~prunes) & (candidates.largest / SPLIT_SHRINK <= candidates.limit)
+    lives = (candidates.visible | ~prunes) & (candidates.largest - SHRINK <= candidates.limit)
     keeps = lives[children]
     spheres: dict[str, NDArray[np.float32]] = {}
     if "anchors" in rows:
@@ -124,13 +127,13 @@ def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArra
     first = len(stays) + len(clones)
     of_children = {
         "positions": positions[keeps],
-        "log_scales": np.log(scales[children][keeps] / SPLIT_SHRINK).astype(np.float32), **spheres}
+        "log_scales": (log_scales[keeps] - SHRINK).astype(np.float32), **spheres}
     changes = {name: (first, values) for name, values in of_children.items()}
     if spheres:  # a clone is anchored at its own position
         anchors = np.concatenate([rows["positions"][clones], spheres["anchors"]])
         changes["anchors"] = len(stays), anchors.astype(np.float32)
     source = np.concatenate([stays, clones, children[keeps]]).astype(np.uint32)
-    split = len(np.unique(children[keeps]))
+    split = int(keeps.reshape(-1, CHILDREN).any(axis=1).sum())
     return Growth(source, len(stays), len(clones), split,
                   len(rows["positions"]) - len(stays) - split, changes)
 

@@ -36,7 +36,7 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[tuple[Array, A
     ----------
     renderer : renders the views.
     rows : field name -> real[N, *row shape].
-    views : about ten packed cameras, each with its photo uchar[3, H, W] on the device.
+    views : about ten packed cameras, each with its photo uchar[3 or 4, H, W] on the device.
     sh_degree : of the spherical harmonics that are used.
     ssim_weight : share of D-SSIM in the loss of a view.
     gradient : float[N], mean screen gradients.
@@ -62,19 +62,20 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[tuple[Array, A
 
 def pixel_weights(image: NDArray[np.floating], photo: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Weights float64[H, W], 0 to 100, that are high where an image float[3, H, W] differs from its
-    photo uint8[3, H, W], and where the photo has edges."""
-    target = photo / 255
+    photo uint8[3 or 4, H, W], and where the photo has edges; 0 where a mask tells."""
+    target = photo[:3] / 255
     error = np.abs(image - target).mean(axis=0)
     luma = np.tensordot(LUMA, target, 1)
     edges = np.hypot(sobel(luma, axis=0), sobel(luma, axis=1))
-    return MAP_WEIGHT * (_spread(error) + _spread(edges))
+    valid: NDArray[np.bool_] = photo[3:].all(axis=0)
+    return MAP_WEIGHT * (_spread(error * valid) + _spread(edges * valid)) * valid
 
 
 def _seen(device: Device, frame: Frame, photo: Array, ssim_weight: float
           ) -> tuple[float, NDArray[np.uint32], dict[str, NDArray[np.float64]]]:
     """A frame's loss, its visible rows uint[V], and the terms float64[V] of this view."""
     partials, _ = image_loss(device, frame.image, photo, ssim_weight)
-    loss, _, _ = loss_value(partials, math.prod(photo.shape), ssim_weight)
+    loss, _, _ = loss_value(partials, math.prod(frame.image.shape), ssim_weight)
     weights = device.upload(pixel_weights(frame.image.download(), photo.download()))
     pixels, weight, weighted, distance = contribution(device, frame, weights).download().T.astype(
         np.float64)

@@ -100,6 +100,10 @@ def _drawn_keys(weights: Floats, rng: np.random.Generator) -> NDArray[np.float64
 
 def _first(keys: Floats, count: int) -> Mask:
     """bool[N]: the `count` lowest keys, among equals the first."""
-    mask = np.zeros(len(keys), bool)
-    mask[np.argsort(keys, kind="stable")[:max(0, count)]] = True
+    if count <= 0 or count >= len(keys):
+        return np.full(len(keys), count > 0)
+    last = np.partition(keys, count - 1)[count - 1]
+    mask: Mask = keys < last if last == last else ~np.isnan(keys)  # NaN comes last
+    equal = np.flatnonzero(keys == last if last == last else np.isnan(keys))
+    mask[equal[:count - mask.sum()]] = True
     return mask

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+MOST_SPARE = 2  # sizes of an array that a block may have which it uses again
+
 
 class Block:
     """A block of device memory, which returns to its arena with the last reference to it.
@@ -41,15 +43,24 @@ class Arena:
         self._free: dict[int, list[Any]] = {}
         self.managed_bytes = 0
 
-    def allocate(self, size: int) -> Block:
-        """A block of at least `size` bytes."""
-        size = block_bytes(size)
-        free = self._free.setdefault(size, [])
-        if free:
+    def allocate(self, size: int, exact: bool = False) -> Block:
+        """A block of at least `size` bytes.
+
+        Parameters
+        ----------
+        exact : whether a new block has just this size, and an old one may be up to `MOST_SPARE`
+            times as large: for the same arrays again and again. Otherwise sizes are rounded up, so
+            that arrays of changing sizes find blocks.
+        """
+        size = size if exact else block_bytes(size)
+        fits = [other for other, free in self._free.items()
+                if free and size <= other <= (MOST_SPARE * size if exact else size)]
+        if fits:
+            free = self._free[min(fits)]
             return Block(free.pop(), free)
         buffer = self._allocate(size)
         self.managed_bytes += size
-        return Block(buffer, free)
+        return Block(buffer, self._free.setdefault(size, []))
 
     def free_held(self) -> None:
         """Give back the memory of all blocks that are not in use."""

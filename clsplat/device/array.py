@@ -86,6 +86,10 @@ class Array:
             cl.enqueue_copy(self.device.queue, host, self.buffer)
         return host
 
+    def reading(self) -> Reading:
+        """Begin to copy to the host, after everything queued before; does not wait."""
+        return Reading(self)
+
     def last(self) -> Any:
         """The last element, as a numpy scalar; waits like `download`."""
         host = np.empty(1, self.dtype)
@@ -109,3 +113,18 @@ class Array:
         """Set every element to `value`."""
         if self.nbytes:
             self.device.fill(self, value)
+
+
+class Reading:
+    """A copy of an Array's values at one point of the queue, which is on its way."""
+
+    def __init__(self, array: Array) -> None:
+        self._host: NDArray[Any] = np.empty(array.shape, array.dtype)
+        self._event = cl.enqueue_copy(array.device.queue, self._host, array.buffer,
+                                      is_blocking=False)
+        array.device.queue.flush()
+
+    def values(self) -> NDArray[Any]:
+        """The values; waits until they are there."""
+        self._event.wait()
+        return self._host

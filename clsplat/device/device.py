@@ -8,6 +8,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,8 @@ class Device:
         self.peak_bytes = 0
         self._kernels: dict[tuple[Kernel, Defines, Defines], cl.Kernel] = {}
         self._programs: dict[tuple[str, Defines], binaries.Build] = {}
+        # built -> types of its scalar arguments, kernels like it that no recording uses
+        self._spares: dict[cl.Kernel, tuple[list[Any], list[cl.Kernel]]] = {}
         self.build_seconds = 0.0
         self.kernel_bytes = 0
         self.launches = self.waits = self.allocations = 0
@@ -109,12 +112,28 @@ class Device:
         return used
 
     def empty(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
-        """An uninitialised short-lived Array; dtype None is the device's real type."""
-        return self._new(shape, dtype, self._pool.allocate)
+        """An uninitialised short-lived Array; dtype None is the device's real type.
+
+        Recordings need the same sizes again and again, so that their blocks are exact.
+        """
+        if self._recording is None:
+            return self._new(shape, dtype, self._pool.allocate)
+        return self._new(shape, dtype, partial(self._pool.allocate, exact=True))
 
     def result(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
         """As `empty`, for what is read after a recording, whose memory no other launch may use."""
-        return self.empty(shape, dtype) if self._recording is None else self.allocate(shape, dtype)
+        if self._recording is None:
+            return self.empty(shape, dtype)
+        array = self.allocate(shape, dtype)
+        self._recording.lasting.append(array)
+        return array
+
+    def zeros_once(self, shape: Shape, dtype: DTypeLike | None = None) -> Array:
+        """As `result`, of zeros, for kernels that leave zeros there again: a recording does not
+        record that they are set."""
+        array = self.result(shape, dtype)
+        self._filled(array, 0)
+        return array
 
     def trim(self) -> None:
         """Give back the memory that is kept for short-lived arrays and not in use."""
@@ -175,11 +194,16 @@ class Device:
 
     def fill(self, array: Array, value: float) -> None:
         """Set every element of an array to `value`."""
+        arguments = self._filled(array, value)
+        if self._recording is not None:
+            self._recording.add("fill", None, 0, 0, arguments, 0)
+
+    def _filled(self, array: Array, value: float) -> list[Any]:
+        """Set every element of an array to `value`; returns the arguments of the fill."""
         arguments = [array.buffer, array.dtype.type(value), 0, array.nbytes]
         cl.enqueue_fill_buffer(self.queue, *arguments)
         self.launches += 1
-        if self._recording is not None:
-            self._recording.add("fill", None, 0, 0, arguments, 0)
+        return arguments
 
     # --- launching
 
@@ -202,14 +226,14 @@ class Device:
             self._profile.append((kernel.function, event))
         if self._recording is not None:
             self._recording.add(kernel.function, built, call.items, call.group, call.arguments,
-                                call.nbytes, self._scalar_dtypes(kernel.forms.of(self)))
+                                call.nbytes)
 
     @contextmanager
     def record(self, **inputs: Array | float) -> Iterator[Graph]:
         """Record all launches of the block, which run as well, for `Graph.replay`.
 
         Short-lived arrays of the block are only valid while a replay runs, except those of
-        `result`, which live as long as the Array or the graph's `result`. The host must not wait
+        `result`, which live as long as the Array or the graph. The host must not wait
         for the device in the block.
 
         Parameters
@@ -254,13 +278,23 @@ class Device:
             self._programs[file, defines] = program, checked
         built = cl.Kernel(program, kernel.function)
         kernel.check_built(built)
-        built.set_scalar_arg_dtypes(self._scalar_dtypes(kernel))
+        # the type of each argument that is a number, None for arrays
+        scalars = [self._dtypes[a] if isinstance(a, str) else None
+                   for a in kernel.arguments.values()]
+        built.set_scalar_arg_dtypes(scalars)
+        self._spares[built] = scalars, []
         self.build_seconds += time.perf_counter() - start
         return built
 
-    def _scalar_dtypes(self, kernel: Contract) -> list[Any]:
-        """The type of each argument that is a number, None for arrays."""
-        return [self._dtypes[a] if isinstance(a, str) else None for a in kernel.arguments.values()]
+    def spare_kernel(self, built: cl.Kernel) -> tuple[cl.Kernel, list[cl.Kernel]]:
+        """A kernel like `built` whose arguments a recording may keep, and the list to which to
+        return it: to make one takes half a millisecond, as pyopencl writes and compiles code."""
+        scalars, spare = self._spares[built]
+        if spare:
+            return spare.pop(), spare
+        kernel = cl.Kernel(built.program, built.function_name)
+        kernel.set_scalar_arg_dtypes(scalars)
+        return kernel, spare
 
     def finish(self) -> None:
         """Wait for everything queued."""

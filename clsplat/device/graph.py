@@ -43,11 +43,13 @@ class Graph:
     Attributes
     ----------
     inputs : name -> what stands for an input while it is recorded.
+    lasting : arrays that live as long as the graph.
     result : whatever the recorder wants to keep with it.
     """
 
     def __init__(self, device: Device, inputs: Mapping[str, Array | float]) -> None:
         self.device, self.result = device, None
+        self.lasting: list[Array] = []
         self.inputs: dict[str, Any] = {
             name: value if isinstance(value, Array) else
             IntInput(value) if isinstance(value, int) else FloatInput(value)
@@ -59,7 +61,12 @@ class Graph:
         # (function, kernel or None for a fill, items, items a group, arguments, which are kept as
         # kernels do not keep arrays alive, whether inputs are among these)
         self._commands: list[tuple[str, Any, int, int, list[Any], bool]] = []
+        self._bound: list[tuple[Any, Any]] = []  # (kernel, the list of spare ones)
         self._nbytes = 0
+
+    def __del__(self) -> None:
+        for kernel, spare in self._bound:
+            spare.append(kernel)
 
     def __len__(self) -> int:
         """The number of commands that a replay enqueues."""
@@ -71,7 +78,7 @@ class Graph:
         return [function for function, *_ in self._commands]
 
     def add(self, function: str, kernel: Any, items: int, group: int, arguments: list[Any],
-            nbytes: int, scalar_dtypes: list[Any] | None = None) -> None:
+            nbytes: int) -> None:
         """Record a launch, or where `kernel` is None a fill of (buffer, value, bytes).
 
         Parameters
@@ -81,7 +88,6 @@ class Graph:
         items, group : work-items of the launch and of a group.
         arguments : of the launch.
         nbytes : of the arrays among them.
-        scalar_dtypes : of the arguments that are numbers, None for the others.
         """
         self._nbytes += nbytes
         changes = False
@@ -91,8 +97,8 @@ class Graph:
                 self._places[name].append((arguments, index))
                 changes = True
         if kernel is not None and not changes:  # its arguments are set once, in a kernel of its own
-            kernel = cl.Kernel(kernel.program, function)
-            kernel.set_scalar_arg_dtypes(scalar_dtypes)
+            kernel, spare = self.device.spare_kernel(kernel)
+            self._bound.append((kernel, spare))
             kernel.set_args(*arguments)
         self._commands.append((function, kernel, items, group, arguments, changes))
 

@@ -22,7 +22,7 @@ def photo_detail(views: Sequence[View], levels: Iterable[float]) -> dict[float, 
     chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
     sampled: dict[float, list[np.floating]] = {level: [] for level in levels}
     for photo in decoded(chosen):
-        for part in _parts(photo.transpose(1, 2, 0)):
+        for part in _parts(photo[:3].transpose(1, 2, 0)):
             for level, details in sampled.items():
                 height, width = (max(1, int(side / level)) for side in part.shape[:2])
                 small = part if level == 1 else resample(part, (width, height))

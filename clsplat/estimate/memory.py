@@ -6,7 +6,6 @@ frame are measured with sampled gaussians.
 """
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from clsplat.densify.statistics import Statistics
 from clsplat.device import ArraySpec, Device
-from clsplat.device.arena import block_bytes
+from clsplat.device.arena import Arena, Block
 from clsplat.estimate.trial_steps import sampled, settled, spread_out, trial_plan
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.loss.exposure import Exposures
@@ -22,18 +21,13 @@ from clsplat.loss.term import LossTerm
 from clsplat.loss.terms import terms_of
 from clsplat.optimise.batch import BatchMean
 from clsplat.rendering.bands import pair_limit
-from clsplat.rendering.bin import tile_grid
-from clsplat.rendering.frame_arrays import (
-    FrameArray,
-    FrameSize,
-    by_stage,
-    frame_arrays,
-    measure_arrays,
-)
+from clsplat.rendering.bin import steps_of, tile_grid
+from clsplat.rendering.frame_arrays import STAGES, FrameArray, FrameSize, frame_arrays
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import CAMERA
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
+from clsplat.training.depth_maps import depth_array
 from clsplat.training.model import ENGINES, Model, grown_capacity
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.rooms import pairs_room, visible_room
@@ -100,22 +94,28 @@ class Frames:
 class Pool:
     """The bytes that the device's arena keeps for short-lived arrays.
 
-    For each block size it keeps as many blocks as were in use at once.
+    Parameters
+    ----------
+    real : the device's real type.
+    exact : whether blocks have the sizes of arrays, as in recordings.
     """
 
-    def __init__(self, real: np.dtype) -> None:
-        self._real = real
-        self._most: Counter[int] = Counter()  # bytes of a block -> blocks
+    def __init__(self, real: np.dtype, exact: bool) -> None:
+        self._real, self._exact = real, exact
+        self._arena = Arena(lambda size: None)
 
-    def add(self, arrays: Iterable[FrameArray]) -> None:
-        """Add the arrays of a step."""
-        for alive in by_stage(arrays):
-            self._most |= Counter(block_bytes(array.nbytes(self._real)) for array in alive)
+    def add(self, arrays: Sequence[FrameArray]) -> None:
+        """Allocate the arrays of a step, each while it is alive."""
+        alive: list[tuple[FrameArray, Block]] = []
+        for stage in STAGES:
+            alive += [(array, self._arena.allocate(array.nbytes(self._real), self._exact))
+                      for array in arrays if array.first == stage]
+            alive = [(array, block) for array, block in alive if array.last != stage]
 
     @property
     def nbytes(self) -> int:
         """Bytes kept."""
-        return sum(size * count for size, count in self._most.items())
+        return self._arena.managed_bytes
 
 
 def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussians,
@@ -131,7 +131,7 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     """
     options, views = prepared.options, prepared.train_views
     names, capacity = list(gaussians.rows), gaussians.count
-    terms, pool = terms_of(device, options), Pool(device.real)
+    terms, pool = terms_of(device, options), Pool(device.real, ENGINES[options.engine].RECORDS)
     photo_budget = DEVICE_SHARE * device.handle.global_mem_size
     total = steps = most_photos = 0
     level, count, resident = None, gaussians.count, True
@@ -141,11 +141,12 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
 
     for segment in segments:
         if segment.level != level:
-            level, pool = segment.level, Pool(device.real)
+            level, pool = segment.level, Pool(device.real, ENGINES[options.engine].RECORDS)
             counts = [s.gaussians for s in segments if s.level == level]
             frames = Frames(device, prepared, level, (min(counts), max(counts)))
             shown = at_level(views, level)
-            sizes = [photo_array(view).nbytes(device.real) for view in shown]
+            sizes = [spec.nbytes(device.real) for view in shown
+                     for spec in (photo_array(view), depth_array(view)) if spec]
             fits = sum(sizes) <= photo_budget
             photos = sum(sizes) if fits else max(sizes)
             resident &= fits
@@ -156,18 +157,17 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
             growing = _while_replaced(device, old, model_of(capacity))
             total = max(total, others + growing + ArraySpec((segment.gaussians,)).nbytes(
                 np.dtype(np.uint32)))
-            count, pool = segment.gaussians, Pool(device.real)
+            count, pool = segment.gaussians, Pool(device.real, ENGINES[options.engine].RECORDS)
         results = dict[tuple[int, int], int]()  # size of an image -> bytes
         for index, size in zip(frames.indices, _sizes(device, prepared, shown, frames, count)):
             plan = trial_plan(options, level, segment.regularises)
             used = [term for term in terms if term.weight(plan) and (
-                not term.needs_source or len(prepared.decisions.neighbours[index]))]
+                not term.needs_source or len(prepared.decisions.neighbours[index]))
+                and (shown[index].depth or not term.needs_map)]
             pool.add(step_arrays(device, prepared, size, used))
-            if ENGINES[options.engine].RECORDS:
-                pool.add(measure_arrays(device, size))
             image = size.width, size.height
             results[image] = max(results.get(image, 0),
-                                 _bytes(device, result_arrays(prepared, used, *image)))
+                                 _bytes(device, result_arrays(device, prepared, used, *image)))
         steps = max(steps, others + _bytes(device, model_of(capacity)) + pool.nbytes
                     + sum(results.values()))
     return Memory(max(total, steps), steps, most_photos, resident,
@@ -190,18 +190,26 @@ def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:
     rows = Model.arrays([field.name for field in LEARNED], options.sh_degree, count)
     return [*Statistics.arrays(count).values(), *Renderer.ARRAYS, *len(views) * [CAMERA], COUNTS,
             *(BatchMean.arrays(rows).values() if options.batch > 1 else ()),
-            *(Exposures.arrays(len(views)).values() if options.exposure == "on" else ()),
+            *(Exposures.arrays(len(views), _lenses(prepared)).values()
+              if options.exposure == "on" else ()),
             *(SourceViews.arrays(neighbours).values() if neighbours else ()),
             *([ArraySpec((count,), np.uint32)] if scene.region else ())]  # Step.frozen
 
 
-def result_arrays(prepared: PreparedScene, terms: Iterable[LossTerm], width: int, height: int
-                  ) -> list[ArraySpec]:
-    """What recorded steps keep of the loss, for images of one size."""
+def _lenses(prepared: PreparedScene) -> int:
+    """Lenses on the device, of which one is a token without vignetting."""
+    return len(prepared.lenses.rows) if prepared.lenses else 1
+
+
+def result_arrays(device: Device, prepared: PreparedScene, terms: Iterable[LossTerm], width: int,
+                  height: int) -> list[ArraySpec]:
+    """What recorded steps keep between two replays, for images of one size in one band."""
     options = prepared.options
     if not ENGINES[options.engine].RECORDS:
         return []
-    return options.batch * [spec for term in terms for spec in term.results(width, height)]
+    return options.batch * [
+        *steps_of(device, math.prod(tile_grid(device, width, height))),
+        *(spec for term in terms for spec in term.results(width, height))]
 
 
 def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
@@ -220,7 +228,7 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
     for term in terms:
         arrays += term.arrays(*image, "exposure" if exposes else "project adjoint")
     if exposes:
-        arrays += Exposures.frame_arrays(*image)
+        arrays += Exposures.frame_arrays(*image, options.vignetting == "on")
     if not ENGINES[options.engine].RECORDS:
         arrays = [array._replace(shape=(count,)) if array.name == "visible" else array
                   for array in arrays]  # without a Room: one slot a gaussian

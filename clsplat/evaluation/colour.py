@@ -6,7 +6,8 @@ from numpy.typing import ArrayLike, NDArray
 CHUNK_PIXELS = 1 << 16  # ten float64 features of a whole photo would not stay in cache
 
 
-def fit_colour(image: ArrayLike, photo: ArrayLike) -> NDArray[np.float64]:
+def fit_colour(image: ArrayLike, photo: ArrayLike, valid: NDArray[np.bool_] | None = None
+               ) -> NDArray[np.float64]:
     """`image` under the quadratic colour map that brings it closest to `photo`.
 
     Each output channel is a weighted sum of the six products of two channels, the three channels
@@ -16,6 +17,7 @@ def fit_colour(image: ArrayLike, photo: ArrayLike) -> NDArray[np.float64]:
     Parameters
     ----------
     image, photo : float[H, W, 3], 0 to 1.
+    valid : bool[H, W], the pixels that decide the map; None: all.
 
     Returns
     -------
@@ -23,9 +25,11 @@ def fit_colour(image: ArrayLike, photo: ArrayLike) -> NDArray[np.float64]:
     """
     pixels = np.asarray(image, np.float64).reshape(-1, 3)
     target = np.asarray(photo, np.float64).reshape(-1, 3)
+    kept = slice(None) if valid is None else np.flatnonzero(valid)
+    fitting, target = pixels[kept], target[kept]
     gram, moment = np.zeros((10, 10)), np.zeros((10, 3))
-    for begin in range(0, len(pixels), CHUNK_PIXELS):
-        features = _features(pixels[begin:begin + CHUNK_PIXELS])
+    for begin in range(0, len(fitting), CHUNK_PIXELS):
+        features = _features(fitting[begin:begin + CHUNK_PIXELS])
         gram += features.T @ features
         moment += features.T @ target[begin:begin + CHUNK_PIXELS]
     # the sums are accurate to about 1e-14 of the largest: smaller singular values are rounding

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.evaluation.error_map import error_map
+from clsplat.io.images import eight_bits
 from clsplat.io.resample import resample
 
 MOST_PIXELS = 640  # of the longer side of a picture in a page
@@ -65,15 +66,15 @@ def chosen_views(per_view: Sequence[dict[str, Any]]) -> list[tuple[str, int]]:
 
 
 def shown_view(place: str, scores: dict[str, Any], fitted: NDArray[np.floating],
-               photo: NDArray[np.floating]) -> ShownView:
-    """The ShownView of a render after the colour fit and its photo, [H, W, 3] each, 0 to 1."""
-    pixels = (_pixels(photo), _pixels(fitted), error_map(fitted, photo))
+               photo: NDArray[np.floating], valid: NDArray[np.bool_] | None = None) -> ShownView:
+    """The ShownView of a render after the colour fit and its photo, [H, W, 3] each, 0 to 1.
+
+    Parameters
+    ----------
+    valid : bool[H, W], the pixels that count; None: all.
+    """
+    pixels = (eight_bits(photo), eight_bits(fitted), error_map(fitted, photo, valid))
     return ShownView(place, scores, *map(_reduced, pixels))
-
-
-def _pixels(image: NDArray[np.floating]) -> NDArray[np.uint8]:
-    pixels: NDArray[np.floating] = np.clip(np.nan_to_num(image), 0, 1) * 255 + 0.5
-    return pixels.astype(np.uint8)
 
 
 def _reduced(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted
 from clsplat.evaluation.score import Score
-from clsplat.evaluation.views import evaluate_run, opened
+from clsplat.evaluation.views import evaluate_run, final_metrics, opened
 from clsplat.gaussians import Gaussians
-from clsplat.io.ply import read_ply
+from clsplat.georeference import Georeference
+from clsplat.io.models import read_model, read_notes
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions, recorded
 from clsplat.scene import Scene
 
@@ -36,16 +40,16 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
 
     Parameters
     ----------
-    path : a run's folder, or a PLY file.
+    path : a run's folder, or a file of gaussians.
     scene_path : a scene whose cameras to use; None: the run's own.
 
     Returns
     -------
-    The model, the scene at the size of the renders, and the options.
+    The model in the frame of the scene, the scene at the size of the renders, and the options.
 
     Raises
     ------
-    clsplat.ClsplatError : the run is not finished, or a PLY file is given without a scene.
+    clsplat.ClsplatError : the run is not finished, or a file is given without a scene.
     """
     if path.is_dir():
         run = Run.open(path)
@@ -53,11 +57,15 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
         place, images = run.folder.scene_path(scene_path), options.images
         scene = read_scene(place, images if scene_path is None or (place / images).is_dir() else "")
     elif scene_path is None:
-        raise InputError(f"{path}: a PLY file has no cameras; name them with --scene SCENE")
+        raise InputError(f"{path}: a file of gaussians has no cameras; name them with "
+                         "--scene SCENE")
     else:
-        options, scene = TrainOptions(max_resolution=0), read_scene(scene_path)
-        model = read_ply(path, scene.offset)
-    return shown(model, path), scene.reduced(options.downscale, options.max_resolution), options
+        options = TrainOptions(max_resolution=0, antialiased=read_notes(path).antialiased)
+        scene = read_scene(scene_path)
+        model = read_model(path, scene.offset, scene.georeference)
+    # of a run and another scene, the local origins differ
+    model = shown(model, path).moved(scene.offset)
+    return model, scene.reduced(options.downscale, options.max_resolution), options
 
 
 class Run:
@@ -130,7 +138,38 @@ class Run:
     @property
     def exposures(self) -> dict[str, NDArray[np.float64]] | None:
         """Name of a training view -> float64[3, 4], its colour transform; None without any."""
-        return self.folder.load_exposures()
+        responses = self.folder.load_exposures()
+        if responses is None:
+            return None
+        return {name: response.transform for name, response in responses.items()}
+
+    @property
+    def georeference(self) -> Georeference | None:
+        """Where its original coordinates lie on the earth; None: unknown."""
+        return self.folder.georeference()
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """float64[3], the unit vector that points up."""
+        known = self.folder.orientation()
+        return self.scene().up if known is None else known[0]
+
+    @property
+    def known_up(self) -> NDArray[np.float64] | None:
+        """`up`, or None for an older run whose scene is not there any more."""
+        try:
+            return self.up
+        except InputError:
+            return None
+
+    @property
+    def first_view(self) -> Camera:
+        """The camera, in original coordinates, from which a viewer should first look."""
+        known = self.folder.orientation()
+        if known is not None and known[1] is not None:
+            return known[1]
+        camera = self.scene().first_view
+        return camera.shifted(-camera.offset)
 
     def scene(self, path: str | Path | None = None, *, whole: bool = False) -> Scene:
         """The scene of the training, at the size of the training.
@@ -145,11 +184,12 @@ class Run:
         clsplat.ClsplatError : the scene is missing, or is another one.
         """
         place, options = self.folder.scene_path(None if path is None else Path(path)), self.options
-        scene = read_scene(place, options.images)
+        scene = self.folder.placed(read_scene(place, options.images))
         recorded = self.record.get("fingerprint")
         if recorded is not None and fingerprint(scene) != recorded:
             raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "
                              "that one with --scene")
+        scene = undistorted(scene, self.folder.undistorted, make=False)
         return scene if whole else scene.reduced(options.downscale, options.max_resolution)
 
     def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
@@ -198,12 +238,14 @@ class Run:
                 if not error.planned:
                     raise
 
-    def evaluate(self, device: Device | None = None) -> Score:
+    def evaluate(self, device: Device | None = None, *,
+                 lpips: str | PathLike[str] | None = None) -> Score:
         """Compare the finished model with the held-out photos.
 
         Parameters
         ----------
         device : an open device; None: the best that works.
+        lpips : an ONNX file with an LPIPS network, whose score is wanted too.
 
         Returns
         -------
@@ -216,7 +258,8 @@ class Run:
         if not self.folder.has_model:
             raise InputError(f"{self.path}: has no finished model yet; resume it first, or give "
                              "Run.model to clsplat.evaluate")
-        return Score.of(evaluate_run(self, device or choose_device("auto"), save_images=False))
+        return Score.of(evaluate_run(self, device or choose_device("auto"), save_images=False,
+                                     metrics=final_metrics(lpips)))
 
     def __repr__(self) -> str:
         state = "finished" if self.is_finished else "not finished"

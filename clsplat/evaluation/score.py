@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 
@@ -15,7 +15,12 @@ class Score:
     views : how many views were rendered.
     psnr, psnr_cc : dB.
     ssim, ssim_cc : 0 to 1.
-    per_view : a dict for each view, with its `name` and the four scores.
+    per_view : a dict for each view, with its `name` and all scores.
+    flip, flip_cc : 0 to 1, lower is better (Andersson et al. 2020).
+    lpips, lpips_cc : lower is better; None if no network was given.
+    exposure_weight : where the run learned exposures, the share of the interpolation between the
+        training photos before and after in the exposure of held-out views; the rest is the mean of
+        all. None: views are rendered as the model is.
     """
 
     views: int
@@ -24,6 +29,11 @@ class Score:
     psnr_cc: float
     ssim_cc: float
     per_view: tuple[dict[str, Any], ...] = ()
+    flip: float | None = None
+    flip_cc: float | None = None
+    lpips: float | None = None
+    lpips_cc: float | None = None
+    exposure_weight: float | None = None
 
     @classmethod
     def of(cls, result: dict[str, Any]) -> Score:
@@ -33,12 +43,17 @@ class Score:
         ----------
         result : has the keys of the attributes, and others.
         """
-        return cls(result["views"], result["psnr"], result["ssim"], result["psnr_cc"],
-                   result["ssim_cc"], tuple(result["per_view"]))
+        known = {field.name: result[field.name] for field in fields(cls) if field.name in result}
+        return cls(**{**known, "per_view": tuple(result["per_view"])})
 
     def _repr_html_(self) -> str:
         from clsplat.report.notebook import table
 
-        return table({"held-out views": str(self.views),
-                      "PSNR": f"{self.psnr:.2f} dB ({self.psnr_cc:.2f} after the colour fit)",
-                      "SSIM": f"{self.ssim:.4f} ({self.ssim_cc:.4f} after the colour fit)"})
+        rows = {"held-out views": str(self.views),
+                "PSNR": f"{self.psnr:.2f} dB ({self.psnr_cc:.2f} after the colour fit)",
+                "SSIM": f"{self.ssim:.4f} ({self.ssim_cc:.4f} after the colour fit)"}
+        for name, plain, fitted in (("FLIP", self.flip, self.flip_cc),
+                                    ("LPIPS", self.lpips, self.lpips_cc)):
+            if plain is not None and fitted is not None:
+                rows[name] = f"{plain:.4f} ({fitted:.4f} after the colour fit), lower is better"
+        return table(rows)

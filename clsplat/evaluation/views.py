@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,62 +16,89 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.error_map import error_map
+from clsplat.evaluation.flip import flip
 from clsplat.evaluation.floaters import floater_share, ground_truth
+from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
+from clsplat.evaluation.lpips import Lpips
 from clsplat.evaluation.metrics import psnr, ssim
 from clsplat.evaluation.pictures import Pictures, ShownView, chosen_views, shown_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.folders import make_folder
-from clsplat.io.images import read_photo, write_image
+from clsplat.io.images import write_image
 from clsplat.io.regular import native
+from clsplat.io.views import read_photo
 from clsplat.options import TrainOptions
 from clsplat.rendering.slabs import open_model
+from clsplat.response import Response
 from clsplat.scene import Scene, View
 
 if TYPE_CHECKING:
     from clsplat.evaluation.run import Run
 
 Image = NDArray[np.floating]  # [H, W, 3], 0 to 1
+Valid = NDArray[np.bool_] | None  # [H, W], the pixels that count; None: all
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 MOST_SAMPLED = 24  # training views from which to choose pictures, where no view is held out
-SCORES = ("psnr", "ssim", "psnr_cc", "ssim_cc")
+Metric = Callable[[Image, Image, Valid], float]  # of an image and its photo
+METRICS: Mapping[str, Metric] = {"psnr": psnr, "ssim": ssim}  # of every evaluation
+FINAL_METRICS: Mapping[str, Metric] = {**METRICS, "flip": flip}  # of a finished model
 
 
-def render_view(renderer: Any, rows: Any, degree: int, camera: Camera) -> Image:
-    """float32[H, W, 3], 0 to 1: the image of a camera."""
+def final_metrics(lpips: str | PathLike[str] | None = None) -> Mapping[str, Metric]:
+    """FINAL_METRICS, and LPIPS by the network of an ONNX file, unless that is None or ""."""
+    return FINAL_METRICS if not lpips else {**FINAL_METRICS, "lpips": Lpips(lpips)}
+
+
+def render_view(renderer: Any, rows: Any, degree: int, camera: Camera,
+                response: Response | None = None) -> Image:
+    """float32[H, W, 3], 0 to 1: the image of a camera, or the photo by this response of it."""
     frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree)
     image: Image = frame.image.download().transpose(1, 2, 0)
-    return np.clip(image, 0, 1)
+    return np.clip(response.applied(image, camera) if response else image, 0, 1)
 
 
 def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
-                   keep: Callable[..., object] | None = None) -> dict[str, Any]:
+                   keep: Callable[..., object] | None = None,
+                   metrics: Mapping[str, Metric] = METRICS,
+                   predicted: Predicted | None = None) -> dict[str, Any]:
     """Compare renders from the cameras of views with their photos.
 
     Parameters
     ----------
     renderer, rows, degree : a model on the device; see `opened`.
-    keep : called for every view with (view, image, fitted image, photo).
+    keep : called for every view with (view, image, fitted image, photo, which pixels count).
+    metrics : by their names.
+    predicted : the responses of the views; None: they are rendered as the model is.
 
     Returns
     -------
-    {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", "per_view"}: means over views, dB and 0 to 1;
-    `_cc` after the quadratic colour fit of each render to its photo.
+    {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", ..., "per_view"}: means over views, dB and 0 to
+    1; `_cc` after the quadratic colour fit of each render to its photo. Masked pixels do not count,
+    and a view without others is left out. With `predicted` also "exposure_weight", its weight.
     """
-    per_view = []
+    responses = predicted.responses if predicted else {}
+    per_view: list[dict[str, Any]] = []
+    names = [name + suffix for suffix in ("", "_cc") for name in metrics]
     for view in views:
-        image = render_view(renderer, rows, degree, view.camera)
-        photo = photo_of(view)
-        fitted = fit_colour(image, photo)
-        scores = (psnr(image, photo), ssim(image, photo), psnr(fitted, photo), ssim(fitted, photo))
-        per_view.append({"name": view.name, **dict(zip(SCORES, scores))})
+        image = render_view(renderer, rows, degree, view.camera, responses.get(view.name))
+        photo, valid = photo_of(view), view.valid()
+        if valid is not None and not valid.any():
+            continue
+        fitted = fit_colour(image, photo, valid)
+        scores = [metric(shown, photo, valid) for shown in (image, fitted)
+                  for metric in metrics.values()]
+        per_view.append({"name": view.name, **dict(zip(names, scores))})
         if keep:
-            keep(view, image, fitted, photo)
-    means = {score: float(np.mean([v[score] for v in per_view])) for score in SCORES}
-    return {"views": len(per_view), **means, "per_view": per_view}
+            keep(view, image, fitted, photo, valid)
+    means = {name: float(np.mean([v[name] for v in per_view])) if per_view else math.nan
+             for name in names}
+    applied = {"exposure_weight": predicted.weight} if predicted else {}
+    return {"views": len(per_view), **means, **applied, "per_view": per_view}
 
 
 def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
-                train: Sequence[View], per_view: list[dict[str, Any]] | None = None) -> Pictures:
+                train: Sequence[View], per_view: list[dict[str, Any]] | None = None,
+                predicted: Predicted | None = None) -> Pictures:
     """The pictures at the beginning of a model's report.
 
     The chosen views are rendered again, so that only one view is in memory at full size.
@@ -80,16 +109,19 @@ def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
     test : the held-out views, which are shown.
     train : the training views; where none is held out, at most MOST_SAMPLED of them are rendered.
     per_view : the scores of `test` as `evaluate_views` lists them; None: they are computed here.
+    predicted : as for `evaluate_views`.
     """
     views = test or train[::-(-len(train) // MOST_SAMPLED)]
     if not (test and per_view):
-        per_view = evaluate_views(renderer, rows, degree, views)["per_view"]
+        per_view = evaluate_views(renderer, rows, degree, views, predicted=predicted)["per_view"]
     shown: list[ShownView] = []
+    by_name = {view.name: view for view in views}
     for place, index in chosen_views(per_view):
-        def keep(_view: View, _image: Image, fitted: Image, photo: Image, place: str = place,
-                 scores: dict[str, Any] = per_view[index]) -> None:
-            shown.append(shown_view(place, scores, fitted, photo))
-        evaluate_views(renderer, rows, degree, [views[index]], keep)
+        def keep(_view: View, _image: Image, fitted: Image, photo: Image, valid: Valid,
+                 place: str = place, scores: dict[str, Any] = per_view[index]) -> None:
+            shown.append(shown_view(place, scores, fitted, photo, valid))
+        evaluate_views(renderer, rows, degree, [by_name[per_view[index]["name"]]], keep,
+                       predicted=predicted)
     return Pictures(shown, bool(test), len(views))
 
 
@@ -115,8 +147,8 @@ def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOpt
     return renderer, rows, gaussians.sh_degree
 
 
-def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None
-                 ) -> dict[str, Any]:
+def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None,
+                 metrics: Mapping[str, Metric] = FINAL_METRICS) -> dict[str, Any]:
     """Compare the finished model of a run with its held-out photos.
 
     Parameters
@@ -125,6 +157,7 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     device : an open device.
     save_images : whether PANELS are written into the run, side by side as PNG.
     scene_path : where the scene is now; None: where the run has recorded it.
+    metrics : by their names.
 
     Returns
     -------
@@ -136,32 +169,34 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     InputError : the run is not finished, or holds out no view.
     """
     options, scene = run.options, run.scene(scene_path)
-    train, views = scene.split(options.test_every)
+    train, views = scene.split(options.test_every, options.test_offset)
     if not views:
         raise InputError(f"{run.path}: no held-out views (--test-every {options.test_every}); "
                          "nothing to compare with")
     gaussians, city = run.finished_model, ground_truth(scene.path)
     model = run.opened(device, scene, gaussians)
 
-    def keep(view: View, image: Image, fitted: Image, photo: Image) -> None:
-        error = error_map(fitted, photo) / np.float32(255)
+    def keep(view: View, image: Image, fitted: Image, photo: Image, valid: Valid) -> None:
+        error = error_map(fitted, photo, valid) / np.float32(255)
         beside = np.concatenate([photo, image, fitted, error], axis=1)
         write_image(run.folder.renders.path("test", view.name), beside)
 
     if save_images:
         run.folder.renders.note("test", [view.name for view in views])
-    result = evaluate_views(*model, views, keep if save_images else None)
+    predicted = predicted_responses(scene.views, run.folder.load_exposures())
+    result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted)
     if city:
         cameras = [view.camera for view in train]
         result.update(floater_share(city, gaussians, cameras, scene.offset))
-    result["pictures"] = pictures_of(*model, views, train, result["per_view"])
+    result["pictures"] = pictures_of(*model, views, train, result["per_view"], predicted)
     return result
 
 
 def training_pictures(run: Run, device: Device) -> Pictures:
     """The pictures of a run's finished model where the run holds out no view."""
     scene = run.scene()
-    return pictures_of(*run.opened(device, scene), [], scene.views)
+    return pictures_of(*run.opened(device, scene), [], scene.views, predicted=predicted_responses(
+        scene.views, run.folder.load_exposures()))
 
 
 def render_views(draw: Callable[[Camera], Image], views: Sequence[View],

@@ -1,1 +1,1 @@
-"""Export: finished models made smaller for viewers and other programs."""
+"""Export: a run as a page, a map, a film, tiles for a globe, or a model for other programs."""

@@ -11,6 +11,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views
 from clsplat.gaussians import Gaussians
+from clsplat.io.model_values import opacities
 
 
 def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
@@ -19,8 +20,7 @@ def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
     Its alpha is at most its opacity, and the renderer skips alpha below 1 / ALPHA_STEPS: without
     the invisible gaussians every image has the same bytes.
     """
-    with np.errstate(over="ignore"):
-        return 1 / (1 + np.exp(-gaussians.opacity_logits.astype(np.float64))) >= 1 / ALPHA_STEPS
+    return opacities(gaussians) >= 1 / ALPHA_STEPS
 
 
 def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | None = None
@@ -42,11 +42,11 @@ def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | N
     ------
     InputError : the run does not hold out a view.
     """
-    test_every, scene = run.options.test_every, run.scene(scene_path)
-    _, views = scene.split(test_every)
+    options, scene = run.options, run.scene(scene_path)
+    _, views = scene.split(options.test_every, options.test_offset)
     if not views:
         raise InputError(f"{run.path}: no held-out views to measure on (--test-every "
-                         f"{test_every}); name a degree instead of auto")
+                         f"{options.test_every}); name a degree instead of auto")
     renderer, rows, highest = run.opened(device, scene)
     scores = [evaluate_views(renderer, rows, degree, views)["psnr"]
               for degree in range(highest + 1)]

@@ -27,6 +27,8 @@ def replacing(path: str | Path, content: bytes | None = None) -> Iterator[Buffer
     path = Path(path)
     partial = path.with_name(path.name + PARTIAL)
     try:
+        if path.is_dir():  # which would be found only when all is written
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         _remove(partial)  # a killed process may have left one; a link would be followed
         with open(partial, "wb") as file:
             yield file

@@ -28,7 +28,8 @@ def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]]
     path : the file that messages name.
     model : names [V]; rotations float64[V, 3, 3] and translations float64[V, 3], world to camera;
         focals and centres float64[V, 2] and sizes int[V, 2], pixels; points float64[N, 3] and
-        colours uint8[N, 3]; perhaps observations int[M, 2], rows (point, view) in any order.
+        colours uint8[N, 3]; perhaps observations int[M, 2], rows (point, view) in any order, and
+        lenses [V] (Lens or None).
     sources : paths or encoded images of the V views.
     offset : float64[3], the scene's offset if its origin was moved before.
     """
@@ -46,7 +47,7 @@ def checked_scene(path: str | Path, name: str, model: Mapping[str, NDArray[Any]]
                    map(tuple, model["centres"].tolist()),
                    np.array(model["rotations"], np.float64),
                    np.array(model["translations"], np.float64)))
-    views = map(View, names, cameras, sources)
+    views = map(View, names, cameras, sources, model.get("lenses", len(names) * [None]))
     observations = _checked_observations(path, names, len(model["points"]),
                                          model.get("observations"))
     return Scene(name, tuple(sorted(views, key=lambda view: view.name)),

@@ -17,25 +17,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
+from clsplat.io.georeference.files import write_placement
+from clsplat.io.masks import MASKS
 from clsplat.io.packed import write_packed
 from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, write_object
 from clsplat.io.run import CITY, FILES, RunFolder
+from clsplat.io.undistort import FOLDER as UNDISTORTED
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region
+from clsplat.response import Response
 from clsplat.scene import Scene, View
 
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 WINDOWS = "windows"  # key of region.json
 REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
+DEPTH = "depth"  # folder of a block's depth maps
 INITIAL, PACKED = "initial.ply", "scene.npz"
 
 
@@ -46,12 +51,14 @@ class CityFolder:
     Attributes
     ----------
     coarse, lod : folders of the coarse run and of the levels of detail.
+    undistorted : folder of the undistorted photos of a scene that needs them.
     map, picture : the partition as GeoJSON and as an image.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.coarse, self.lod = self.path / "coarse", self.path / "lod"
+        self.undistorted = self.path / UNDISTORTED
         self.map, self.picture = self.path / "partition.geojson", self.path / "partition.png"
 
     @property
@@ -161,7 +168,7 @@ class CityFolder:
 
     def write_block(self, number: int, scene: Scene, views: Sequence[int] | NDArray[np.integer],
                     region: Region, windows: Mapping[str, tuple[int, int, int, int]],
-                    initial: Gaussians, exposures: Mapping[str, ArrayLike] | None,
+                    initial: Gaussians, exposures: Mapping[str, Response] | None,
                     options: Mapping[str, Any], identity: Mapping[str, Any]) -> BlockFolder:
         """Write a block as an ordinary scene folder.
 
@@ -173,7 +180,7 @@ class CityFolder:
         views : indices into its views.
         windows : parts of photos, see `Scene.cropped`.
         initial : in the scene's frame.
-        exposures : name of a view -> float[3, 4].
+        exposures : responses of views, by name.
         options : of the block's training, for block.json.
         identity : for block.json, `identity()` and other facts about the block.
 
@@ -291,6 +298,7 @@ def _check_window(view: View, window: Any) -> None:
 
 def _write_scene(folder: Path, scene: Scene) -> None:
     """Write a scene as a folder that `read_scene` reads, in original coordinates."""
+    write_placement(folder, scene)
     if isinstance(scene.views[0].source, bytes):
         write_packed(scene, folder / PACKED)
         return
@@ -309,10 +317,14 @@ def _write_scene(folder: Path, scene: Scene) -> None:
 
 
 def _photo_links(folder: Path, views: Iterable[View]) -> Iterator[tuple[Path, Path]]:
-    """(photo, its link in the folder of a block) of views that are not packed."""
+    """(photo, mask or depth map, its link in the folder of a block), if not packed."""
     for view in views:
         if isinstance(view.source, Path):
             yield view.source, folder / "images" / view.name
+        if isinstance(view.mask, Path):
+            yield view.mask, folder / MASKS / f"{view.name}.png"
+        if view.depth:
+            yield view.depth, folder / DEPTH / f"{view.name}{view.depth.suffix}"
 
 
 def _link_again(folder: Path, views: Iterable[View]) -> None:

@@ -16,7 +16,7 @@ from clsplat.scene import Scene
 
 TRAIN, VAL = "train", "val"
 PHOTOS = ("images", "rgbs")
-PER_VIEW = ("names", "rotations", "translations", "focals", "centres", "sizes")
+PER_VIEW = ("names", "rotations", "translations", "focals", "centres", "sizes", "lenses")
 
 
 def has_parts(folder: Path) -> bool:
@@ -43,14 +43,10 @@ def read_citygs(folder: Path) -> Scene:
 
 def _part(folder: Path) -> tuple[dict[str, NDArray[Any]], list[Path]]:
     """The arrays of a part's model, with names below the scene's folder, and its photos."""
-    model, arrays = read_model(folder, ("points3D",) if folder.name == VAL else ())
-    if len(arrays["distorted"]):
-        raise InputError(f"{model}: camera model {', '.join(arrays['distorted'])} has lens "
-                         "distortion and clsplat needs PINHOLE; undistort both parts with "
-                         "`colmap image_undistorter`")
+    _, arrays = read_model(folder, ("points3D",) if folder.name == VAL else ())
     photos = next((folder / name for name in PHOTOS if (folder / name).is_dir()),
                   folder / PHOTOS[0])
     # joined as text, so that a name with a leading slash stays below the folder
-    sources = [Path(f"{photos}/{native(name)}") for name in arrays["names"]]
+    sources = [Path(f"{photos}/{native(name)}") for name in arrays["files"]]
     names = np.array([f"{folder.name}/{name}" for name in arrays["names"]])
     return arrays | {"names": names}, sources

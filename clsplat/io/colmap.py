@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
@@ -21,9 +20,9 @@ from clsplat.scene import Scene
 def read_colmap(folder: str | Path, images: str = "") -> Scene:
     """Read and recentre the scene of a folder with `images/` and a COLMAP model, binary or text.
 
-    The model is searched in sparse/0, sparse, the folder itself and other sparse/N; only pinhole
-    cameras are accepted. Every photo must exist in its camera's size or, in another folder than
-    images/, be smaller by one factor for all. Only their headers are read.
+    The model is searched in sparse/0, sparse, the folder itself and other sparse/N. Every photo
+    must exist in its camera's size or, in another folder than images/, be smaller by one factor for
+    all. Only their headers are read.
 
     Parameters
     ----------
@@ -32,9 +31,7 @@ def read_colmap(folder: str | Path, images: str = "") -> Scene:
     folder = Path(folder)
     model, arrays = read_model(folder)
     photos = photo_folder(folder, images)
-    if len(arrays["distorted"]):
-        raise InputError(_undistort(folder, photos, model, arrays["distorted"]))
-    sources = [photos / native(name) for name in arrays["names"]]
+    sources = [photos / native(name) for name in arrays["files"]]
     scene = checked_scene(model, folder.resolve().name, arrays, sources)
     scene = replace(scene, path=folder, notes=tuple(model_notes(folder, model)))
     may_be_smaller = bool(images) or photos.name != IMAGES
@@ -48,14 +45,9 @@ def read_model(folder: Path, may_be_empty: Collection[str] = ()
     return model, model_arrays(model, may_be_empty)
 
 
-def _undistort(folder: Path, images: Path, model: Path, names: NDArray[np.str_]) -> str:
-    """Why a distorted model is refused, and two commands that undistort it."""
-    absolute = folder.resolve()
-    target = absolute.with_name(f"{absolute.name}_undistorted")
-    return (f"{model}: camera model {', '.join(names)} has lens distortion and clsplat needs "
-            f"PINHOLE; undistort with `colmap image_undistorter --image_path '{images}' "
-            f"--input_path '{model}' --output_path '{target}'` or `python -c \"import pycolmap; "
-            f"pycolmap.undistort_images('{target}', '{model}', '{images}')\"`, then use {target}")
+def has_model(folder: Path) -> bool:
+    """Whether a folder is meant to have a sparse model, where `find_model` looks for it."""
+    return _is_model(folder) or (folder / "sparse").exists()
 
 
 def find_model(folder: Path) -> Path:
@@ -70,7 +62,7 @@ def find_model(folder: Path) -> Path:
     if others:
         return max(others, key=registered)
     raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make "
-                     "one with COLMAP or pycolmap (recipe: docs/guide/photos.md), or give another "
+                     "one from photos with `clsplat sfm` (docs/guide/photos.md), or give another "
                      "folder")
 
 

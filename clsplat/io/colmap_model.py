@@ -11,13 +11,13 @@ from clsplat.errors import InputError
 from clsplat.io.colmap_binary import read_binary
 from clsplat.io.colmap_format import PARTS, PINHOLES, Camera, Points, places_within
 from clsplat.io.colmap_text import read_text
+from clsplat.io.lenses import undistorted_model
 
 LONGEST_SIDE = 2**31  # pixels; what is larger is damaged, and overflows
 
 
 def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, NDArray[Any]]:
-    """Read the arrays for `checks.checked_scene`, with images sorted by name and points by id, and
-    `distorted`, the names of the camera models that have lens distortion.
+    """Read the arrays of `lenses.undistorted_model`, with images sorted by name and points by id.
 
     Parameters
     ----------
@@ -30,14 +30,14 @@ def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, N
     images = sorted(images, key=lambda image: image.name)
     for image in images:
         if image.camera not in cameras:
-            raise InputError(f"{model}: image {image.name} has camera {image.camera}, which is "
-                             "not in the model; copy the whole model again")
+            raise InputError(f"{model}: image {image.name[:80]} has camera {image.camera}, which "
+                             "is not in the model; copy the whole model again")
     used = [cameras[image.camera] for image in images]
     ids = np.array([image.number for image in images], np.int64)
     _check_ids(model, "images", ids)
     _check_ids(model, "points3D", points.ids)
     order = np.argsort(points.ids)
-    return {
+    arrays = {
         "names": np.array([image.name for image in images], dtype=np.str_),
         "rotations": _rotations(np.array([image.quaternion for image in images]).reshape(-1, 4)),
         "translations": np.array([image.translation for image in images]).reshape(-1, 3),
@@ -48,9 +48,10 @@ def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, N
         "points": points.positions[order],
         "colours": points.colours[order],
         "observations": _observations(ids, points, order),
-        "distorted": np.array(sorted({camera.model for camera in used} - {*PINHOLES}),
-                              dtype=np.str_),
     }
+    return undistorted_model(model, arrays, [
+        None if camera.model in PINHOLES else (camera.model, camera.parameters)
+        for camera in used])
 
 
 def _read_part(path: Path, part: str, may_be_empty: bool) -> Any:
@@ -80,7 +81,7 @@ def _pairs(values: Iterable[tuple[float, ...]]) -> NDArray[np.float64]:
 
 
 def _focal(camera: Camera) -> tuple[float, ...]:
-    """(x, y) in pixels; 0 for models with distortion, which are refused later."""
+    """(x, y) in pixels; 0 for models with distortion, whose photos get another camera."""
     return {"PINHOLE": camera.parameters[:2],
             "SIMPLE_PINHOLE": camera.parameters[:1] * 2}.get(camera.model, (0, 0))
 

@@ -77,11 +77,22 @@ def _read_images(lines: _Lines) -> list[Image]:
     images = []
     for line in lines:
         # a name may contain spaces: COLMAP writes them, though it reads names up to the first one
-        number, *words, camera, name = line.strip().split(maxsplit=9)
+        fields = line.strip().split(maxsplit=9)
+        if len(fields) != 10:
+            raise ValueError(f"an image has {len(fields)} fields")
+        number, *words, camera, name = fields
         pose = tuple(map(float, words))
-        images.append(Image(int(number), pose[:4], pose[4:], int(camera), name.decode()))
+        images.append(Image(_id(number), pose[:4], pose[4:], _id(camera), name.decode()))
         lines.skip()  # the observations of the image
     return images
+
+
+def _id(text: bytes) -> int:
+    """The id of an image or a camera; ValueError for one that COLMAP cannot have."""
+    number = int(text)
+    if not 0 <= number < 1 << 32:
+        raise ValueError("an id is not a number of 32 bits")
+    return number
 
 
 def _read_points(lines: _Lines) -> Points:

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.camera import Camera
+from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
+from clsplat.io.colmap_binary import read_binary
+from clsplat.io.colmap_format import PARTS
+from clsplat.io.reason import reason
 from clsplat.scene import View
 
 PINHOLE = 1  # COLMAP's number of the camera model with parameters fx, fy, cx, cy
@@ -56,6 +60,18 @@ def write_colmap(folder: str | Path, views: Sequence[View], points: NDArray[np.f
                          ("points3D", _points(views, points, colours, tracks, by_view))):
         with replacing(folder / f"{name}.bin") as file:
             file.writelines(chunks)
+
+
+def write_reconstruction(folder: Path, reconstruction: Any) -> None:
+    """Write a pycolmap.Reconstruction into an existing folder, and read it back, since pycolmap
+    does not notice a full disk; InputError if it is not whole."""
+    reconstruction.write(folder)
+    for part in PARTS:
+        try:
+            read_binary(folder / f"{part}.bin", part)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{folder / part}.bin: cannot be written whole ({reason(error)}); "
+                             "free some space and try again") from None
 
 
 def _intrinsics(camera: Camera) -> tuple[float, ...]:

@@ -1,35 +1,51 @@
-"""Learned colour transforms of views as JSON: `exposures.json` of a run or a block."""
+"""Learned responses of views as JSON: `exposures.json` of a run or a block."""
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, write_object
 from clsplat.io.regular import read_regular
+from clsplat.response import Response
 
 EXPOSURES = "exposures.json"
+TRANSFORM, VIGNETTING = 12, 4  # numbers of a view; those of its vignetting may be missing
 
 
-def write_exposures(path: Path, exposures: Mapping[str, ArrayLike]) -> None:
-    """Write name -> float[3, 4], rows [M | t] as in `loss.exposure.Exposures`, without rounding."""
-    record = {name: np.asarray(rows, np.float64).ravel().tolist()
-              for name, rows in exposures.items()}
-    write_object(path, record, indent=0)
+def write_exposures(path: Path, responses: Mapping[str, Response]) -> None:
+    """Write the responses of views by name, without rounding.
+
+    A view has twelve numbers, the rows [M | t] of its transform, and the four of its vignetting
+    where it has any.
+    """
+    write_object(path, {name: _numbers(response) for name, response in responses.items()}, indent=0)
 
 
-def read_exposures(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Read what `write_exposures` wrote, name -> float64[3, 4]; InputError if it is damaged."""
+def _numbers(response: Response) -> list[float]:
+    numbers: list[float] = response.transform.ravel().tolist()
+    return numbers + (response.vignetting.tolist() if response.has_vignetting else [])
+
+
+def read_exposures(path: Path) -> dict[str, Response]:
+    """Read what `write_exposures` wrote; InputError if it is damaged."""
     try:
-        record = object_of(read_regular(path))
-        for name, numbers in record.items():
-            if not (isinstance(numbers, list) and len(numbers) == 12
-                    and all(type(number) in (int, float) for number in numbers)):
-                raise ValueError(f"{name[:80]!r} does not have 12 numbers")
+        return {name: _response(name, numbers)
+                for name, numbers in object_of(read_regular(path)).items()}
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: not a file of exposures, or damaged ({reason(error)}); copy it "
                          "again, or train the run that wrote it again") from None
-    return {name: np.array(numbers, np.float64).reshape(3, 4) for name, numbers in record.items()}
+
+
+def _response(name: str, numbers: Any) -> Response:
+    if not (isinstance(numbers, list) and len(numbers) in (TRANSFORM, TRANSFORM + VIGNETTING)
+            and all(type(number) in (int, float) for number in numbers)):
+        raise ValueError(f"{name[:80]!r} does not have {TRANSFORM} or {TRANSFORM + VIGNETTING} "
+                         "numbers")
+    transform = np.array(numbers[:TRANSFORM], np.float64).reshape(3, 4)
+    if len(numbers) == TRANSFORM:
+        return Response(transform)
+    return Response(transform, np.array(numbers[TRANSFORM:], np.float64))

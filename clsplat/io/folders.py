@@ -1,9 +1,13 @@
 """Folders that are created for written files, and removed when they are empty."""
 
-from contextlib import suppress
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from clsplat.errors import InputError
+from clsplat.io.atomic import PARTIAL
 
 CURE = "check its path, and that the folder above may be written"
 
@@ -14,6 +18,31 @@ def make_folder(path: Path, cure: str = CURE) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be created ({error.strerror}); {cure}") from None
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """A folder beside `path` that becomes it when the block ends; if anything fails it is removed.
+
+    Raises
+    ------
+    InputError : `path` exists and is not an empty folder, or cannot be written.
+    """
+    partial = path.with_name(path.name + PARTIAL)
+    if path.is_file() or path.is_dir() and any(path.iterdir()):
+        raise InputError(f"{path}: exists already; choose another folder, or remove this one")
+    if partial.exists():
+        raise InputError(f"{partial}: is left over from a command that was killed, or one writes "
+                         "it now; remove it")
+    make_folder(partial)
+    try:
+        yield partial
+        os.replace(partial, path)
+    except BaseException as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise InputError(f"{path}: cannot be written ({error.strerror}); {CURE}") from None
+        raise
 
 
 def remove_files(paths: list[Path], root: Path) -> None:

@@ -4,19 +4,20 @@ import os
 import select
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.photo import opened, reason_of
 from clsplat.io.resample import resample_bands
-from clsplat.scene import View
 
 JPEG_QUALITY = 92
 STREAMED = ("png", "jpeg")  # formats that are written without going back in the file
@@ -38,12 +39,19 @@ def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUAL
         file.write(data)
 
 
+def eight_bits(pixels: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Numbers in 0..1 rounded to uint8; others are clipped, NaN becomes 0."""
+    scaled: NDArray[np.floating] = np.clip(np.nan_to_num(pixels), 0, 1) * 255 + 0.5
+    return scaled.astype(np.uint8)
+
+
 def encode_jpeg(pixels: NDArray[Any], quality: int) -> bytes:
     """Encode an image as the JPEG that `write_image` would write."""
     return encode_image(pixels, "jpg", quality, "JPEG")
 
 
-def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object) -> bytes:
+def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
+                 attributes: Mapping[str, str | int] = MappingProxyType({})) -> bytes:
     """Encode an image as the bytes of a file.
 
     OpenImageIO writes to files only, and on a full disk it reports success or, in libjpeg, ends the
@@ -55,6 +63,7 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object) 
     suffix : of the format, such as "png".
     quality : of JPEG, 1 to 100.
     name : of the image, for messages.
+    attributes : further ones of OpenImageIO for this format.
 
     Raises
     ------
@@ -63,7 +72,7 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object) 
     import OpenImageIO as oiio
 
     if pixels.dtype != np.uint8:
-        pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * 255 + 0.5).astype(np.uint8)
+        pixels = eight_bits(pixels)
     height, width, channels = pixels.shape
     output = oiio.ImageOutput.create(suffix)
     if output is None:
@@ -73,6 +82,8 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object) 
     if output.format_name() == "jpeg":
         spec.attribute("Compression", f"jpeg:{quality}")
         spec.attribute("jpeg:subsampling", "4:4:4")
+    for attribute, value in attributes.items():
+        spec.attribute(attribute, value)
 
     def write(path: str) -> bool:
         return bool(output.open(path, spec)
@@ -147,18 +158,20 @@ def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
         return pixels
 
 
-def read_photo(view: View) -> NDArray[np.uint8]:
-    """Read the part of a view's photo that its camera shows, at the camera's size, as `read_image`
-    does."""
-    camera = view.camera
-    size = camera.width, camera.height
-    if camera.whole is None:
-        return read_image(view.source, size)
-    low, high = np.reshape(camera.whole, (2, 2))
-    scale = image_size(view.source) / (high - low)
+def window_of(camera: Camera, size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """(left, top, right, bottom): the part of the whole photo that a camera shows, pixels of a
+    photo of this size (width, height)."""
+    low, high = np.reshape(camera.borders, (2, 2))
+    scale = np.array(size) / (high - low)
     left, top = np.rint((np.zeros(2) - low) * scale).astype(int).tolist()
-    right, bottom = np.rint((np.array(size) - low) * scale).astype(int).tolist()
-    return read_image(view.source, size, (left, top, right, bottom))
+    right, bottom = np.rint(([camera.width, camera.height] - low) * scale).astype(int).tolist()
+    return left, top, right, bottom
+
+
+def read_alpha(source: str | Path | bytes) -> NDArray[np.uint8]:
+    """Read the alpha channel of a photo as it is stored, uint8[H, W]."""
+    with opened(source) as photo:
+        return photo.alpha()
 
 
 def image_size(source: str | Path | bytes) -> tuple[int, int]:

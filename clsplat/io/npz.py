@@ -35,7 +35,7 @@ def read_npz(path: Path, complaint: str, cure: str, names: Collection[str] | Non
     names : of the arrays to read, some of which may be missing; None reads all.
     """
     try:
-        with _Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:
+        with Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:
             members = {member.filename.removesuffix(".npy"): member
                        for member in archive.infolist()}
             members = {name: member for name, member in members.items()
@@ -43,14 +43,14 @@ def read_npz(path: Path, complaint: str, cure: str, names: Collection[str] | Non
             claimed = sum(member.file_size for member in members.values())
             if claimed > FREE_BYTES + LARGEST_EXPANSION * file.size:
                 raise ValueError(f"its {file.size} bytes claim to hold {claimed}")
-            return {name: _array(name, archive.read(member)) for name, member in members.items()}
+            return {name: array_of(name, archive.read(member)) for name, member in members.items()}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
     except Exception as error:  # zipfile and numpy raise many kinds
         raise InputError(f"{path}: {complaint} ({reason(error)}); {cure}") from None
 
 
-class _Bounded(io.BufferedReader):
+class Bounded(io.BufferedReader):
     """A file that reads no more than its size: zipfile reads as much as a header claims, and Python
     allocates that much first."""
 
@@ -59,11 +59,17 @@ class _Bounded(io.BufferedReader):
         self.size = self.seek(0, io.SEEK_END)
 
     def read(self, size: int | None = -1) -> bytes:
+        """As of a file, but at most its size."""
         return super().read(-1 if size is None else min(size, self.size))
 
 
+def array_of(name: str, content: bytes) -> NDArray[Any]:
+    """The array of the bytes of an .npy; nothing is allocated that its header only claims.
 
-def _array(name: str, content: bytes) -> NDArray[Any]:
+    Raises
+    ------
+    Exception : of any kind, since numpy's parser of headers raises many.
+    """
     stream = io.BytesIO(content)
     version = np.lib.format.read_magic(stream)
     if version not in READ_HEADER:

@@ -18,5 +18,8 @@ class SceneOptions:
                          words={"auto": ""})
     test_every: int = option(8, "Scene", "hold out every N-th view, in the order of names, for "
                              "evaluation", main=True, words={"none": 0}, minimum=1)
+    test_offset: int = option(0, "Scene", "with --test-every N: views before the first one that is "
+                              "held out, less than N; other offsets hold out other views",
+                              minimum=0)
     init: str = option("sfm", "Scene", "initial gaussians: sfm (the sparse points), random, or a "
-                       "PLY file", main=True)
+                       "file of gaussians or points", main=True)

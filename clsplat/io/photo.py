@@ -3,7 +3,7 @@
 docs/guide/photos.md has a table of the formats that are read.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
-from clsplat.io.reason import MOST_CHARACTERS
+from clsplat.io.reason import MOST_CHARACTERS, clean
 from clsplat.io.regular import memory_file, open_regular, utf8_path
 from clsplat.io.resample import band_rows
 
@@ -54,8 +54,18 @@ class Photo:
         self.has_alpha: bool = spec.alpha_channel >= 0 and image.format_name() != "gif"
         self.extra: int = spec.nchannels - len(set(self._channels)) - (spec.alpha_channel >= 0)
 
+    def attribute(self, name: str) -> object:
+        """The value of an entry of the header by OpenImageIO's name, such as "Exif:FocalLength":
+        a number, a text or a tuple of numbers; None if there is no such entry."""
+        value: object = self._spec.getattribute(name)
+        return value
+
     def bands(self, top: int, bottom: int) -> Iterator[NDArray[np.uint8]]:
         """Yield the rows from `top` to `bottom` in order, uint8[n, W, 3], sRGB."""
+        return self._bands(top, bottom, self._colours)
+
+    def _bands(self, top: int, bottom: int, converted: Callable[[NDArray[Any]], NDArray[np.uint8]]
+               ) -> Iterator[NDArray[np.uint8]]:
         spec = self._spec
         # OpenImageIO refuses parts of tiles, and reads wrong rows for parts of some TIFFs' strips
         unit = spec.tile_height or spec.get_int_attribute("tiff:RowsPerStrip", 1)
@@ -63,8 +73,18 @@ class Photo:
         step = max(1, band_rows(self.width, spec.nchannels) // unit) * unit
         for row in range(top // unit * unit, bottom, step):
             end = min(row + step, -(-bottom // unit) * unit, self.height)
-            pixels = self._colours(self._rows(row, end))
+            pixels = converted(self._rows(row, end))
             yield pixels[max(0, top - row):bottom - row]
+
+    def alpha(self) -> NDArray[np.uint8]:
+        """The alpha channel, uint8[H, W]; the photo must have one."""
+        return np.concatenate([*self._bands(0, self.height, self._opacities)])
+
+    def _opacities(self, samples: NDArray[Any]) -> NDArray[np.uint8]:
+        opacities = samples[..., self._spec.alpha_channel]
+        if self.linear:
+            opacities = np.clip(np.nan_to_num(opacities), 0, 1) * 255 + 0.5
+        return opacities.astype(np.uint8)
 
     def _rows(self, begin: int, end: int) -> NDArray[Any]:
         """Samples [end - begin, W, channels], float32 if they are linear light, else uint8."""
@@ -117,10 +137,32 @@ def _colour_channels(spec: Any, kind: str, name: str | Path) -> tuple[int, int, 
 @contextmanager
 def opened(source: str | Path | bytes) -> Iterator[Photo]:
     """Open a photo by its path or its encoded bytes; InputError if it is not a photo."""
+    with _input(source) as (name, image):
+        yield Photo(name, image)
+
+
+def first_channel(path: Path) -> NDArray[Any]:
+    """Read the first channel of an image of depths, uint16[H, W] or float32[H, W]."""
+    with _input(path) as (name, image):
+        kind = str(image.spec().format)
+        if kind not in ("uint16", *FLOAT_SAMPLES):
+            raise InputError(f"{name}: has samples of {kind}; depth maps have 16 bits (millimetres)"
+                             " or floats (the scene's units)")
+        pixels = image.read_image(0, 0, 0, 1, "uint16" if kind == "uint16" else "float")
+        reason = reason_of(image)
+        if pixels is None or reason:
+            raise InputError(f"{name}: the image is damaged or cut short ({reason}); copy it again")
+        values: NDArray[Any] = pixels.reshape(pixels.shape[:2])
+        return values
+
+
+@contextmanager
+def _input(source: str | Path | bytes) -> Iterator[tuple[str | Path, Any]]:
+    """The name of an image for messages, and OpenImageIO's input of it."""
     if isinstance(source, bytes):
         name = f"packed image of {len(source)} bytes"
         with memory_file(name, source) as path:
-            yield from _opened(path, name, len(source))
+            yield from _checked_input(path, name, len(source))
         return
     try:
         with open_regular(source) as file:
@@ -132,10 +174,10 @@ def opened(source: str | Path | bytes) -> Iterator[Photo]:
         raise InputError(f"{str(source)[:MOST_CHARACTERS]}: the image cannot be read ({why}); "
                          "check the path") from None
     with utf8_path(source) as path:
-        yield from _opened(path, source, size)
+        yield from _checked_input(path, source, size)
 
 
-def _opened(path: str, name: str | Path, size: int) -> Iterator[Photo]:
+def _checked_input(path: str, name: str | Path, size: int) -> Iterator[tuple[str | Path, Any]]:
     import OpenImageIO as oiio
 
     config = oiio.ImageSpec()
@@ -154,7 +196,7 @@ def _opened(path: str, name: str | Path, size: int) -> Iterator[Photo]:
             raise InputError(f"{name}: damaged: its header claims {spec.width}x{spec.height} "
                              "pixels; copy it again")
         try:
-            yield Photo(name, image)
+            yield name, image
         except MemoryError:
             raise InputError(f"{name}: not enough memory for {spec.width}x{spec.height} pixels; "
                              "free some, or make the photos smaller") from None
@@ -165,4 +207,8 @@ def _opened(path: str, name: str | Path, size: int) -> Iterator[Photo]:
 def reason_of(library: Any) -> str:
     """The first line of the last error of OpenImageIO or of one of its files, or an empty string.
     """
-    return str(next(iter(library.geterror().splitlines()), ""))
+    try:
+        text = library.geterror()
+    except UnicodeDecodeError as error:  # it quotes the names in a damaged file
+        text = error.object.decode(errors="replace")
+    return clean(next(iter(text.splitlines()), ""))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clsplat.io.checks import ROTATION_TOLERANCE, checked_scene
 from clsplat.io.cloud import Cloud, mean_colour, sample_points
+from clsplat.io.lenses import Model, undistorted_model
 from clsplat.io.sources import checked_photos
 from clsplat.scene import Scene
 
@@ -27,6 +28,8 @@ class PosedPhoto:
     focal, centre : (x, y), pixels.
     pose : float64[3, 4], camera to world, with camera axes right, up, back (OpenGL).
     held_out : whether it is a test view.
+    lens : the camera model of the photo, if it is not a pinhole's.
+    mask : an image of which pixels count.
     """
 
     name: str
@@ -36,6 +39,8 @@ class PosedPhoto:
     centre: tuple[float, float]
     pose: NDArray[np.float64]
     held_out: bool = False
+    lens: Model | None = None
+    mask: Path | None = None
 
 
 def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: Cloud | None
@@ -50,29 +55,59 @@ def posed_scene(path: Path, folder: Path, photos: Sequence[PosedPhoto], cloud: C
     """
     rotations, translations = world_to_camera(np.array([photo.pose for photo in photos]))
     points, colours = cloud or (PLACEHOLDER_POINTS, None)
-    scene = checked_scene(path, folder.resolve().name, {
+    arrays = undistorted_model(path, {
         "names": np.array([photo.name for photo in photos], object), "rotations": rotations,
         "translations": translations, "focals": np.array([photo.focal for photo in photos]),
         "centres": np.array([photo.centre for photo in photos]),
         "sizes": np.array([photo.size for photo in photos]), "points": points,
         "colours": np.zeros((len(points), 3), np.uint8) if colours is None else colours,
-    }, [photo.source for photo in photos])
-    scene = checked_photos(scene)
-    if cloud is None:
+    }, [photo.lens for photo in photos])
+    known = {photo.name: photo for photo in photos}
+    used = [known[name] for name in arrays["files"]]
+    scene = checked_scene(path, folder.resolve().name, arrays, [photo.source for photo in used])
+    masks = {name: photo.mask for name, photo in zip(arrays["names"], used)}
+    scene = checked_photos(replace(scene, views=tuple(
+        replace(view, mask=masks[view.name]) for view in scene.views)))
+    scene = with_points(path, scene, cloud is None, colours is None)
+    held_out = frozenset(str(name) for name, photo in zip(arrays["names"], used) if photo.held_out)
+    return replace(scene, path=folder, held_out=held_out or None).recentred()
+
+
+def with_points(path: Path, scene: Scene, no_points: bool, no_colours: bool) -> Scene:
+    """The scene with what its data set lacks: random points where two cameras see, with a warning,
+    and the mean colour of its photos.
+
+    Parameters
+    ----------
+    path : the file that messages name.
+    no_points, no_colours : whether the points, or their colours, are missing.
+    """
+    if no_points:
         scene = replace(scene, points=sample_points(path, scene.views))
         logging.getLogger(__name__).warning(
             "%s: no sparse points: %d are sampled at random where at least two cameras see; a "
-            "model trained from points3D.ply or a COLMAP model beside it is better",
+            "model trained from points3D.ply beside it, a COLMAP model or --init FILE (a point "
+            "cloud) is better",
             path, len(scene.points))
-    if colours is None:
+    if no_colours:
         scene = replace(scene, colours=np.tile(mean_colour(scene.views), (len(scene.points), 1)))
-    held_out = frozenset(photo.name for photo in photos if photo.held_out)
-    return replace(scene, path=folder, held_out=held_out or None).recentred()
+    return scene
 
 
 def world_to_camera(poses: NDArray[np.float64]
                     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Convert camera poses to rotations float64[V, 3, 3] and translations float64[V, 3].
+
+    Parameters
+    ----------
+    poses : float64[V, 3, 4], as in `PosedPhoto`.
+    """
+    return exact_poses((poses[:, :, :3] * (1, -1, -1)).transpose(0, 2, 1), poses[:, :, 3])
+
+
+def exact_poses(rotations: NDArray[np.float64], positions: NDArray[np.float64]
+                ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rotations float64[V, 3, 3] and translations float64[V, 3] of cameras.
 
     Files are rounded: an error of 1e-6 in a rotation would move a camera at UTM coordinates by
     metres. Nearly orthonormal matrices become the nearest rotation; others are left, and refused
@@ -80,12 +115,13 @@ def world_to_camera(poses: NDArray[np.float64]
 
     Parameters
     ----------
-    poses : float64[V, 3, 4], as in `PosedPhoto`.
+    rotations : float64[V, 3, 3], world to camera.
+    positions : float64[V, 3], the optical centres, world.
     """
-    rotations = (poses[:, :, :3] * (1, -1, -1)).transpose(0, 2, 1)
-    with np.errstate(over="ignore", invalid="ignore"):
+    exact = rotations.copy()
+    with np.errstate(all="ignore"):
         error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         almost = error <= ROTATION_TOLERANCE
         left, _, right = np.linalg.svd(rotations[almost])
-        rotations[almost] = left @ right
-        return rotations, -(rotations @ poses[:, :, 3:])[:, :, 0]
+        exact[almost] = left @ right
+        return exact, -(exact @ positions[:, :, None])[:, :, 0]

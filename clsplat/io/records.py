@@ -18,12 +18,13 @@ LARGEST_NUMBER = 1e100  # sums of squares stay finite
 KEYS = (
     (int, ("iteration", "gaussians", "views", "seed")),
     ((int, float), (
-        "train_seconds", "wall_seconds", "level", "psnr", "psnr_cc", "ssim", "ssim_cc", "lpips",
-        "loss", "l1", "memory_bytes", "peak_bytes", "since", "slope", "threshold", "hits",
-        "rounds", "pixel_pairs", "kernel_bytes")),
+        "train_seconds", "wall_seconds", "level", "loss", "l1", "memory_bytes", "peak_bytes",
+        "since", "slope", "threshold", "hits", "rounds", "pixel_pairs", "kernel_bytes")),
     (str, ("event", "scene", "scene_absolute", "fingerprint", "opencl_device", "kernel_form",
            "version", "commit", "schedule")),
     (dict, ("reasons", "decisions")))
+# numbers in the records of events; `lpips` is also an option, with a text
+SCORES = ("psnr", "psnr_cc", "ssim", "ssim_cc", "flip", "flip_cc", "lpips", "lpips_cc")
 
 
 def object_of(data: bytes) -> dict[str, Any]:
@@ -44,7 +45,8 @@ def record_of(data: bytes) -> dict[str, Any]:
     """Parse options.json or a line of metrics.jsonl; ValueError names a key whose value clsplat
     does not write."""
     record = object_of(data)
-    for kinds, keys in KEYS:
+    scores = SCORES if "event" in record else ()
+    for kinds, keys in (*KEYS, ((int, float), scores)):
         for key in keys:
             value = record.get(key)
             if value is not None and not _is(value, kinds):

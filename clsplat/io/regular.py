@@ -59,12 +59,12 @@ def in_unicode(path: Path) -> str:
 def utf8_path(path: str | Path) -> Iterator[str]:
     """Yield a name in UTF-8 for a file, which OpenImageIO needs."""
     try:
-        yield os.fsencode(path).decode()
-        return
+        name = os.fsencode(path).decode()
     except UnicodeDecodeError:
-        pass
-    with open_regular(path) as file:
-        yield _by_number(path, file.fileno())
+        with open_regular(path) as file:
+            yield _by_number(path, file.fileno())
+        return
+    yield name
 
 
 @contextmanager

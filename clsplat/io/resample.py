@@ -22,11 +22,11 @@ def resample(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uin
 
     Parameters
     ----------
-    pixels : uint8[H, W, 3].
+    pixels : uint8[H, W, channels].
     size : (width, height) of the result.
     """
     height, width = pixels.shape[:2]
-    step = band_rows(width)
+    step = band_rows(width, pixels.shape[2])
     bands = (pixels[begin:begin + step] for begin in range(0, height, step))
     return resample_bands(bands, (width, height), size)
 
@@ -37,15 +37,17 @@ def resample_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int],
 
     Parameters
     ----------
-    bands : uint8[n, W, 3] each, from the top down.
+    bands : uint8[n, W, channels] each, from the top down.
     old, size : (width, height) of the image and of the result.
     """
     (old_width, old_height), (width, height) = old, size
     rows_of, columns_of = _coverage(old_height, height), _coverage(old_width, width)
-    result = np.empty((height, width, 3), np.uint8)
+    result = np.empty((height, width, 0), np.uint8)
     waiting: list[NDArray[np.uint8]] = []  # the rows from `first` to `read`
     first = read = done = 0
     for band in bands:
+        if not result.size:
+            result = np.empty((height, width, band.shape[2]), np.uint8)
         waiting.append(band)
         read += len(band)
         whole = read * height // old_height  # rows of the result that need no further band
@@ -65,11 +67,11 @@ def resample_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int],
 
 def _shrunk(pixels: NDArray[np.uint8], rows_of: csr_matrix, columns_of: csr_matrix
             ) -> NDArray[np.uint8]:
-    """uint8[height, width, 3]: sums over rows, then over columns."""
-    height, width = rows_of.shape[0], pixels.shape[1]
+    """uint8[height, width, channels]: sums over rows, then over columns."""
+    height, width, channels = rows_of.shape[0], *pixels.shape[1:]
     rows = rows_of @ pixels.reshape(len(pixels), -1).astype(np.float32)
-    columns = rows.reshape(height, width, 3).transpose(1, 0, 2).reshape(width, -1)
-    mean = (columns_of @ columns).reshape(-1, height, 3)
+    columns = rows.reshape(height, width, channels).transpose(1, 0, 2).reshape(width, -1)
+    mean = (columns_of @ columns).reshape(-1, height, channels)
     rounded: NDArray[np.uint8] = (mean.transpose(1, 0, 2) + 0.5).astype(np.uint8)
     return rounded
 

@@ -5,22 +5,25 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 import clsplat
+from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
+from clsplat.georeference import Georeference
 from clsplat.io.atomic import PARTIAL, replacing
+from clsplat.io.commit import checkout_commit
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.folders import make_folder, remove_files
+from clsplat.io.georeference import files as placement_files
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
@@ -28,6 +31,9 @@ from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, record_of, write_object
 from clsplat.io.renders import Renders
 from clsplat.io.scene_path import recorded_scene, scene_record
+from clsplat.io.undistort import FOLDER as UNDISTORTED
+from clsplat.response import Response
+from clsplat.scene import Scene
 
 OPTIONS = "options.json"
 METRICS = "metrics.jsonl"
@@ -45,12 +51,18 @@ class RunFolder:
 
     Every write replaces a whole file, except for lines of metrics; one that a kill cut short is
     dropped by the next `log` or `rewind`. Errors are InputError.
+
+    Attributes
+    ----------
+    undistorted : folder of the undistorted photos of a scene that needs them; they stay when the
+        run is replaced, for the next run.
     """
 
     def __init__(self, path: str | Path) -> None:
         """Use `create` or `open`."""
         self.path = Path(path)
         self.renders = Renders(self.path)
+        self.undistorted = self.path / UNDISTORTED
         self._metrics_whole = self._replaces = False
 
     @classmethod
@@ -66,7 +78,7 @@ class RunFolder:
         run = cls(path)
         try:
             run.path.mkdir(parents=True, exist_ok=True)
-            run._check_free(overwrite)
+            run.check_free(overwrite)
             run._replaces = True
             probe = run.path / (OPTIONS + PARTIAL)
             probe.touch()
@@ -76,8 +88,8 @@ class RunFolder:
                              "choose another --output") from None
         return run
 
-    def _check_free(self, overwrite: bool) -> None:
-        """InputError if a new run cannot begin here."""
+    def check_free(self, overwrite: bool) -> None:
+        """InputError if a new run, which may replace one if `overwrite`, cannot begin here."""
         if (self.path / CITY).exists():
             raise InputError(f"{self.path}: holds a city ({CITY}); continue it with `clsplat "
                              "city`, or choose another folder")
@@ -153,7 +165,7 @@ class RunFolder:
         if self._replaces:
             self._remove_files()
             self._replaces = False
-        record = {**record, "version": clsplat.__version__, "commit": _commit()}
+        record = {**record, "version": clsplat.__version__, "commit": checkout_commit()}
         if "scene" in record:
             record |= scene_record(record["scene"], self.path)
         write_object(self.path / OPTIONS, plain(record), indent=2)
@@ -177,6 +189,24 @@ class RunFolder:
         except ValueError as error:
             raise InputError(f"{path}: damaged ({reason(error)}); start the run again with "
                              "--overwrite") from None
+
+    def write_placement(self, scene: Scene) -> None:
+        """Write what a model needs of its scene: the georeference, which way is up, the first view.
+        """
+        placement_files.write_placement(self.path, scene, first_view=True)
+
+    def georeference(self) -> Georeference | None:
+        """Where the scene of the run lies on the earth; None: unknown."""
+        return placement_files.read_georeference(self.path)
+
+    def orientation(self) -> tuple[NDArray[np.float64], Camera | None] | None:
+        """The unit vector that points up and the first view, in original coordinates; None if the
+        run is older than their file."""
+        return placement_files.read_orientation(self.path)
+
+    def placed(self, scene: Scene) -> Scene:
+        """The scene of the run, with the georeference and the up axis that the run knows."""
+        return placement_files.placed(scene, self.path)
 
     @property
     def is_begun(self) -> bool:
@@ -206,6 +236,23 @@ class RunFolder:
     def records(self) -> list[dict[str, Any]]:
         """The records of the metrics in order; a last line that was cut short is left out."""
         return [record for record, _ in self._lines()]
+
+    def add_scores(self, scores: dict[str, Any]) -> None:
+        """Add scores of the finished model to the last evaluation in the metrics, if there is one.
+
+        Parameters
+        ----------
+        scores : keys and numbers; they replace those that are there.
+        """
+        lines = self._lines() if self.has_metrics else []
+        places = [n for n, (record, _) in enumerate(lines) if record.get("event") == "eval"]
+        if not places:
+            return
+        record = {**lines[places[-1]][0], **scores}
+        text = json.dumps(plain(record), allow_nan=False) + "\n"
+        with replacing(self.path / METRICS) as file:
+            file.writelines(text.encode() if n == places[-1] else line
+                            for n, (_, line) in enumerate(lines))
 
     def past_records(self) -> list[dict[str, Any]]:
         """The records of the metrics, or none if there are no metrics yet."""
@@ -260,12 +307,12 @@ class RunFolder:
         except (KeyError, ValueError) as error:
             raise InputError(f"{path}: {complaint} ({STATE}: {reason(error)}); {cure}") from None
 
-    def save_exposures(self, exposures: dict[str, np.ndarray]) -> None:
-        """Replace the learned colour transforms, name of a view -> float[3, 4]."""
+    def save_exposures(self, exposures: Mapping[str, Response]) -> None:
+        """Replace the learned responses of views, by name."""
         write_exposures(self.path / EXPOSURES, exposures)
 
-    def load_exposures(self) -> dict[str, np.ndarray] | None:
-        """Load the colour transforms, name -> float64[3, 4], or None if the run learned none."""
+    def load_exposures(self) -> dict[str, Response] | None:
+        """Load the responses of views by name, or None if the run learned none."""
         path = self.path / EXPOSURES
         return read_exposures(path) if path.is_file() else None
 
@@ -348,18 +395,3 @@ def _read(path: Path) -> bytes:
 
 def _whole_lines(data: bytes) -> bytes:
     return data[:data.rfind(b"\n") + 1]
-
-
-def _commit() -> str | None:
-    """The commit of the checkout that clsplat runs from, with -dirty if it was changed; else None.
-    """
-    root = Path(clsplat.__file__).parents[1]
-    if not (root / ".git").exists():
-        return None
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40",
-             "--exclude=*"], check=False, capture_output=True, text=True, timeout=10)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() or None

@@ -6,17 +6,23 @@ Only headers are read here.
 import os
 import re
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from clsplat.camera import Lens
 from clsplat.errors import InputError
+from clsplat.io.metadata import QUARTERS
 from clsplat.io.photo import Photo, opened
 from clsplat.io.reason import MOST_CHARACTERS
 from clsplat.scene import Scene, View
 
+# of files that may be photos; what they are is told by their content
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".jxl", ".exr",
+                  ".hdr", ".ppm", ".pgm", ".tga", ".gif")
 IMAGES, SMALLER = "images", re.compile(r"images_(\d+)")  # as in Mip-NeRF 360
 ROUNDING = 1.5  # pixels, the tolerance of the size of a smaller photo
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that swap width and height
@@ -66,10 +72,13 @@ def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
         with opened(view.source) as photo:
             photos.append(photo)
     factor = _factor(scene.views, photos) if smaller else 1.0
-    notes = [*scene.notes, *_colour_notes(photos), *_turn_notes(photos)]
+    notes = [*scene.notes, *_lens_notes(scene.views), *_colour_notes(photos),
+             *_turn_notes(photos)]
     if smaller and (smaller.name != IMAGES or factor != 1):
         notes.insert(0, _factor_note(smaller, factor))
-    views = tuple(_fitted(view, photo, factor) for view, photo in zip(scene.views, photos))
+    resized = cache(Lens.resized)  # views share a lens, and with it the map of its pixels
+    views = tuple(_fitted(view, photo, factor, resized)
+                  for view, photo in zip(scene.views, photos))
     return replace(scene, views=views, notes=tuple(notes))
 
 
@@ -94,19 +103,22 @@ def _where_else(path: Path) -> str:
 
 def _factor(views: Sequence[View], photos: Sequence[Photo]) -> float:
     """How many times smaller than their cameras all photos are; 1 if the sizes are equal."""
-    factor = float(np.median([view.camera.width / photo.width
-                              for view, photo in zip(views, photos)]))
-    for view, photo in zip(views, photos):
-        camera = view.camera
-        if max(abs(camera.width / factor - photo.width),
-               abs(camera.height / factor - photo.height)) > ROUNDING:
+    sizes = [_stored_size(view) for view in views]
+    factor = float(np.median([width / photo.width for (width, _), photo in zip(sizes, photos)]))
+    for (width, height), photo in zip(sizes, photos):
+        if max(abs(width / factor - photo.width),
+               abs(height / factor - photo.height)) > ROUNDING:
             raise InputError(
                 f"{photo.name}: the photo has {photo.width}x{photo.height} pixels but its camera "
-                f"{camera.width}x{camera.height}, and other photos there are {factor:.3g} times "
+                f"{width}x{height}, and other photos there are {factor:.3g} times "
                 "smaller than theirs; make all of one folder smaller by one factor")
-    same = all((view.camera.width, view.camera.height) == (photo.width, photo.height)
-               for view, photo in zip(views, photos))
+    same = all(size == (photo.width, photo.height) for size, photo in zip(sizes, photos))
     return 1.0 if same else factor
+
+
+def _stored_size(view: View) -> tuple[int, int]:
+    """(width, height) that a view's photo should have, pixels."""
+    return view.lens.size if view.lens else (view.camera.width, view.camera.height)
 
 
 def _factor_note(folder: Path, factor: float) -> str:
@@ -116,16 +128,27 @@ def _factor_note(folder: Path, factor: float) -> str:
 
 
 def _colour_notes(photos: Sequence[Photo]) -> Iterator[str]:
-    """Notes about samples that are converted or ignored."""
+    """Notes about samples that are converted, masked or ignored."""
     for flags, note in (
             ([photo.linear for photo in photos], "hold linear light (EXR, HDR or floating point): "
              "they are converted to sRGB, and values above 1 are clipped"),
-            ([photo.has_alpha for photo in photos], "have an alpha channel, which is ignored: "
-             "transparent pixels are trained on too"),
+            ([photo.has_alpha for photo in photos], "have an alpha channel: transparent pixels are "
+             "left out of training and scores"),
             ([photo.extra > 0 for photo in photos], "have more channels than colours and alpha: "
              "the first are used as colours, the others ignored")):
         if any(flags):
             yield f"{sum(flags)} of {len(photos)} photos {note}"
+
+
+def _lens_notes(views: Sequence[View]) -> Iterator[str]:
+    """A note about photos that are undistorted."""
+    lenses = [view.lens for view in views if view.lens]
+    if lenses:
+        models = ", ".join(sorted({lens.model for lens in lenses}))
+        sizes = sorted({(lens.width, lens.height) for lens in lenses})
+        size = f"{sizes[-1][0]}x{sizes[-1][1]}" + " and other sizes" * (len(sizes) > 1)
+        yield (f"{len(lenses)} of {len(views)} views are undistorted from a lens ({models}) to "
+               f"pinhole cameras of {size} pixels")
 
 
 def _turn_notes(photos: Sequence[Photo]) -> Iterator[str]:
@@ -137,20 +160,32 @@ def _turn_notes(photos: Sequence[Photo]) -> Iterator[str]:
                "are stored: if the scene was reconstructed from turned photos, turn the pixels")
 
 
-def _fitted(view: View, photo: Photo, factor: float) -> View:
-    """The view, its camera scaled by 1 / factor; InputError if its photo has another size."""
-    width, height, camera = photo.width, photo.height, view.camera
-    if (width, height) == (camera.width, camera.height):
+def _fitted(view: View, photo: Photo, factor: float,
+            resized: Callable[[Lens, float, float], Lens]) -> View:
+    """The view, its camera scaled by 1 / factor; InputError if its photo has another size.
+
+    Parameters
+    ----------
+    resized : `Lens.resized`, of which equal calls give one object.
+    """
+    # a photo that has its camera's size was reconstructed as it is stored, if its shape can tell
+    turns = QUARTERS.get(photo.orientation, 0) if photo.width != photo.height else 0
+    view = replace(view, transparent=photo.has_alpha, quarter_turns=turns if turns % 2 else 0)
+    width, height, camera, size = photo.width, photo.height, view.camera, _stored_size(view)
+    if (width, height) == size:
         return view
     if factor != 1:
+        if view.lens:
+            lens = resized(view.lens, width / size[0], height / size[1])
+            return replace(view, lens=lens, camera=camera.resized(lens.width, lens.height))
         return replace(view, camera=camera.resized(width, height))
     name = view.source if isinstance(view.source, Path) else view.name
-    scale_x, scale_y = width / camera.width, height / camera.height
+    scale_x, scale_y = width / size[0], height / size[1]
     # rounding may change the shorter side by up to a pixel
-    if abs(scale_x - scale_y) <= 1.0 / min(camera.width, camera.height):
+    if abs(scale_x - scale_y) <= 1.0 / min(size):
         why = ("it was rescaled: put the original back and use --downscale to train on smaller "
                "ones; where all were, name their folder with --images")
-    elif (width, height) == (camera.height, camera.width):
+    elif (height, width) == size:
         why = "it was rotated: put the original back, as it was when the scene was reconstructed"
         if photo.orientation in QUARTER_TURNS:
             why = (f"its EXIF orientation {photo.orientation} turns it, and the scene was "
@@ -159,4 +194,4 @@ def _fitted(view: View, photo: Photo, factor: float) -> View:
     else:
         why = "it is another photo or was cropped: put back the one that was reconstructed"
     raise InputError(f"{name}: the photo has {width}x{height} pixels but its camera "
-                     f"{camera.width}x{camera.height}; {why}")
+                     f"{size[0]}x{size[1]}; {why}")

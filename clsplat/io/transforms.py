@@ -20,6 +20,7 @@ from clsplat.errors import InputError
 from clsplat.io.checks import CONTROL
 from clsplat.io.cloud import Cloud, read_cloud
 from clsplat.io.images import image_size
+from clsplat.io.lenses import PANORAMA, Model
 from clsplat.io.posed import PosedPhoto, posed_scene
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
@@ -28,8 +29,10 @@ from clsplat.scene import Scene
 
 ALL, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
 SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")  # tried if file_path has none
-DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL")
+# camera_model -> the keys of its parameters, in COLMAP's order, after focal length and centre
+RADIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+LENSES = {"OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"), **dict.fromkeys(
+    ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), RADIAL)}
 MATRIXCITY_UNIT = 100.0  # metres
 LONGEST_SIDE = 1 << 20  # pixels
 
@@ -80,11 +83,9 @@ def _posed_photos(path: Path, table: Mapping[str, Any], held_out: bool) -> list[
 
 
 def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> PosedPhoto:
-    """The photo of a frame, which includes the keys that the file gives for all frames; InputError
-    for a lens that is not a pinhole."""
+    """The photo of a frame, which includes the keys that the file gives for all frames."""
     pose, file_path = _pose(frame)
     name, source = _photo(folder, file_path)
-    _check_lens(source, frame)
     if "w" in frame and "h" in frame:
         size = _side(frame, "w"), _side(frame, "h")
     else:
@@ -92,7 +93,10 @@ def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> Pose
     focal_x = _focal(frame, "fl_x", "camera_angle_x", size[0])
     focal_y = _focal(frame, "fl_y", "camera_angle_y", size[1], focal_x)
     centre = (_number(frame, "cx", size[0] / 2), _number(frame, "cy", size[1] / 2))
-    return PosedPhoto(name, source, size, (focal_x, focal_y), centre, pose, held_out)
+    mask = frame.get("mask_path")
+    return PosedPhoto(name, source, size, (focal_x, focal_y), centre, pose, held_out,
+                      _lens(frame, size, (focal_x, focal_y, *centre)),
+                      None if mask is None else folder / native(_text(mask, "mask_path")))
 
 
 def _pose(frame: Mapping[str, Any]) -> tuple[NDArray[np.float64], Any]:
@@ -128,15 +132,24 @@ def _text(value: object, key: str) -> str:
     return value
 
 
-def _check_lens(source: Path, frame: Mapping[str, Any]) -> None:
-    causes = [key for key in DISTORTION if _number(frame, key, 0)]
-    model = frame.get("camera_model", PINHOLES[0])
-    if model not in PINHOLES or frame.get("is_fisheye"):
-        causes = ["not a pinhole camera", *causes]
-    if causes:
-        raise InputError(
-            f"{source}: has lens distortion ({', '.join(causes)}), which clsplat does not support; "
-            "undistort the photos with `colmap image_undistorter`, and use the folder it makes")
+def _lens(frame: Mapping[str, Any], size: tuple[int, int], pinhole: tuple[float, ...]
+          ) -> Model | None:
+    """The camera model of a frame; None for a pinhole camera."""
+    name = frame.get("camera_model") or "OPENCV"
+    if frame.get("is_fisheye"):
+        name = "OPENCV_FISHEYE"
+    if name == PANORAMA:
+        return PANORAMA, tuple(map(float, size))
+    if name not in LENSES:
+        raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(LENSES)} "
+                         f"or {PANORAMA}")
+    values = tuple(_number(frame, key, 0) for key in LENSES[name])
+    if name == "OPENCV_FISHEYE":
+        return name, (*pinhole, *values)
+    if not any(values):
+        return None
+    return ("FULL_OPENCV" if any(values[4:]) else "OPENCV",
+            (*pinhole, *(values if any(values[4:]) else values[:4])))
 
 
 def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int,

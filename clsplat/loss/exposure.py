@@ -1,5 +1,5 @@
-"""A learned colour transform for each training view, so that photos of drifting exposure agree
-(cl/exposure.cl)."""
+"""A learned response for each training view, so that photos of drifting exposure and the middle and
+the corners of photos agree (cl/exposure.cl)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,45 +7,59 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.constants import EXPOSURE_BLOCK, FRAME_COUNTS, TRANSFORM_REALS
+from clsplat.constants import (
+    CAMERA_REALS,
+    EXPOSURE_BLOCK,
+    FRAME_COUNTS,
+    TRANSFORM_REALS,
+    VIGNETTING_REALS,
+    VIGNETTING_TERMS,
+)
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
+from clsplat.rendering.blend import Defines, Exposure, Vignetting
 from clsplat.rendering.frame_arrays import FrameArray
+from clsplat.response import Lenses, Response
 
 IDENTITY = np.eye(3, 4)
 LEARNED = ("transforms", "m", "v", "steps")
+LEARNED_OF_LENSES = ("lenses", "lens_m", "lens_v", "lens_steps")
 MAX_CONDITION = 1e3  # of a matrix that may be inverted
 
-_VIEW = dict(pixels="uint", view="uint")
 _ROWS, _IMAGE = ("real", "V", TRANSFORM_REALS), ("real", 3, "H", "W")
-APPLY = Kernel("exposure.cl", "exposure_apply", each("pixels"), **_VIEW, transforms=_ROWS,
-               image=_IMAGE, result=_IMAGE)
+_LENSES = dict(lens_of=("uint", "V"), lenses=("real", "L", VIGNETTING_REALS))
+_LENS_ROWS = ("real", "L", VIGNETTING_TERMS)
 ADJOINT = Kernel(
     "exposure.cl", "exposure_adjoint",
-    Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), **_VIEW, blocks="uint",
-    transforms=_ROWS, image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE,
-    partials=("real", "P", TRANSFORM_REALS))
+    Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), pixels="uint", width="uint",
+    view="uint", blocks="uint", camera=("real", CAMERA_REALS), transforms=_ROWS, **_LENSES,
+    image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE, partials=("real", "P", "S"))
 STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
-              pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", TRANSFORM_REALS),
-              blocks="uint", transforms=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"),
-              skipped=("uint", 1))
+              pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", "S"),
+              blocks="uint", transforms=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"), **_LENSES,
+              lens_m=_LENS_ROWS, lens_v=_LENS_ROWS, lens_steps=("uint", "L"), skipped=("uint", 1))
 
 
 class Exposures:
-    """Colour transforms c' = M c + t of V views, in display values, and their Adam.
+    """Responses of V views (clsplat/response.py), and their Adam.
 
     Parameters
     ----------
     device : the device of the images.
     views : how many views.
     rate : learning rate.
-    pull : weight in the loss of mean((E - I)^2) over the 12 entries E of a view's transform.
+    pull : weight in the loss of mean((E - I)^2) over the 12 entries E of a view's transform, and of
+        the mean square of the three numbers of its lens.
     initial : float64[V, 3, 4], the transforms [M | t] at the start; None: identities.
-    learns : whether the transforms change at all.
+    learns : whether the responses change at all.
+    lenses : of the views; None: no lens has vignetting.
 
     Attributes
     ----------
     transforms, m, v : real[V, 12], the transforms in row-major order, and their Adam moments.
     steps : uint[V], steps of each view.
+    lens_of, lenses : uint[V] and real[L, 4], as `Lenses` has them.
+    lens_m, lens_v : real[L, 3], the Adam moments of the lenses.
+    lens_steps : uint[L], steps of each lens.
     skipped : uint[1], steps that were left out because their gradient was not finite.
     """
 
@@ -53,70 +67,105 @@ class Exposures:
     m: Array
     v: Array
     steps: Array
+    lens_of: Array
+    lenses: Array
+    lens_m: Array
+    lens_v: Array
+    lens_steps: Array
     skipped: Array
 
     def __init__(self, device: Device, views: int, rate: float = 1e-3, pull: float = 0.01,
-                 initial: NDArray[np.float64] | None = None, learns: bool = True) -> None:
+                 initial: NDArray[np.float64] | None = None, learns: bool = True,
+                 lenses: Lenses | None = None) -> None:
         self.device, self.rate, self.pull, self.learns = device, rate, pull, learns
         self._recentred = np.tile(IDENTITY, (views, 1, 1)) if initial is None else initial
         self._mean = self._recentred.reshape(views, TRANSFORM_REALS).mean(axis=0)
-        for name, spec in self.arrays(views).items():
+        self.has_vignetting = lenses is not None
+        for name, spec in self.arrays(views, len(lenses.rows) if lenses else 1).items():
             setattr(self, name, device.zeros(*spec))
+        if lenses:
+            self.lens_of.write(lenses.of)
+            self.lenses.write(lenses.rows)
         self.transforms.write(self._recentred.reshape(views, TRANSFORM_REALS))
 
     @staticmethod
-    def arrays(views: int) -> dict[str, ArraySpec]:
-        """The arrays of a number of views, by attribute."""
+    def arrays(views: int, lenses: int = 1) -> dict[str, ArraySpec]:
+        """The arrays of a number of views and lenses, by attribute."""
         rows, steps = ArraySpec((views, TRANSFORM_REALS)), ArraySpec((views,), np.uint32)
-        return {"transforms": rows, "m": rows, "v": rows, "steps": steps,
+        moments = ArraySpec((lenses, VIGNETTING_TERMS))
+        return {"transforms": rows, "m": rows, "v": rows, "steps": steps, "lens_of": steps,
+                "lenses": ArraySpec((lenses, VIGNETTING_REALS)), "lens_m": moments,
+                "lens_v": moments, "lens_steps": ArraySpec((lenses,), np.uint32),
                 "skipped": ArraySpec((1,), np.uint32)}
 
     @staticmethod
-    def frame_arrays(width: int, height: int) -> list[FrameArray]:
-        """What `apply` and `adjoint` allocate for an image."""
+    def frame_arrays(width: int, height: int, has_vignetting: bool) -> list[FrameArray]:
+        """What a frame with a response and `adjoint` allocate for an image."""
         image, blocks = (3, height, width), -(-width * height // EXPOSURE_BLOCK)
-        return [FrameArray("exposed", image, None, "loss", "project adjoint"),
+        return [FrameArray("exposed", image, None, "blend", "project adjoint"),
                 FrameArray("grad_rendered", image, None, "exposure", "project adjoint"),
-                FrameArray("partials", (blocks, TRANSFORM_REALS), None, "exposure",
+                FrameArray("partials", (blocks, _sums(has_vignetting)), None, "exposure",
                            "project adjoint")]
 
-    def apply(self, view: int, image: Array) -> Array:
-        """The image real[3, H, W] with the colour transform of a view, real[3, H, W]."""
-        pixels, result = _pixels(image), self.device.empty(image.shape)
-        self.device.launch(APPLY, pixels=pixels, view=view, transforms=self.transforms, image=image,
-                           result=result)
-        return result
+    def of(self, view: int, camera: Array) -> Exposure:
+        """The response of a view, for `Renderer.render`; `camera` is its packed camera."""
+        return Exposure(self.transforms, view, Vignetting(camera, self.lens_of, self.lenses)
+                        if self.has_vignetting else None)
 
-    def adjoint(self, view: int, image: Array, grad: Array) -> tuple[Array, Array]:
-        """Gradients from `grad` real[3, H, W], the gradient by `apply(view, image)`.
+    def adjoint(self, view: int, camera: Array, image: Array, grad: Array) -> tuple[Array, Array]:
+        """Gradients from those by the photo that the response makes of an image.
+
+        Parameters
+        ----------
+        view, camera : as for `of`.
+        image, grad : real[3, H, W].
 
         Returns
         -------
-        real[3, H, W], by the image; real[P, 12], partial sums of that by the view's transform.
+        real[3, H, W], by the image; real[P, 12 or 15], partial sums of those by the view's
+        transform and by its lens.
         """
-        device, pixels = self.device, _pixels(image)
-        blocks = -(-pixels // EXPOSURE_BLOCK)
-        grad_image, partials = device.empty(image.shape), device.empty((blocks, TRANSFORM_REALS))
-        device.launch(ADJOINT, pixels=pixels, view=view, blocks=blocks, transforms=self.transforms,
-                      image=image, grad=grad, grad_image=grad_image, partials=partials)
+        device, (_, height, width) = self.device, image.shape
+        blocks = -(-width * height // EXPOSURE_BLOCK)
+        partials = device.empty((blocks, _sums(self.has_vignetting)))
+        grad_image = device.empty(image.shape)
+        device.launch(ADJOINT, self._defines, pixels=width * height, width=width, view=view,
+                      blocks=blocks, camera=camera, transforms=self.transforms,
+                      lens_of=self.lens_of, lenses=self.lenses, image=image, grad=grad,
+                      grad_image=grad_image, partials=partials)
         return grad_image, partials
 
+    @property
+    def _defines(self) -> Defines:
+        return (("WITH_VIGNETTING", int(self.has_vignetting)),)
+
     def step(self, view: int, partials: Array, counts: Array) -> None:
-        """Take one step of Adam on a view's transform; does not wait for the device.
+        """Take one step of Adam on a view's transform and its lens; does not wait for the device.
 
         A gradient that is not finite changes nothing, and is counted in `skipped`.
 
         Parameters
         ----------
         view : index of the view.
-        partials : real[P, 12], of `adjoint`.
+        partials : of `adjoint`.
         counts : uint[FRAME_COUNTS], of the frame; one that has failed changes nothing.
         """
         if self.learns:
             self.device.launch(
-                STEP, view=view, rate=self.rate, pull=self.pull, counts=counts, partials=partials,
-                blocks=len(partials), transforms=self.transforms, m=self.m, v=self.v,
-                steps=self.steps, skipped=self.skipped)
+                STEP, self._defines, view=view, rate=self.rate, pull=self.pull, counts=counts,
+                partials=partials, blocks=len(partials), transforms=self.transforms, m=self.m,
+                v=self.v, steps=self.steps, lens_of=self.lens_of, lenses=self.lenses,
+                lens_m=self.lens_m, lens_v=self.lens_v, lens_steps=self.lens_steps,
+                skipped=self.skipped)
+
+    def responses(self) -> list[Response]:
+        """The responses of the views; waits for the device."""
+        transforms = self.transforms.download().astype(np.float64).reshape(-1, 3, 4)
+        if not self.has_vignetting:
+            return [Response(transform) for transform in transforms]
+        lenses = self.lenses.download().astype(np.float64)
+        return [Response(transform, lenses[lens])
+                for transform, lens in zip(transforms, self.lens_of.download())]
 
     def recentre(self) -> None:
         """Shift all transforms equally, so that their mean is again that at the start; waits.
@@ -155,14 +204,19 @@ class Exposures:
     def download(self) -> dict[str, NDArray[Any]]:
         """All that was learned, host arrays by name, for `upload`."""
         return {"recentred": self._recentred,
-                **{name: getattr(self, name).download() for name in LEARNED}}
+                **{name: getattr(self, name).download() for name in self._learned}}
 
     def upload(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Continue from what `download` returned."""
         self._recentred = arrays["recentred"]
-        for name in LEARNED:
+        for name in self._learned:
             getattr(self, name).write(arrays[name])
 
+    @property
+    def _learned(self) -> tuple[str, ...]:
+        return LEARNED + LEARNED_OF_LENSES * self.has_vignetting
 
-def _pixels(image: Array) -> int:
-    return image.shape[1] * image.shape[2]
+
+def _sums(has_vignetting: bool) -> int:
+    """Numbers whose gradients are summed."""
+    return TRANSFORM_REALS + VIGNETTING_TERMS * has_vignetting

@@ -14,7 +14,7 @@ HAS_MAPS = Forms(item=False, group=True)  # whether the gradient has a kernel of
 STRIP_ROWS = 256  # image rows of a work-item of the item form, which reads 20 more
 
 _SIZE = dict(width="int", height="int")
-_IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", 3, "H", "W"))
+_IMAGES = dict(image=("real", 3, "H", "W"), photo=("uchar", "C", "H", "W"))
 _MAPS: dict[str, Any] = dict(maps=("real", 3, 3, "H", "W"))
 _GRADIENT: dict[str, Any] = dict(l1_scale="real", ssim_scale="real",
                                  grad_image=("real", 3, "H", "W"))
@@ -35,7 +35,7 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
     ----------
     device : the device of the images.
     image : real[3, H, W], display values.
-    photo : uchar[3, H, W].
+    photo : uchar[3, H, W], or uchar[4, H, W] with a mask (cl/image_loss.cl).
     ssim_weight : share of D-SSIM in the loss, the rest is L1.
 
     Returns
@@ -51,10 +51,16 @@ def image_loss(device: Device, image: Array, photo: Array, ssim_weight: float
                   maps=device.empty((3, 3, height, width)) if HAS_MAPS.of(device) else None,
                   l1_scale=(1 - ssim_weight) / values, ssim_scale=-ssim_weight / values,
                   grad_image=grad_image)
-    device.launch(VALUE, **shared, strip=STRIP_ROWS, partials=partials)
+    defines = (("MASKED", 1),) if is_masked(photo) else ()
+    device.launch(VALUE, defines, **shared, strip=STRIP_ROWS, partials=partials)
     if HAS_MAPS.of(device):
-        device.launch(ADJOINT, **shared)
+        device.launch(ADJOINT, defines, **shared)
     return partials, grad_image
+
+
+def is_masked(photo: Array) -> bool:
+    """Whether a photo uchar[3 or 4, H, W] has a mask."""
+    return photo.shape[0] > 3
 
 
 def loss_value(partials: Array, values: int, ssim_weight: float) -> tuple[float, float, float]:

@@ -14,12 +14,37 @@ class ImageLossOptions:
 
 
 @dataclass(frozen=True)
+class RegulariseOptions:
+    """Regularisation of the gaussians that a view sees."""
+
+    opacity_weight: float = option(0.0, "Loss", "weight of the mean opacity of the gaussians",
+                                   minimum=0.0)
+    scale_weight: float = option(0.0, "Loss", "weight of the mean standard deviation of the "
+                                 "gaussians, as a share of the scene extent", minimum=0.0)
+
+
+@dataclass(frozen=True)
 class ExposureOptions:
     """A colour transform of each photo, learned beside the gaussians."""
 
     exposure: str = option("auto", "Loss", "learn a colour transform for each photo; auto: where "
                            "the brightness of photos drifts", main=True,
                            choices=("auto", "on", "off"))
+    vignetting: str = option("off", "Loss", "where exposures are learned, learn how much "
+                             "darker the corners of a camera's photos are; auto: where they are",
+                             choices=("off", "auto", "on"))
+
+
+@dataclass(frozen=True)
+class DepthOptions:
+    """Depth maps that hold the training."""
+
+    depth: str = option("", "Loss", "folder of depth maps of the photos, relative to SCENE: 16-bit "
+                        "PNG in mm, or EXR, TIFF or NPY in the scene's units", main=True,
+                        words={"none": ""})
+    depth_weight: float = option(
+        0.3, "Loss", "with --depth: weight of the relative difference between the rendered depth "
+        "and the maps", minimum=0.0)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.constants import GEOMETRY_REALS, TRANSFORM_REALS
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups, items
+from clsplat.loss.image_loss import is_masked
 from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.primitives.reduce import sum_columns
 from clsplat.rendering.frame_arrays import FrameArray
@@ -29,8 +30,9 @@ _GRADS = dict(grad_depth=("real", "H", "W"), grad_transmittance=("real", "H", "W
 REPROJECT = Kernel(
     "reproject.cl", "reproject", Forms(item=items("H"), group=groups("H", "SCAN_GROUP")),
     width="int", height="int", neighbour_width="int", neighbour_height="int",
-    depth=("real", "H", "W"), transmittance=("real", "H", "W"), photo=("uchar", 3, "H", "W"),
-    neighbour=("uchar", 3, "J", "K"), geometries=("real", "P", GEOMETRY_REALS),
+    masked="int", neighbour_masked="int", depth=("real", "H", "W"),
+    transmittance=("real", "H", "W"), photo=("uchar", "C", "H", "W"),
+    neighbour=("uchar", "D", "J", "K"), geometries=("real", "P", GEOMETRY_REALS),
     colours=("real", "P", TRANSFORM_REALS), pair="uint", **_GRADS, partials=("real", "H", 2))
 SCALE = Kernel("reproject.cl", "scale_gradients", each("count"), count="uint", weight="real",
                sums=("real", 2), **_GRADS)
@@ -78,8 +80,8 @@ def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, 
     ----------
     device : the device of the arrays.
     depth, transmittance : real[H, W], rendered.
-    photo : uchar[3, H, W], of the rendered view.
-    neighbour : uchar[3, H2, W2], the source view's photo.
+    photo : uchar[3 or 4, H, W], of the rendered view.
+    neighbour : uchar[3 or 4, H2, W2], the source view's photo.
     geometries : real[P, 12], of `pack_pairs`.
     colours : real[P, 12], transforms of 3 x 4 from a source photo's display values to the photo's.
     pair : the row of this pair of views in both.
@@ -97,7 +99,8 @@ def reproject(device: Device, depth: Array, transmittance: Array, photo: Array, 
                  grad_transmittance=device.empty(depth.shape))
     partials = device.empty((height, 2))
     device.launch(REPROJECT, width=width, height=height, neighbour_width=neighbour_width,
-                  neighbour_height=neighbour_height, depth=depth, transmittance=transmittance,
+                  neighbour_height=neighbour_height, masked=is_masked(photo),
+                  neighbour_masked=is_masked(neighbour), depth=depth, transmittance=transmittance,
                   photo=photo, neighbour=neighbour, geometries=geometries, colours=colours,
                   pair=pair, **grads, partials=partials)
     sums = sum_columns(device, partials)

@@ -23,7 +23,7 @@ class SourceView(NamedTuple):
 
     Attributes
     ----------
-    photo : uchar[3, H, W], the source view's photo.
+    photo : uchar[3 or 4, H, W], the source view's photo.
     geometries : real[P, 12], of all pairs of views (`reproject.pack_pairs`).
     colours : real[P, 12], transforms of a source photo's display values to the reference photo's.
     pair : the row of this pair in both.
@@ -43,14 +43,16 @@ class TrainingSample:
     ----------
     view : index of the training view.
     camera : real[27], packed.
-    photo : uchar[3, H, W].
+    photo : uchar[3, H, W], or uchar[4, H, W] with a mask (cl/image_loss.cl).
     source : a source view, if a term of this step compares with one.
+    depth : real[H, W], its depth map, 0 where there is none; None: the view has no map.
     """
 
     view: int
     camera: Array
     photo: Array
     source: SourceView | None = None
+    depth: Array | None = None
 
 
 @dataclass(eq=False)
@@ -86,6 +88,7 @@ class LossTerm:
     needs_depth : whether frames need a depth channel; only then may it have a gradient by depth or
         transmittance.
     needs_source : whether it needs a source view; it is left out for views that have none.
+    needs_map : whether it needs a depth map; it is left out for views that have none.
     waits : whether `add_to` waits for the device, to read an array or to write one from the host;
         steps with such a term are not recorded (device/graph.py), and so are slower.
     """
@@ -93,6 +96,7 @@ class LossTerm:
     name: ClassVar[str]
     needs_depth: ClassVar[bool] = False
     needs_source: ClassVar[bool] = False
+    needs_map: ClassVar[bool] = False
     waits: ClassVar[bool] = False
 
     def __init__(self, device: Device, options: TrainOptions) -> None:

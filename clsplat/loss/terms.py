@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clsplat.device import Device
+from clsplat.loss.depth_map import DepthMaps
 from clsplat.loss.image_loss import ImageLoss
 from clsplat.loss.reproject import Reprojection
 from clsplat.loss.term import LossTerm
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 TERMS: tuple[type[LossTerm], ...] = (
     ImageLoss,
     Reprojection,
+    DepthMaps,
 )
 
 

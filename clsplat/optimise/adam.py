@@ -35,35 +35,29 @@ from clsplat.rendering.project import FieldGradients
 LAG = ("last_step", "coefficients", "is_current")  # what checkpoints keep of lazy rows
 HostArrays = dict[str, NDArray[np.floating]]  # field name -> [N, *row shape]
 
-SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of adam_small
-_PARAMETERS = dict(positions=("real", "N", 3), sh_constant=("real", "N", 3),
-                   opacity_logits=("real", "N"), log_scales=("real", "N", 3),
-                   quaternions=("real", "N", 4))
-_MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLUMNS))
+SMALL = tuple(field for field in LEARNED if field.name != "sh_rest")  # fields of the small columns
+_SMALL_MOMENTS = dict(m=("real", "N", SMALL_COLUMNS), v=("real", "N", SMALL_COLUMNS))
+_ROWS = dict(
+    positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3),
+    opacity_logits=("real", "N"), log_scales=("real", "N", 3), quaternions=("real", "N", 4),
+    **_SMALL_MOMENTS, m_rest=("moment", "N", "S"), v_rest=("moment", "N", "S"),
+    last_step=("uint", "N"))
 _COUNTS = dict(counts=("uint", FRAME_COUNTS))
-_LAG = dict(last_step=("uint", "N"), coefficients=("real", CATCH_UP_EVERY, LAG_TERMS))
-STEP_SMALL = Kernel(
-    "adam.cl", "adam_small", Forms(each("work"), each("work STEP_SPREAD")), work="uint",
-    now="uint", first="real", correction="real", share="real",
+_COEFFICIENTS = dict(coefficients=("real", CATCH_UP_EVERY, LAG_TERMS))
+STEP = Kernel(
+    "adam.cl", "adam_step", Forms(each("work"), each("work STEP_SPREAD")), work="uint",
+    now="uint", rank_one="uint", first="real", correction="real", share="real",
     **{f"rate_{field.name}": "real" for field in LEARNED}, **_COUNTS, visible=("uint", "V"),
-    rows=("uint", "V"), grad_positions=("real", "V", 3),
-    grad_colours=("real", "V", 3), grad_opacity_logits=("real", "V"),
-    grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4), **_PARAMETERS, **_MOMENTS,
-    **_LAG)
-STEP_HARMONICS = Kernel(
-    "adam.cl", "adam_harmonics", Forms(each("V"), each("V STEP_SPREAD")), now="uint",
-    rank_one="uint", rate="real", correction="real", **_COUNTS, rows=("uint", "V"),
-    grad_colours=("real", "V", 3), directions=("real", "V", 3), gradient=("real", "G", "H", 3),
-    sh_rest=("real", "N", "K", 3), m=("moment", "N", "S"), v=("moment", "N", "S"))
+    rows=("uint", "V"), grad_positions=("real", "V", 3), grad_colours=("real", "V", 3),
+    grad_opacity_logits=("real", "V"), grad_log_scales=("real", "V", 3),
+    grad_quaternions=("real", "V", 4), directions=("real", "V", 3),
+    grad_sh_rest=("real", "G", "H", 3), **_ROWS, **_COEFFICIENTS)
 CATCH_UP = Kernel(
     "adam.cl", "adam_catch_up", Forms(each("count"), each("count CATCH_UP_SPREAD")), count="uint",
     now="uint", keeps="uint", has_frozen="uint", by_camera="uint", **_COUNTS, camera=("real", "C"),
-    frozen=("uint", "F"), coefficients=("real", CATCH_UP_EVERY, LAG_TERMS),
-    positions=("real", "N", 3), sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3),
-    opacity_logits=("real", "N"), log_scales=("real", "N", 3), quaternions=("real", "N", 4),
-    **_MOMENTS, m_rest=("moment", "N", "S"), v_rest=("moment", "N", "S"), last_step=("uint", "N"))
+    frozen=("uint", "F"), **_COEFFICIENTS, **_ROWS)
 CLEAR = Kernel("adam.cl", "adam_clear", each("count"), count="uint", begin="uint", end="uint",
-               **_MOMENTS)
+               **_SMALL_MOMENTS)
 
 
 def corrections(step: int) -> tuple[float, float]:
@@ -166,29 +160,22 @@ class DeviceAdam:
             the harmonics that are not active, whose number never falls.
         frozen : gradients of frozen gaussians are left out already.
         """
-        device, fields, counts = self.device, gradients.fields, gradients.counts
-        degree, defines = _degree_of(used), self._defines(_degree_of(used))
-        by_colour, nothing = isinstance(fields, FieldGradients), self._others["no_gradient"]
-        colours = fields.grad_colours if isinstance(fields, FieldGradients) else (
-            fields["sh_constant"])
-        m, v = self._moments(len(rows["positions"]))
-        if degree:
-            device.launch(
-                STEP_HARMONICS, defines, now=numbers["now"], rank_one=int(by_colour),
-                rate=numbers["rate_sh_rest"], correction=numbers["correction"], counts=counts,
-                rows=gradients.rows, grad_colours=colours,
-                directions=fields.directions if isinstance(fields, FieldGradients) else colours,
-                gradient=nothing if by_colour else fields["sh_rest"],
-                sh_rest=rows["sh_rest"], m=m["rest"], v=v["rest"])
-        device.launch(
-            STEP_SMALL, defines, work=max(len(gradients.rows), CATCH_UP_EVERY),
-            share=SH_C0 if by_colour else 1.0, counts=counts,
+        fields, by_harmonics = gradients.fields, self._others["no_gradient"]
+        by_colour = isinstance(fields, FieldGradients)
+        if isinstance(fields, FieldGradients):
+            colours, directions = fields.grad_colours, fields.directions
+        else:
+            colours = directions = fields["sh_constant"]  # no directions are read
+            if used["sh_rest"]:
+                by_harmonics = fields["sh_rest"]
+        self.device.launch(
+            STEP, self._defines(_degree_of(used)), work=max(len(gradients.rows), CATCH_UP_EVERY),
+            rank_one=int(by_colour), share=SH_C0 if by_colour else 1.0, counts=gradients.counts,
             **{name: numbers[name] for name in self.NUMBERS if name != "before"},
             visible=gradients.visible, rows=gradients.rows, grad_colours=colours,
+            directions=directions, grad_sh_rest=by_harmonics,
             **{f"grad_{field.name}": fields[field.name] for field in SMALL
-               if field.name != "sh_constant"},
-            **{field.name: rows[field.name] for field in SMALL}, m=m["small"], v=v["small"],
-            **self._lag_of(rows))
+               if field.name != "sh_constant"}, **self._state_of(rows))
 
     def advance(self, step: int, degree: int, rows: Callable[[], Mapping[str, Array]],
                 frozen: Array | None, counts: Array) -> None:
@@ -237,15 +224,13 @@ class DeviceAdam:
 
     def _coast(self, rows: Mapping[str, Array], frozen: Array | None, camera: Array | None,
                keeps: bool, now: float, degree: int, counts: Array | None = None) -> None:
-        m, v = self._moments(len(rows["positions"]))
         self.device.launch(
             CATCH_UP, self._defines(degree), count=len(rows["positions"]), now=now,
             keeps=int(keeps), has_frozen=int(frozen is not None), by_camera=int(camera is not None),
             counts=self._others["no_counts"] if counts is None else counts,
             camera=self._others["no_gradient"].reshaped(3) if camera is None else camera,
             frozen=self._others["none_frozen"] if frozen is None else frozen,
-            **{field.name: rows[field.name] for field in LEARNED}, m=m["small"], v=v["small"],
-            m_rest=m["rest"], v_rest=v["rest"], **self._lag_of(rows))
+            **self._state_of(rows))
 
     def _defines(self, degree: int) -> tuple[tuple[str, int], ...]:
         return _defines(self.harmonics, degree, self.half)
@@ -254,8 +239,13 @@ class DeviceAdam:
         return [{name: array.narrow(count) for name, array in moments.items()}
                 for moments in (self._m, self._v)]
 
-    def _lag_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
-        return {"last_step": self._others["last_step"].narrow(len(rows["positions"])),
+    def _state_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
+        """Rows and moments by the names that they have in the kernels."""
+        count = len(rows["positions"])
+        m, v = self._moments(count)
+        return {**{field.name: rows[field.name] for field in LEARNED}, "m": m["small"],
+                "v": v["small"], "m_rest": m["rest"], "v_rest": v["rest"],
+                "last_step": self._others["last_step"].narrow(count),
                 "coefficients": self._others["coefficients"]}
 
     def regrow(self, source: Array, kept: int, capacity: int) -> None:
@@ -310,7 +300,7 @@ class DeviceAdam:
 
     def upload(self, m: HostArrays, v: HostArrays) -> None:
         """Overwrite the moments with host arrays by field, those of rows that have caught up."""
-        count = len(m["positions"])
+        count = self.count = len(m["positions"])
         rest: list[NDArray[Any]] = [
             moments["sh_rest"].reshape(count, 3 * self.harmonics) for moments in (m, v)]
         if self.half:

@@ -21,5 +21,8 @@ class OptimiseOptions:
     moments: str = option("float", "Optimisation", "how Adam's moments of the spherical harmonics "
                           "are stored on the device: float, or half, which saves a quarter of the "
                           "memory of the model", choices=("float", "half"))
+    position_noise: float = option(
+        0.0, "Optimisation", "random steps of nearly transparent gaussians, as a multiple of the "
+        "learning rate of the positions", minimum=0.0)
     opacity_rate: float = option(0.025, "Optimisation", "learning rate of the opacity logits",
                                  minimum=0.0)

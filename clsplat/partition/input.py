@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsplat.covisibility.source_views import visibility
 from clsplat.errors import InputError
-from clsplat.partition.frame import ground_axes, quantiles, up_axis
+from clsplat.partition.frame import ground_axes, quantiles
 from clsplat.partition.region import Space, map_axes
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class PartitionInput:
         gaussians : a coarse model in the scene's local frame, whose centres are the content. None:
             the sparse points are, each weighted by the number of views that see it.
         views : indices into scene.views of the training views. None: all.
-        up : world. None: it is estimated.
+        up : world. None: that of the scene.
         bounds : X0, Y0, X1, Y1 on the map, see `Space.map`. None: no area of interest is set.
 
         Raises
@@ -76,7 +76,6 @@ class PartitionInput:
         chosen = [scene.views[index] for index in indices]
         local, point, view = visibility(scene, chosen)
         points = world_of(scene, local)
-        rotations = np.array([v.camera.rotation for v in chosen])
         cameras = world_of(scene, [v.camera.position for v in chosen])
         if gaussians is None:
             content, weights = points, np.bincount(point, minlength=len(points)).astype(float)
@@ -87,7 +86,7 @@ class PartitionInput:
             raise InputError(f"{scene.name}: there is nothing to divide among blocks, since no "
                              "training view sees a point; reconstruct the scene again, or train a "
                              "coarse model first")
-        up_world = up_axis(rotations, points) if up is None else np.array(up) / np.linalg.norm(up)
+        up_world = scene.up if up is None else np.array(up) / np.linalg.norm(up)
         if bounds is None:
             area, rotation = None, ground_axes(up_world, content, weights)
         else:

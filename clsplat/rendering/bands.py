@@ -16,7 +16,7 @@ from clsplat.errors import DeviceError
 from clsplat.rendering.bin import HAS_BUCKETS, PAIR_LIMIT, tile_grid
 
 FRAME_SHARE = 0.25  # of the device's memory; the rest is for parameters, moments and photos
-BUFFER_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up by half at most
+BUFFER_SHARE = 2 / 3  # of the largest buffer: the pool rounds sizes up, by a quarter at most
 INDEX_BYTES = 4
 
 

@@ -12,7 +12,7 @@ from clsplat.constants import (
     FRAME_COUNTS,
     SPLAT_REALS,
 )
-from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups, items
 from clsplat.errors import DeviceError
 from clsplat.primitives.sort import parts_of
 
@@ -45,7 +45,7 @@ EMIT = Kernel("bin.cl", "emit_pairs",
                                  keys=("ulong", 2, "P"))),
               **_BAND, **_COUNTS, **_SPLATS, splat_counts=("uint", "V"), offsets=("uint", "V"))
 SORT = Kernel("bin.cl", "sort_tiles", groups("T", "SCAN_GROUP"), room="uint", **_COUNTS,
-              **_RANGES, pair_splats=("uint", "P"), bucket_offsets=("uint", "T"),
+              **_RANGES, **_STEPS, pair_splats=("uint", "P"), bucket_offsets=("uint", "T"),
               keys=("ulong", 2, "P"), sorted_splats=("uint", "P"),
               emission_indices=("uint", "P"), bucket_tiles=("uint", "B"))
 COUNT_TILES = Kernel("bin.cl", "count_tiles", each("V"), tiles_x="int", tiles_y="int", **_COUNTS,
@@ -163,11 +163,15 @@ def _scratch(device: Device, splats: int, tiles: int, order: Array | None) -> di
         return dict(order=order, parts=parts, table=device.empty((parts, tiles), np.uint32),
                     totals=device.empty(parts, np.uint32))
     chunks = -(-splats // device.scan_group)
-    steps = device.empty(tiles + 1, np.uint32)
-    steps.fill(0)
-    return dict(steps=steps, chunks=chunks, totals=device.empty(chunks, np.uint32),
+    return dict(steps=device.zeros_once(*steps_of(device, tiles)[0]), chunks=chunks,
+                totals=device.empty(chunks, np.uint32),
                 first_indices=device.empty(chunks, np.uint32),
                 bucket_offsets=device.empty(tiles, np.uint32))
+
+
+def steps_of(device: Device, tiles: int) -> list[ArraySpec]:
+    """What a recorded frame keeps of its binning, for a number of tiles."""
+    return [] if NEEDS_ORDER.of(device) else [ArraySpec((tiles + 1,), np.uint32)]
 
 
 def _launch(device: Device, kernel: Kernel, **values: Any) -> None:

@@ -1,11 +1,12 @@
 """Blending of splats into an image, and its adjoint (cl/blend.cl)."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from clsplat.constants import FRAME_COUNTS, PAIR_SUMS, SPLAT_REALS
-from clsplat.device import Array, Device, Forms, Kernel, each, groups, items
+from clsplat.constants import FRAME_COUNTS, PAIR_SUMS, SPLAT_REALS, TRANSFORM_REALS
+from clsplat.device import Array, Device, Forms, Kernel, groups, items
 from clsplat.rendering.bin import Pairs
 
 Defines = tuple[tuple[str, int], ...]  # names and values of the build-time choices of a kernel
@@ -15,6 +16,9 @@ _LISTS = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
 _SPLATS = dict(splats=("real", "V", SPLAT_REALS))
 _IMAGE, _DEPTH = dict(image=("real", 3, "H", "W")), dict(depth=("real", "D", "E"))
 _ENDS = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
+_EXPOSURE: dict[str, Any] = dict(
+    view="uint", transforms=("real", "U", TRANSFORM_REALS), camera=("real", "J"),
+    lens_of=("uint", "K"), lenses=("real", "L", "M"), exposed=("real", "F", "G", "I"))
 _BACKGROUND = dict(background=("real", 3))
 _CHECKPOINTS = dict(checkpoints=("real", "B", "X", 4), depth_checkpoints=("real", "C", "Y"))
 
@@ -22,7 +26,7 @@ BLEND = Kernel(
     "blend.cl", "blend",
     Forms(item=items("T"),
           group=groups("T", "TILE TILE", bucket_offsets=("uint", "T"), **_CHECKPOINTS)),
-    **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, **_DEPTH)
+    **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, **_DEPTH, **_EXPOSURE)
 ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
     Forms(item=items("T", **_BACKGROUND),
@@ -32,10 +36,36 @@ ADJOINT = Kernel(
     **_SIZE, **_LISTS, emission_indices=("uint", "P"), **_SPLATS, **_ENDS,
     grad_image=("real", 3, "H", "W"), grad_depth=("real", "D", "E"),
     grad_transmittance=("real", "D", "E"), pair_grads=("real", "P", "S"))
-SUM_PAIRS = Kernel(
-    "blend.cl", "sum_pairs", Forms(item=each("V"), group=each("V S")), carried="uint",
-    counts=("uint", FRAME_COUNTS), splat_counts=("uint", "V"), offsets=("uint", "V"),
-    pair_grads=("real", "P", "S"), totals=("real", "V", "S"))
+
+
+class Vignetting(NamedTuple):
+    """The gain of the lens of a frame's view (clsplat/response.py).
+
+    Attributes
+    ----------
+    camera : real[27], packed.
+    lens_of : uint[T], the lens of each view.
+    lenses : real[L, 4].
+    """
+
+    camera: Array
+    lens_of: Array
+    lenses: Array
+
+
+class Exposure(NamedTuple):
+    """The response of the view of a frame.
+
+    Attributes
+    ----------
+    transforms : real[T, 12], the colour transforms of views.
+    view : the row of the frame's view.
+    vignetting : None: no lens has any.
+    """
+
+    transforms: Array
+    view: int
+    vignetting: Vignetting | None = None
 
 
 @dataclass(eq=False)
@@ -45,6 +75,7 @@ class Blended:
     Attributes
     ----------
     image : real[3, H, W].
+    exposed : real[3, H, W], the image with a view's response; None without one.
     transmittance : real[H, W], the share of the background that is visible.
     last_contributor : int[H, W], index in its band of the last pair that was blended, or a later
         one; -1 if there is none. A frame in slabs has no such array.
@@ -56,17 +87,38 @@ class Blended:
     transmittance: Array
     last_contributor: Array | None
     depth: Array
+    exposed: Array | None = None
     checkpoints: Array | None = None
     depth_checkpoints: Array | None = None
 
 
-def blend_defines(with_depth: bool, smooth_cutoff: bool = False) -> Defines:
-    """The build-time choices of both kernels."""
-    return ("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff))
+@dataclass(frozen=True, eq=False)
+class SplatGrads:
+    """Gradients by splats: the sums over their pairs (cl/include/splat.h).
+
+    Attributes
+    ----------
+    pair_grads : real[P, 9 or 10], by pair, in the order of emission.
+    splat_counts, offsets : uint[V], how many pairs a splat has, and the first of them.
+    earlier : real[V, 9 or 10], the sums over earlier bands; None: zero.
+    """
+
+    pair_grads: Array
+    splat_counts: Array
+    offsets: Array
+    earlier: Array | None = None
+
+
+def blend_defines(with_depth: bool, smooth_cutoff: bool = False, median_depth: bool = False
+                  ) -> Defines:
+    """The build-time choices of both kernels; a median depth has no adjoint."""
+    choices = ("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff))
+    return (*choices, ("MEDIAN_DEPTH", 1)) if with_depth and median_depth else choices
 
 
 def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
-          defines: Defines, result: Blended | None = None) -> Blended:
+          defines: Defines, result: Blended | None = None, exposure: Exposure | None = None
+          ) -> Blended:
     """Blend splats over a background.
 
     Parameters
@@ -78,30 +130,38 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
     background : real[3].
     defines : of `blend_defines`.
     result : that of the bands before, to which the tiles of this one are added; None: a new one.
+    exposure : a response that is applied as well, the same for all bands.
     """
     with_depth = dict(defines)["WITH_DEPTH"]
     if result is None:
-        depth_shape = (height, width) if with_depth else (1, 1)
-        result = Blended(device.empty((3, height, width)), device.empty((height, width)),
-                         device.empty((height, width), np.int32), device.empty(depth_shape))
+        depth_shape, image = (height, width) if with_depth else (1, 1), (3, height, width)
+        result = Blended(device.empty(image), device.empty((height, width)),
+                         device.empty((height, width), np.int32), device.empty(depth_shape),
+                         device.empty(image) if exposure else None)
+    nothing = result.depth.reshaped(1, *result.depth.shape)
+    transforms, view, vignetting = exposure or Exposure(device.empty((1, TRANSFORM_REALS)), 0)
+    camera, lens_of, lenses = vignetting or (background, pairs.counts, transforms)  # not read
     result.checkpoints = result.depth_checkpoints = None  # free those of the band before
     if pairs.bucket_tiles is not None:
         states = len(pairs.bucket_tiles), device.tile**2
         result.checkpoints = device.empty((*states, 4))
         result.depth_checkpoints = device.empty(states if with_depth else (1, 1))
-    device.launch(BLEND, defines, width=width, height=height, tiles_x=pairs.tiles_x,
-                  first_tile=pairs.tiles.start, background=background, ranges=pairs.ranges,
-                  sorted_splats=pairs.sorted_splats, splats=splats, image=result.image,
-                  transmittance=result.transmittance, last_contributor=result.last_contributor,
-                  depth=result.depth, bucket_offsets=pairs.bucket_offsets,
-                  checkpoints=result.checkpoints,
+    device.launch(BLEND, (*defines, ("WITH_EXPOSURE", int(exposure is not None)),
+                          ("WITH_VIGNETTING", int(vignetting is not None))),
+                  width=width, height=height, tiles_x=pairs.tiles_x, first_tile=pairs.tiles.start,
+                  background=background, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
+                  splats=splats, image=result.image, transmittance=result.transmittance,
+                  last_contributor=result.last_contributor, depth=result.depth, view=view,
+                  transforms=transforms, camera=camera, lens_of=lens_of, lenses=lenses,
+                  exposed=nothing if result.exposed is None else result.exposed,
+                  bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
                   depth_checkpoints=result.depth_checkpoints)
     return result
 
 
 def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended, background: Array,
                   grad_image: Array, grad_depth: Array, grad_transmittance: Array,
-                  defines: Defines, splat_grads: Array | None = None) -> Array:
+                  defines: Defines, earlier: Array | None = None) -> SplatGrads:
     """Gradients by splat from gradients by what `blend` made.
 
     Parameters
@@ -110,11 +170,7 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
     blended : what `blend` returned.
     grad_image : real[3, H, W].
     grad_depth, grad_transmittance : real[H, W], or tokens of 1 x 1 without the depth channel.
-    splat_grads : the sums over earlier bands, to which this band is added in place; None: zero.
-
-    Returns
-    -------
-    real[V, 9 or 10], sums over the pixels of each splat (cl/include/splat.h).
+    earlier : real[V, 9 or 10], the sums over earlier bands; None: zero.
     """
     _, height, width = blended.image.shape
     columns = PAIR_SUMS + dict(defines)["WITH_DEPTH"]
@@ -129,10 +185,4 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
                   counts=pairs.counts, bucket_offsets=pairs.bucket_offsets,
                   bucket_tiles=pairs.bucket_tiles,
                   checkpoints=blended.checkpoints, depth_checkpoints=blended.depth_checkpoints)
-    carried = splat_grads is not None
-    if splat_grads is None:
-        splat_grads = device.empty((len(splats), columns))
-    device.launch(SUM_PAIRS, defines, carried=carried, counts=pairs.counts,
-                  splat_counts=pairs.splat_counts, offsets=pairs.offsets, pair_grads=pair_grads,
-                  totals=splat_grads)
-    return splat_grads
+    return SplatGrads(pair_grads, pairs.splat_counts, pairs.offsets, earlier)

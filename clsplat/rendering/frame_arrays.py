@@ -6,12 +6,11 @@ an array of one slot a gaussian. tests/rendering/test_frame_arrays.py compares t
 device allocates, in both forms.
 """
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from clsplat.constants import PAIR_SUMS, SPLAT_REALS
+from clsplat.constants import PAIR_SUMS, SPLAT_REALS, TRANSFORM_REALS
 from clsplat.device import ArraySpec, Device
 from clsplat.device.device import SMALLEST_BYTES
 from clsplat.gaussians import LEARNED
@@ -82,8 +81,8 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
         FrameArray("transmittance", pixels, None, "blend", "project adjoint"),
         FrameArray("last_contributor", pixels, np.int32, "blend", "project adjoint"),
         FrameArray("depth", pixels if with_depth else token, None, "blend", "project adjoint"),
-        FrameArray("pair_grads", (pairs, columns), None, "blend adjoint", "blend adjoint"),
-        FrameArray("splat_grads", (splats, columns), None, "blend adjoint", "project adjoint"),
+        FrameArray("transforms", (1, TRANSFORM_REALS), None, "blend", "blend"),  # a token
+        FrameArray("pair_grads", (pairs, columns), None, "blend adjoint", "project adjoint"),
         *(FrameArray(f"grad_{field.name}", (splats, *field.row_shape(sh_degree)), None,
                      "project adjoint", "adam") for field in LEARNED
           if field.name not in ("sh_constant", "sh_rest")),
@@ -116,26 +115,6 @@ def frame_arrays(device: Device, size: FrameSize, sh_degree: int,
             FrameArray("depth_checkpoints", (buckets, device.tile**2) if with_depth else token,
                        None, "blend", "project adjoint")]
     return arrays
-
-
-def measure_arrays(device: Device, size: FrameSize) -> list[FrameArray]:
-    """The arrays of `Renderer.measure`, for a frame of this number of splats."""
-    tiles = int(np.prod(tile_grid(device, size.width, size.height)))
-    return [*_uints("flags", size.gaussians, "cull", "compact"),
-            *_uints("totals", chunks_of(device, size.gaussians), "cull", "compact"),
-            *_uints("kept", size.gaussians, "compact", "count"),
-            FrameArray("splats", (size.splats, SPLAT_REALS), None, "project", "count"),
-            *_uints("depth_keys", size.splats, "project", "count"),
-            *_uints("steps", tiles + 1, "count", "count")]
-
-
-def by_stage(arrays: Iterable[FrameArray]) -> list[list[FrameArray]]:
-    """The arrays that are alive in each of STAGES."""
-    alive: list[list[FrameArray]] = [[] for _ in STAGES]
-    for array in arrays:
-        for stage in range(STAGES.index(array.first), STAGES.index(array.last) + 1):
-            alive[stage].append(array)
-    return alive
 
 
 def _uints(names: str, count: int, first: str, last: str) -> list[FrameArray]:

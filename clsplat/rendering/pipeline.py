@@ -12,9 +12,25 @@ from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.bin import NEEDS_ORDER, Pairs, TooManyPairs, bin_splats, count_tiles
-from clsplat.rendering.blend import Blended, Defines, blend, blend_adjoint, blend_defines
+from clsplat.rendering.blend import (
+    Blended,
+    Defines,
+    Exposure,
+    SplatGrads,
+    blend,
+    blend_adjoint,
+    blend_defines,
+)
 from clsplat.rendering.cull import cull
-from clsplat.rendering.project import Rows, pack_camera, project, project_adjoint
+from clsplat.rendering.project import (
+    LOW_PASS,
+    Rows,
+    pack_camera,
+    project,
+    project_adjoint,
+    project_defines,
+    sum_pairs,
+)
 
 Bands = tuple[range | None, ...]  # ranges of tiles; None is all tiles
 
@@ -73,6 +89,11 @@ class Frame:
         return self.blended.image
 
     @property
+    def exposed(self) -> Array:
+        """real[3, H, W], the image with a colour transform, where one was given."""
+        return self.image if self.blended.exposed is None else self.blended.exposed
+
+    @property
     def size(self) -> tuple[int, int]:
         """(width, height), pixels."""
         return self.image.shape[2], self.image.shape[1]
@@ -117,6 +138,10 @@ class Renderer:
     antialiased : whether opacities are scaled by the area that the low-pass filter adds (Yu et al.
         2024, Mip-Splatting).
     background : red, green and blue.
+    orthographic : whether its cameras are; such frames have no adjoint.
+    median_depth : the depth channel is the depth at which the transmittance falls to one half, in
+        place of the sum of weight times depth; such frames have no adjoint.
+    low_pass : added to the variances of a splat, pixels squared.
     smooth_cutoff : for tests only (cl/include/footprint.h).
     pair_limit : pairs of tile and splat at a time; a frame that has more is rendered in bands, to
         the same bytes. None: as many as the device has memory for (bands.py).
@@ -130,22 +155,26 @@ class Renderer:
 
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
                  background: Sequence[float] = (0.0, 0.0, 0.0), smooth_cutoff: bool = False,
-                 pair_limit: int | None = None) -> None:
+                 pair_limit: int | None = None, orthographic: bool = False,
+                 median_depth: bool = False, low_pass: float = LOW_PASS) -> None:
         self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
+        self.orthographic, self.median_depth = orthographic, median_depth
+        self.low_pass = low_pass
         self.pair_limit = pair_limit
         self.background, self.skipped, self._token = (
             device.zeros(*spec) for spec in self.ARRAYS)
         self.background.write(background)
-        self._project_defines = (("SH_REST", (sh_degree + 1) ** 2 - 1),
-                                 ("ANTIALIASED", int(antialiased)))
+        self._project_defines = project_defines(sh_degree, antialiased, orthographic)
 
     def pack(self, camera: Camera) -> Array:
         """The camera on the device, for `render`; pack once for each view, not in each step."""
-        return pack_camera(self.device, camera, self.near)
+        if camera.orthographic != self.orthographic:
+            raise ValueError("a renderer is for orthographic cameras, or for pinhole cameras")
+        return pack_camera(self.device, camera, self.near, self.low_pass)
 
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
-               with_depth: bool = False, room: Room | None = None, counts: Array | None = None
-               ) -> Frame:
+               with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
+               exposure: Exposure | None = None) -> Frame:
         """Render gaussians from a camera.
 
         Parameters
@@ -158,6 +187,7 @@ class Renderer:
         room : sizes of the frame's arrays, so that nothing waits for the device; a frame for which
             they are too small fails (cl/include/counts.h). None: exact sizes; waits twice.
         counts : uint[FRAME_COUNTS], for a frame with a room; its sums and its failure go on.
+        exposure : a response, with which the frame also is `exposed`.
         """
         device = self.device
         counts = new_counts(device) if counts is None else counts
@@ -167,9 +197,7 @@ class Renderer:
         order = stable_sort(device, depth_keys, counts)[1] if NEEDS_ORDER.of(device) else None
         pairs, bands = None, room.bands if room else (None,)
         if bands == (None,):
-            limit = self.pair_limit
-            if limit is None:
-                limit = pair_limit(device, width, height, with_depth)
+            limit = self.most_pairs(width, height, with_depth)
             try:
                 pairs = bin_splats(device, splats, counts, order, width, height, limit=limit,
                                    room=room and room.pairs)
@@ -181,10 +209,16 @@ class Renderer:
                 device, splats,
                 pairs or bin_splats(device, splats, counts, order, width, height, band,
                                     room=room and room.pairs),
-                width, height, self.background, self._blend_defines(with_depth), blended)
+                width, height, self.background, self._blend_defines(with_depth), blended, exposure)
         assert blended is not None  # an image has at least one band
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
                      with_depth)
+
+    def most_pairs(self, width: int, height: int, with_depth: bool) -> int:
+        """The largest number of pairs that a band of a frame may have."""
+        if self.pair_limit is not None:
+            return self.pair_limit
+        return pair_limit(self.device, width, height, with_depth)
 
     def measure(self, rows: Rows, camera: Array, width: int, height: int
                 ) -> tuple[int, NDArray[np.int64]]:
@@ -213,7 +247,7 @@ class Renderer:
     def adjoint(self, rows: Rows, frame: Frame, grad_image: Array,
                 grad_depth: Array | None = None,
                 grad_transmittance: Array | None = None, frozen: Array | None = None,
-                statistics: tuple[Array, Array] | None = None) -> Gradients:
+                statistics: tuple[Array, Array] | None = None, masked: bool = False) -> Gradients:
         """Gradients by the gaussians from gradients by a frame (backward pass).
 
         Parameters
@@ -222,33 +256,38 @@ class Renderer:
         frame : what `render` returned.
         grad_image : real[3, H, W].
         grad_depth, grad_transmittance : real[H, W], for a frame with depth; None: zero.
-        frozen, statistics : as for `project_adjoint`.
+        frozen, statistics, masked : as for `project_adjoint`.
         """
+        if self.orthographic or self.median_depth:
+            raise ValueError("orthographic frames and median depths have no adjoint")
         device, zero = self.device, self._token
         if frame.with_depth and (grad_depth is None or grad_transmittance is None):
             zero = device.empty(frame.blended.depth.shape)
             zero.fill(0)
         grads = (grad_image, zero if grad_depth is None else grad_depth,
                  zero if grad_transmittance is None else grad_transmittance)
-        splat_grads = None
-        for band in frame.bands:
-            splat_grads = self._add_band(frame, frame.pairs_of(band), grads, splat_grads)
-        assert splat_grads is not None  # an image has at least one band
+        earlier, (*before, last) = None, frame.bands  # an image has at least one band
+        for band in before:
+            earlier = sum_pairs(
+                device, self._splat_grads(frame, frame.pairs_of(band), grads, earlier),
+                frame.counts, self._project_defines)
+        splat_grads = self._splat_grads(frame, frame.pairs_of(last), grads, earlier)
         fields, means, active = project_adjoint(
             device, rows, frame.visible, frame.counts, frame.camera, frame.sh_degree,
-            self._project_defines, splat_grads, self.skipped, frame.size, frozen, statistics)
+            self._project_defines, splat_grads, self.skipped, frame.size, frozen, statistics,
+            masked)
         return Gradients(fields, means, active, frame.visible, frame.counts)
 
-    def _add_band(self, frame: Frame, pairs: Pairs, grads: tuple[Array, Array, Array],
-                  splat_grads: Array | None) -> Array:
-        """The gradients of a band, added to those of the bands before."""
+    def _splat_grads(self, frame: Frame, pairs: Pairs, grads: tuple[Array, Array, Array],
+                     earlier: Array | None) -> SplatGrads:
+        """The gradients of a band, after those of earlier bands."""
         device, defines = self.device, self._blend_defines(frame.with_depth)
         if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             width, height = frame.size
             blend(device, frame.splats, pairs, width, height, self.background, defines,
                   frame.blended)
         return blend_adjoint(device, frame.splats, pairs, frame.blended, self.background, *grads,
-                             defines, splat_grads)
+                             defines, earlier)
 
     def _blend_defines(self, with_depth: bool) -> Defines:
-        return blend_defines(with_depth, self.smooth_cutoff)
+        return blend_defines(with_depth, self.smooth_cutoff, self.median_depth)

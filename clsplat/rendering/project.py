@@ -1,6 +1,5 @@
 """Gaussians to splats, and the adjoint (cl/project.cl)."""
 
-import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -8,9 +7,9 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Camera
 from clsplat.constants import CAMERA_REALS, FRAME_COUNTS, SPLAT_REALS
-from clsplat.device import Array, ArraySpec, Device, Kernel, each
+from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
 from clsplat.gaussians import LEARNED
-from clsplat.rendering.blend import Defines
+from clsplat.rendering.blend import Defines, SplatGrads
 
 Rows = Mapping[str, Array]  # field name -> real[N, *row shape]
 
@@ -21,18 +20,26 @@ _PARAMETERS = dict(opacity_logits=("real", "N"), log_scales=("real", "N", 3),
                    quaternions=("real", "N", 4))
 _COLOURS = dict(sh_constant=("real", "N", 3), sh_rest=("real", "N", "K", 3))
 _PLACES = dict(camera=("real", CAMERA_REALS), positions=("real", "N", 3))
-PROJECT = Kernel("project.cl", "project", each("V"),
+_PAIRS = dict(splat_counts=("uint", "V"), offsets=("uint", "V"), pair_grads=("real", "P", "S"),
+              earlier=("real", "E", "S"))
+PROJECT = Kernel("project.cl", "project",
+                 Forms(item=each("V"), group=groups("V/PROJECT_GROUP", "PROJECT_GROUP")),
                  counts=("uint", FRAME_COUNTS), rows=("uint", "V"), **_PLACES, **_COLOURS,
                  **_PARAMETERS, splats=("real", "V", SPLAT_REALS), depth_keys=("uint", "V"))
 _BY_COLOUR = dict(grad_colours=("real", "V", 3), directions=("real", "V", 3))
-ADJOINT = Kernel("project.cl", "project_adjoint", each("work"), work="uint",
-                 sum_count="uint", half_width="real", half_height="real",
+ADJOINT = Kernel("project.cl", "project_adjoint",
+                 Forms(item=each("work"), group=groups("work/PROJECT_GROUP", "PROJECT_GROUP")),
+                 work="uint", half_width="real", half_height="real",
                  counts=("uint", FRAME_COUNTS),
-                 rows=("uint", "V"), **_PLACES, **_COLOURS, **_PARAMETERS, sums=("real", "V", "S"),
+                 rows=("uint", "V"), **_PLACES, **_COLOURS, **_PARAMETERS, **_PAIRS,
                  grad_positions=("real", "V", 3), **_BY_COLOUR, grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1),
                  frozen=("uint", "F"), grad_norm_sum=("real", "G"), seen_count=("uint", "H"))
+SUM_PAIRS = Kernel(
+    "project.cl", "sum_pairs",
+    Forms(item=each("V"), group=groups("V/PROJECT_GROUP", "PROJECT_GROUP")),
+    counts=("uint", FRAME_COUNTS), **_PAIRS, totals=("real", "V", "S"))
 HARMONICS = Kernel("project.cl", "harmonics_gradients", each("V"), counts=("uint", FRAME_COUNTS),
                    **_BY_COLOUR, grad_sh_constant=("real", "V", 3),
                    grad_sh_rest=("real", "V", "K", 3))
@@ -78,6 +85,19 @@ class FieldGradients(Mapping[str, Array]):
 
     def __len__(self) -> int:
         return len(LEARNED)
+
+
+def project_defines(sh_degree: int, antialiased: bool, orthographic: bool = False) -> Defines:
+    """The build-time choices of `cull` and `project`.
+
+    Parameters
+    ----------
+    sh_degree : of the stored spherical harmonics.
+    antialiased : whether opacities are scaled by the area that the low-pass filter adds.
+    orthographic : whether cameras are; `project_adjoint` is for pinhole cameras only.
+    """
+    choices = ("SH_REST", (sh_degree + 1) ** 2 - 1), ("ANTIALIASED", int(antialiased))
+    return (*choices, ("ORTHOGRAPHIC", 1)) if orthographic else choices
 
 
 def pack_camera(device: Device, camera: Camera, near: float, low_pass: float = LOW_PASS) -> Array:
@@ -126,45 +146,79 @@ def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: A
 
 
 def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, camera: Array,
-                    sh_degree: int, defines: Defines, splat_grads: Array, skipped: Array,
+                    sh_degree: int, defines: Defines, splat_grads: SplatGrads, skipped: Array,
                     size: tuple[int, int] = (0, 0), frozen: Array | None = None,
-                    statistics: tuple[Array, Array] | None = None
+                    statistics: tuple[Array, Array] | None = None, masked: bool = False
                     ) -> tuple[FieldGradients, Array, Array]:
     """Gradients by the gaussians from gradients by their splats.
 
     Parameters
     ----------
     device, rows, visible, counts, camera, sh_degree, defines : as they were for `project`.
-    splat_grads : real[V, 9 or 10], of `blend_adjoint`.
+    splat_grads : of `blend_adjoint`.
     skipped : uint[1], to which the number of gradients that are not finite is added.
     size : (width, height) of the image, pixels; for the statistics.
     frozen : uint[N], not 0 for gaussians whose gradient is left out; None: none is.
     statistics : real[N] and uint[N], to which the lengths of the screen gradients, in NDC units,
         and the number of views are added; None: they are not needed.
+    masked : whether pixels of the view do not count: then it saw those with a gradient.
 
     Returns
     -------
     The gradients by field; real[V, 2], by the means in pixels; uint[V], the row of each gradient,
     or NO_ROW where it is not finite or left out.
     """
-    choices = ("WITH_FROZEN", int(frozen is not None)), ("WITH_STATISTICS",
-                                                         int(statistics is not None))
-    norms, seen = statistics or (splat_grads.reshaped(math.prod(splat_grads.shape)), skipped)
-    count, defines = len(visible), (*_of_degree(defines, sh_degree), *choices)
+    choices: Defines = (("WITH_FROZEN", int(frozen is not None)),
+                        ("WITH_STATISTICS", int(statistics is not None)))
+    if masked and statistics:
+        choices = (*choices, ("MASKED", 1))
+    summed, pairs = _summed(splat_grads)
+    count, defines = len(visible), (*_of_degree(defines, sh_degree), *choices, *summed)
     stored = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED
               if f.name not in ("sh_constant", "sh_rest")}
+    norms, seen = statistics or (stored["opacity_logits"], skipped)
     grad_colours, directions = device.empty((count, 3)), device.empty((count, 3))
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
-    device.launch(ADJOINT, defines, work=max(count, 1), sum_count=splat_grads.shape[1],
-                  half_width=size[0] / 2, half_height=size[1] / 2, counts=counts,
-                  rows=visible, camera=camera, **_learned(rows), sums=splat_grads,
-                  **{f"grad_{name}": g for name, g in stored.items()}, grad_colours=grad_colours,
-                  directions=directions, grad_means=grad_means, active=active, skipped=skipped,
-                  frozen=skipped if frozen is None else frozen, grad_norm_sum=norms,
-                  seen_count=seen)
+    device.launch(ADJOINT, defines, work=max(count, 1), half_width=size[0] / 2,
+                  half_height=size[1] / 2, counts=counts, rows=visible, camera=camera,
+                  **_learned(rows), **pairs, **{f"grad_{name}": g for name, g in stored.items()},
+                  grad_colours=grad_colours, directions=directions, grad_means=grad_means,
+                  active=active, skipped=skipped, frozen=skipped if frozen is None else frozen,
+                  grad_norm_sum=norms, seen_count=seen)
     gradients = FieldGradients(device, stored, grad_colours, directions,
                                rows["sh_rest"].shape[1], defines, counts)
     return gradients, grad_means, active
+
+
+def sum_pairs(device: Device, splat_grads: SplatGrads, counts: Array, defines: Defines) -> Array:
+    """Add the gradients of a band to those of the bands before.
+
+    Parameters
+    ----------
+    device : the device of the arrays.
+    splat_grads : of `blend_adjoint`, for a band.
+    counts : uint[FRAME_COUNTS], of the frame.
+    defines : the build-time choices of the renderer.
+
+    Returns
+    -------
+    real[V, 9 or 10], the sums over these bands.
+    """
+    summed, pairs = _summed(splat_grads)
+    totals = splat_grads.earlier
+    if totals is None:
+        totals = device.empty((len(splat_grads.offsets), splat_grads.pair_grads.shape[1]))
+    device.launch(SUM_PAIRS, (*_of_degree(defines, 0), *summed), counts=counts, **pairs,
+                  totals=totals)
+    return totals
+
+
+def _summed(splat_grads: SplatGrads) -> tuple[Defines, dict[str, Array]]:
+    """The defines and arguments of kernels that add up the gradients of pairs."""
+    grads, earlier = splat_grads.pair_grads, splat_grads.earlier
+    return ((("SUMS", grads.shape[1]), ("CARRIED", int(earlier is not None))),
+            dict(splat_counts=splat_grads.splat_counts, offsets=splat_grads.offsets,
+                 pair_grads=grads, earlier=grads if earlier is None else earlier))
 
 
 def _learned(rows: Rows) -> dict[str, Array]:

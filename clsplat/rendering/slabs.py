@@ -32,7 +32,13 @@ from clsplat.rendering.bands import BUFFER_SHARE
 from clsplat.rendering.blend import Blended
 from clsplat.rendering.cull import cull
 from clsplat.rendering.pipeline import Frame, Renderer
-from clsplat.rendering.project import LOW_PASS, Rows, clamped_ratios, project
+from clsplat.rendering.project import (
+    LOW_PASS,
+    Rows,
+    clamped_ratios,
+    project,
+    project_defines,
+)
 
 MODEL_SHARE = 0.3  # of the device's memory for a model and its splats; two may be compared
 INDICES = 6  # uints for each gaussian that culling and sorting need
@@ -64,12 +70,15 @@ def gaussian_limit(device: Device, sh_degree: int) -> int:
 
 
 def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: bool = False,
-               background: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[ModelRenderer, Any]:
+               background: Sequence[float] = (0.0, 0.0, 0.0), *, orthographic: bool = False,
+               median_depth: bool = False, low_pass: float = LOW_PASS
+               ) -> tuple[ModelRenderer, Any]:
     """Prepare finished gaussians for rendering.
 
     Parameters
     ----------
-    device, near, antialiased, background : as for `pipeline.Renderer`.
+    device, near, antialiased, background, orthographic, median_depth, low_pass : as for
+        `pipeline.Renderer`.
     gaussians : the model, of any size.
 
     Returns
@@ -79,9 +88,11 @@ def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: b
     settings = device, gaussians.sh_degree, near, antialiased, background
     limit = gaussian_limit(device, gaussians.sh_degree)
     if gaussians.count > limit:
-        return SlabRenderer(*settings, limit), Parts.of(gaussians.rows)
+        return (SlabRenderer(*settings, limit, orthographic, median_depth, low_pass),
+                Parts.of(gaussians.rows))
     rows = {field.name: device.upload(gaussians.rows[field.name]) for field in LEARNED}
-    return Renderer(*settings), rows
+    return Renderer(*settings, orthographic=orthographic, median_depth=median_depth,
+                    low_pass=low_pass), rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +124,7 @@ class Parts:
         largest = np.array([log_scales[piece].max() for piece in pieces], np.float64)
         return cls(rows, firsts, low, high, np.exp(largest))
 
-    def seen(self, camera: Camera, near: float) -> list[slice]:
+    def seen(self, camera: Camera, near: float, low_pass: float = LOW_PASS) -> list[slice]:
         """Slices of the rows that a camera may see: all that `cull` would draw is in one of them.
 
         A footprint reaches into the image from the left if f x/z + c + e > 0, where its half width
@@ -127,8 +138,10 @@ class Parts:
         slack = slack[:, None]
         depth = points[..., 2] + slack
         outside = (depth <= near).all(axis=1)
-        pad = np.sqrt(CUTOFF * LOW_PASS)
-        ratios = np.abs(clamped_ratios(camera)).max(axis=0)
+        if camera.orthographic:
+            depth = np.ones_like(depth)
+        pad = np.sqrt(CUTOFF * low_pass)
+        ratios = np.abs(clamped_ratios(camera)).max(axis=0) * (not camera.orthographic)
         for axis, size in enumerate((camera.width, camera.height)):
             focal, centre, ratio = camera.focal[axis], camera.centre[axis], ratios[axis]
             reach = focal * np.sqrt(CUTOFF * (1 + ratio**2)) * self.scales[:, None]
@@ -163,17 +176,23 @@ class SlabRenderer:
 
     Parameters
     ----------
-    device, sh_degree, near, antialiased, background : as for `pipeline.Renderer`.
+    device, sh_degree, near, antialiased, background, orthographic, low_pass : as for
+        `pipeline.Renderer`.
     limit : gaussians of a slab; None: as many as the device has memory for.
+    median_depth : as for `pipeline.Renderer`. In the slab where the transmittance falls to one half
+        it is the depth at which that slab's own does.
     """
 
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
-                 background: Sequence[float] = (0.0, 0.0, 0.0), limit: int | None = None) -> None:
-        self.device, self.near = device, near
+                 background: Sequence[float] = (0.0, 0.0, 0.0), limit: int | None = None,
+                 orthographic: bool = False, median_depth: bool = False,
+                 low_pass: float = LOW_PASS) -> None:
+        self.device, self.near, self.median_depth = device, near, median_depth
         self.limit = limit or gaussian_limit(device, sh_degree)
         self.background = np.asarray(background, np.float64)
-        self._renderer = Renderer(device, sh_degree, near, antialiased)  # on black
-        self._defines = (("SH_REST", (sh_degree + 1) ** 2 - 1), ("ANTIALIASED", int(antialiased)))
+        self._renderer = Renderer(device, sh_degree, near, antialiased, orthographic=orthographic,
+                                  median_depth=median_depth, low_pass=low_pass)  # on black
+        self._defines = project_defines(sh_degree, antialiased, orthographic)
 
     def pack(self, camera: Camera) -> tuple[Camera, Array]:
         """The camera for `render`: in host memory, to choose the parts, and on the device."""
@@ -195,9 +214,13 @@ class SlabRenderer:
             slab = self._renderer.render(rows, packed, width, height, sh_degree,
                                          with_depth).blended
             image += left * slab.image.download()
-            if with_depth:
+            transmittance = slab.transmittance.download()
+            if with_depth and self.median_depth:
+                found = (left > 0.5) & (transmittance < 1)
+                depth = np.where(found, slab.depth.download(), depth)
+            elif with_depth:
                 depth += left * slab.depth.download()
-            left *= slab.transmittance.download()
+            left *= transmittance
             slabs += 1
         image += left * self.background[:, None, None].astype(real)
         return SlabFrame(Blended(device.upload(image), device.upload(left), None,
@@ -206,7 +229,7 @@ class SlabRenderer:
     def _front_to_back(self, parts: Parts, camera: Camera, packed: Array) -> NDArray[np.int64]:
         """int64[V]: the rows that are drawn, by depth as the device computes it, ties by row."""
         rows, keys = [np.empty(0, np.int64)], [np.empty(0, np.uint32)]
-        for piece in parts.seen(camera, self.near):
+        for piece in parts.seen(camera, self.near, self._renderer.low_pass):
             on_device = {name: self.device.upload(parts.rows[name][piece]) for name in CULL_FIELDS}
             drawn, depth_keys = self._drawn(on_device, packed)
             rows.append(piece.start + drawn.astype(np.int64))

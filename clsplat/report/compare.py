@@ -14,7 +14,10 @@ from clsplat.report.figures import comparison_figure, cost_figure
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
 from clsplat.report.page import Table, as_utf8, folded, headed, page, warning
 
-SCORES = ("psnr_cc", "psnr", "ssim_cc", "ssim")
+SCORES = {"psnr_cc": ("PSNR cc, dB", 2), "psnr": ("PSNR, dB", 2), "ssim_cc": ("SSIM cc", 4),
+          "ssim": ("SSIM", 4), "flip_cc": ("FLIP cc", 4), "flip": ("FLIP", 4),
+          "lpips_cc": ("LPIPS cc", 4), "lpips": ("LPIPS", 4)}  # key -> (title, digits)
+ALWAYS = ("psnr_cc", "psnr", "ssim_cc", "ssim")  # the others only where a run has them
 COSTS = ("pixel_pairs", "kernel_bytes")
 NO_CURVE = ("No curve: no run has more than one evaluation. Train with --eval-every STEPS, an "
             "eighth of -n or less, to see the error over time.")
@@ -133,20 +136,22 @@ def levels_from(groups: Iterable[Sequence[Curve]]) -> list[float]:
 def final_table(result: Mapping[str, Any]) -> Table:
     """The end of the runs, a row for each group."""
     rows = []
+    scores = [key for key in SCORES if key in ALWAYS or any(
+        group["mean"][key] is not None for group in result["groups"])]
     for group in result["groups"]:
         mean, deviation = group["mean"], group["deviation"]
         rows.append((
             group["name"], str(len(group["runs"])),
             ", ".join(str(run["seed"]) for run in group["runs"]),
-            *(_with_spread(mean[key], deviation[key], digits)
-              for key, digits in zip(SCORES, (2, 2, 4, 4))),
+            *(_with_spread(mean[key], deviation[key], SCORES[key][1]) for key in scores),
             "-" if mean["gaussians"] is None else f"{mean['gaussians']:,.0f}",
             _with_spread(mean["train_seconds"], deviation["train_seconds"], 1),
             *("-" if mean[key] is None else f"{mean[key]:.3g}" for key in COSTS)))
-    return Table("At the end", ("group", "runs", "seeds", "PSNR cc, dB", "PSNR, dB", "SSIM cc",
-                                "SSIM", "gaussians", "training, s", "pairs", "bytes"),
-                 rows, range(3, 11),
-                 ("cc: after the colour fit. ± is the standard deviation over the runs of a group.",
+    return Table("At the end", ("group", "runs", "seeds", *(SCORES[key][0] for key in scores),
+                                "gaussians", "training, s", "pairs", "bytes"),
+                 rows, range(3, 7 + len(scores)),
+                 ("cc: after the colour fit. Lower is better for FLIP and LPIPS. ± is the standard "
+                  "deviation over the runs of a group.",
                   "The cost of training does not depend on the machine. Pairs: of gaussian and "
                   "pixel, with all pixels of the tiles that a gaussian touches; bytes: of the "
                   "arrays given to kernels, in every launch."))

@@ -124,7 +124,7 @@ def warnings(groups: Mapping[str, Sequence[Trained]]) -> list[str]:
             ("The runs have different scenes, so no score says which is better",
              ("fingerprint",)),
             ("The runs are scored on different photos or sizes, so scores cannot be compared",
-             ("test_every", "downscale", "max_resolution")),
+             ("test_every", "test_offset", "downscale", "max_resolution")),
             ("The runs used different devices: scores can be compared, times cannot",
              ("opencl_device", "kernel_form")),
             ("The runs were made by different versions of clsplat", ("version", "commit"))):

@@ -2,6 +2,7 @@
 
 import base64
 from html import escape
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,13 +45,13 @@ def _section(pictures: Pictures | None) -> str:
         which = ("No view is held out, so these photos were trained on, and say less about the "
                  f"model than others would. They were chosen from {pictures.count}.")
     colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
-    return (f"<h2>{title}</h2>\n<p>{which} PSNR and SSIM are higher where the two are more similar."
-            "</p>\n<div class=scale><b>error: none</b> "
+    return (f"<h2>{title}</h2>\n<p>{which} PSNR and SSIM are higher, and FLIP is lower, where the "
+            "two are more similar.</p>\n<div class=scale><b>error: none</b> "
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
             f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"
             "<p class=note>The colour fit is a quadratic fit of each render's colours to its "
             "photo; the error is the mean difference of red, green and blue. The PNG files of "
-            "`clsplat eval` have the renders without the fit, too.</p>\n")
+            "<code>clsplat eval</code> have the renders without the fit, too.</p>\n")
 
 
 def _view(view: ShownView) -> str:
@@ -61,8 +62,13 @@ def _view(view: ShownView) -> str:
         f"<figcaption>{caption}</figcaption></figure>" for panel, caption in PANELS)
     return (f"<div class=view>\n<h3>{title}</h3>\n"
             f"<p>PSNR {scores['psnr_cc']:.2f} dB, SSIM {scores['ssim_cc']:.3f} after the colour "
-            f"fit ({scores['psnr']:.2f} dB, {scores['ssim']:.3f} plain)</p>\n"
+            f"fit ({scores['psnr']:.2f} dB, {scores['ssim']:.3f} plain){_flip(scores)}</p>\n"
             f"<div class=panels>\n{panels}\n</div>\n</div>\n")
+
+
+def _flip(scores: dict[str, Any]) -> str:
+    return (f"; FLIP {scores['flip_cc']:.3f} ({scores['flip']:.3f} plain)"
+            if "flip" in scores else "")
 
 
 def _jpeg(pixels: NDArray[np.uint8], description: str) -> str:

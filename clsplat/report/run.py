@@ -17,6 +17,17 @@ from clsplat.report.pictures import pictures_html, with_pictures
 
 FACTS = ("scene", "scene_absolute", "fingerprint", "extent", "offset", "opencl_device",
          "kernel_form", "version", "commit")
+# of the scores: key, title, format
+COLUMNS = (("iteration", "step", ",.0f"), ("train_seconds", "training, s", ",.1f"),
+           ("psnr_cc", "PSNR cc, dB", ".2f"), ("psnr", "PSNR, dB", ".2f"),
+           ("ssim_cc", "SSIM cc", ".4f"), ("ssim", "SSIM", ".4f"))
+PERCEPTUAL = (("flip_cc", "FLIP cc", ".4f"), ("flip", "FLIP", ".4f"),
+              ("lpips_cc", "LPIPS cc", ".4f"), ("lpips", "LPIPS", ".4f"))  # where a run has them
+PREDICTED = ("Held-out views have an exposure that follows from the training photos alone: {:.0%} "
+             "interpolated between those before and after, the rest the mean of all.")
+GAUSSIANS = ("gaussians", "gaussians", ",.0f")
+# comments around the table of scores, by which `renewed` finds it
+BEGIN, END = "<!-- scores -->\n", "<!-- end of scores -->\n"
 FREQUENCY = (
     "<p class=note>The scene frequency is the mean of 1 / size over the gaussians, weighted by how "
     "visible each of them is: it rises as they become finer. The sig schedule continues with finer "
@@ -40,7 +51,7 @@ def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures |
     scores = drawn("PSNR and SSIM over training time", score_figure, records)
     parts = (
         pictures_html(pictures),
-        headed("Scores over training time" if scores else "Scores", scores, score_table(records)),
+        headed("Scores over training time" if scores else "Scores", scores, _scores(records)),
         *more,
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
                                          step_figure, records)),
@@ -51,14 +62,24 @@ def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures |
                                  lead(options, records), html_of(*parts)))
 
 
-def renew_pictures(run: RunFolder, pictures: Pictures) -> Path:
-    """Replace the pictures in the report of a run, and return its path.
+def renew_report(run: RunFolder, pictures: Pictures) -> Path:
+    """Replace the pictures and the table of scores in the report of a run, and return its path.
 
     The report is written anew if it is missing or has no section of pictures.
     """
     html = run.read_report()
     html = html and with_pictures(html, pictures)
-    return run.write_report(html) if html else write_report(run, pictures=pictures)
+    if not html:
+        return write_report(run, pictures=pictures)
+    before, begin, rest = html.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    scores = _scores(run.past_records())
+    return run.write_report(f"{before}{scores}{after}" if begin and end and scores else html)
+
+
+def _scores(records: Sequence[Record]) -> str | None:
+    table = score_table(records)
+    return f"{BEGIN}{table.html()}{END}" if table else None
 
 
 def lead(options: Mapping[str, Any], records: Sequence[Record]) -> str:
@@ -77,20 +98,25 @@ def lead(options: Mapping[str, Any], records: Sequence[Record]) -> str:
         tested = "held-out views" if views is None else f"{views} held-out view{'s' * (views != 1)}"
         text += (f" PSNR on {tested}: {scores[-1]['psnr_cc']:.2f} dB after the colour fit"
                  f"{'' if plain is None else f', {plain:.2f} dB plain'}.")
+        if scores[-1].get("exposure_weight") is not None:
+            text += f" {PREDICTED.format(scores[-1]['exposure_weight'])}"
     return f"{text} Schedule {options.get('schedule', '?')}, seed {options.get('seed', '?')}."
 
 
 def score_table(records: Sequence[Record]) -> Table | None:
     """A row for each evaluation; None without any."""
-    rows = [(_number(record, "iteration", ",.0f"), _number(record, "train_seconds", ",.1f"),
-             *(_number(record, key, form) for key, form in (
-                 ("psnr_cc", ".2f"), ("psnr", ".2f"), ("ssim_cc", ".4f"), ("ssim", ".4f"),
-                 ("gaussians", ",.0f"))))
-            for record in records if record.get("event") == "eval"]
-    return Table("", ("step", "training, s", "PSNR cc, dB", "PSNR, dB", "SSIM cc", "SSIM",
-                      "gaussians"), rows, range(7),
-                 ("Means over the held-out views; cc: after a quadratic fit of each render's "
-                  "colours to its photo.",)) if rows else None
+    evaluations = [record for record in records if record.get("event") == "eval"]
+    columns = [*COLUMNS, *(column for column in PERCEPTUAL if any(
+        record.get(column[0]) is not None for record in evaluations)), GAUSSIANS]
+    rows = [tuple(_number(record, key, form) for key, _, form in columns)
+            for record in evaluations]
+    note = ("Means over the held-out views; cc: after a quadratic fit of each render's colours to "
+            "its photo.")
+    if len(columns) > len(COLUMNS) + 1:
+        note += (" FLIP and LPIPS, lower is better, are close to what people see; they are "
+                 "computed for the finished model only.")
+    return Table("", tuple(title for _, title, _ in columns), rows, range(len(columns)),
+                 (note,)) if rows else None
 
 
 def plan_table(records: Sequence[Record]) -> Table | None:

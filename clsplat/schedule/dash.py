@@ -52,7 +52,7 @@ class Dash(Constant):
         return int(GROWS_SHARE * options.iterations)
 
     @classmethod
-    def planned_levels(cls, options: TrainOptions, size: tuple[int, int]) -> tuple[None, str]:
+    def planned_levels(cls, options: TrainOptions, facts: SceneFacts) -> tuple[None, str]:
         """See `Schedule.planned_levels`."""
         return None, "computed from the photos' spectra when training begins"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -53,6 +54,8 @@ class SceneFacts:
     inverse_distance : 1 / world unit; mean of 1 / distance to the nearest other sparse point.
     photos : returns an iterator over all training photos uint8[3, H, W], which are read anew.
     pixels : number of pixels in all training photos.
+    overlap : number of training photos that show a place, in the mean (covisibility/overlap.py);
+        nan: not known.
     """
 
     size: tuple[int, int]
@@ -60,6 +63,7 @@ class SceneFacts:
     inverse_distance: float
     photos: Callable[[], Iterator[NDArray[np.uint8]]]
     pixels: int
+    overlap: float = math.nan
 
 
 class Schedule:
@@ -82,7 +86,9 @@ class Schedule:
         "spheres", "reprojection", and the `part` of its own options. Options of other parts are
         refused.
     Options : frozen dataclass of the schedule's own options (config/option.py), or None.
-    selection : how growth selects gaussians: "threshold", "highest" or "score" (densify/select.py).
+    selection : how growth selects gaussians: "threshold", "highest" or "score" (densify/select.py);
+        or "relocation" (densify/relocate.py), which needs no statistics, and in place of pruning
+        makes dead gaussians copies of others.
     observe_every : steps between calls of `observe`.
     latest : values of the last `observe`, which metrics.jsonl records.
     options : with scaled steps; a time budget replaces them between steps, as it moves the end.
@@ -111,20 +117,26 @@ class Schedule:
         return STEPS_A_ROUND
 
     @classmethod
-    def planned_levels(cls, options: TrainOptions, size: tuple[int, int]
+    def planned_levels(cls, options: TrainOptions, facts: SceneFacts
                        ) -> tuple[tuple[float, ...] | None, str]:
         """Say before training which levels will come.
 
         Parameters
         ----------
         options : with scaled steps.
-        size : (width, height) of the smallest training image, pixels.
+        facts : about the scene.
 
         Returns
         -------
         (the levels, or None if they are known only in training; a sentence for the user).
         """
-        return cls.levels, f"{listed(cls.levels)}: {sizes_text(cls.levels, size)}"
+        return cls.levels, f"{listed(cls.levels)}: {sizes_text(cls.levels, facts.size)}"
+
+    @classmethod
+    def planned_limit(cls, options: TrainOptions, facts: SceneFacts) -> tuple[int | None, str]:
+        """(Limit, sentence for the user): up to how many gaussians the model may grow at the finest
+        level, None where the schedule has no limit; arguments as for `planned_levels`."""
+        return None, "none: the schedule has no limit"
 
     @classmethod
     def options_of_block(cls, options: TrainOptions) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from clsplat.config.option import option
@@ -10,9 +11,10 @@ from clsplat.schedule.plan import Schedule
 
 GROUP = "clsplat.schedules"  # of entry points: NAME = MODULE:SUBCLASS_OF_SCHEDULE
 OURS = {name: EntryPoint(name, f"clsplat.schedule.{name}:{name.title()}", GROUP)
-        for name in ("sig", "constant", "dash", "taming")}
+        for name in ("sig", "constant", "dash", "taming", "mcmc")}
 
 
+@cache  # reading what every installed package registers takes 15 ms
 def others() -> dict[str, EntryPoint]:
     """The schedules that other packages of this environment register."""
     return {entry.name: entry for entry in sorted(entry_points(group=GROUP))
@@ -51,4 +53,5 @@ class ScheduleOptions:
 
     schedule: str = option("sig", "Schedule", "how resolution and growth are decided: sig follows "
                            "the scene frequency; constant is 3DGS; dash is DashGaussian; taming is "
-                           "Taming 3DGS", main=True, choices=tuple(OURS), more=others)
+                           "Taming 3DGS; mcmc is 3DGS-MCMC", main=True, choices=tuple(OURS),
+                           more=others)

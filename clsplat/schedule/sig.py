@@ -2,14 +2,16 @@
 
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
-than its pixels can determine: with 59 parameters a gaussian and 3 values a pixel, fewer than 20
-pixels each would leave more unknowns than measurements. The paper has no safeguards; ours: rounds
-of growth disturb the frequency, so it is tested only after them, several tests in a row must agree,
-and each coarser level has a deadline, a share of the run, so that the finest always gets its time.
-The tests `paper` and `release` have no safeguards, as published.
+than its pixels can determine. Pixels of several photos that show the same place are no new places,
+and a gaussian needs a number of places: the more photos overlap, the more pixels it needs. The
+paper has no safeguards; ours: rounds of growth disturb the frequency, so it is tested only after
+them, several tests in a row must agree, and each coarser level has a deadline, a share of the run,
+so that the finest always gets its time. The tests `paper` and `release` have no safeguards, as
+published.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +31,10 @@ SAMPLES_A_LEVEL = 8
 SETTLE_SHARE = 0.2  # of a level at most pass before its first round of growth (densify_from)
 GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are trained
 ROUND_STEPS = (100, 200)  # least and most between rounds of growth
+PLACES_A_GAUSSIAN = 2.5  # pixels that show different places
+LEAST_PIXELS_A_GAUSSIAN = 10.0  # where few photos overlap: it has 59 parameters, a pixel 3 values
+USUAL_OVERLAP = 16.0  # photos that show a place, where no sparse point tells
+LEAST_STEPS = 2 * ROUND_STEPS[0]  # of a level: in fewer, what it begins has no time to settle
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
@@ -75,9 +81,11 @@ class SigOptions:
         minimum=0.0, part="sig")
     convergence_hits: int = option(2, "Levels", "tests in a row that must find convergence",
                                    minimum=1, part="sig")
-    level_share: float = option(0.7, "Levels", "share of the run that the coarser levels may take "
-                                "together; all: they have no deadlines", words={"all": 1.0},
-                                minimum=0.0, maximum=1.0, part="sig")
+    level_share: float = option(
+        AUTO, "Levels", "share of the run that the coarser levels may take together, each in "
+        "proportion to its resolution; auto: as much as its resolution is of that of all levels; "
+        "all: they have no deadlines", words={AUTO: AUTO, "all": 1.0}, minimum=0.0, maximum=1.0,
+        part="sig")
     rounds: int = option(12, "Levels", "largest number of rounds of growth at each level; all: "
                          "rounds at fixed intervals, as --schedule constant has them",
                          words={"all": 0}, minimum=1, part="sig")
@@ -85,8 +93,9 @@ class SigOptions:
                                "that gaussians which the sharper images do not need are pruned",
                                part="sig")
     pixels_per_gaussian: float = option(
-        40.0, "Levels", "the model grows only while each gaussian has at least this many training "
-        "pixels, at the level's size", minimum=0.0, part="sig")
+        AUTO, "Levels", "the model grows only while each gaussian has at least this many training "
+        "pixels, at the level's size; auto: fewer where few photos show the same place",
+        words={AUTO: AUTO, "none": 0.0}, minimum=0.0, part="sig")
 
 
 class Sig(Schedule):
@@ -106,13 +115,27 @@ class Sig(Schedule):
         return 0 if options.rounds else super().grows_every(options)
 
     @classmethod
-    def planned_levels(cls, options: "TrainOptions", size: tuple[int, int]
+    def planned_levels(cls, options: "TrainOptions", facts: SceneFacts
                        ) -> tuple[tuple[float, ...], str]:
         """See `Schedule.planned_levels`."""
-        levels = chosen_levels(options.levels, size)
-        sizes = sizes_text(levels, size)
+        levels = chosen_levels(options, facts.size)
+        sizes = sizes_text(levels, facts.size)
         return levels, (f"{listed(levels)}: requested; {sizes}" if options.levels else
-                        f"{listed(levels)}: {sizes}; sides below {SMALLEST_SIDE} are left out")
+                        f"{listed(levels)}: {sizes}; sides below {SMALLEST_SIDE}, and levels "
+                        f"shorter than {LEAST_STEPS} steps, are left out")
+
+    @classmethod
+    def planned_limit(cls, options: "TrainOptions", facts: SceneFacts) -> tuple[int | None, str]:
+        """See `Schedule.planned_limit`."""
+        each = pixels_per_gaussian(options, facts.overlap)
+        if not each:
+            return None, "none: requested"
+        limit = int(most_gaussians(options, facts, 1.0))
+        if isinstance(options.pixels_per_gaussian, float):
+            return limit, f"{limit:,}: one for each {each:g} training pixels, as requested"
+        shown = (f"as {facts.overlap:.1f} photos show the same place" if facts.overlap > 0 else
+                 "as no sparse point tells how much the photos overlap")
+        return limit, f"{limit:,}: one for each {each:.1f} training pixels, {shown}"
 
     @classmethod
     def options_of_block(cls, options: "TrainOptions") -> dict[str, Any]:
@@ -121,7 +144,8 @@ class Sig(Schedule):
 
     def __init__(self, options: "TrainOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
-        self.levels = chosen_levels(options.levels, facts.size)
+        self.levels = chosen_levels(options, facts.size)
+        self.shares = level_shares(self.levels, options.level_share)
         self.index = 0
         self.began = 0  # steps taken before this level
         self.rounds_taken = self.carried = 0
@@ -143,24 +167,19 @@ class Sig(Schedule):
     @property
     def allotment(self) -> float:
         """Number of steps that this level may take."""
-        o = self.options
-        if self.last:
-            return o.iterations - self.began
-        return o.level_share * o.iterations / (len(self.levels) - 1)
+        steps = self.options.iterations
+        return steps - self.began if self.last else self.shares[self.index] * steps
 
     @property
     def ceiling(self) -> float:
         """Number of gaussians that this level's pixels can determine."""
-        if not self.options.pixels_per_gaussian:
-            return math.inf
-        pixels = self.facts.pixels / self.levels[self.index] ** 2
-        return math.floor(pixels / self.options.pixels_per_gaussian)
+        return most_gaussians(self.options, self.facts, self.levels[self.index])
 
     @property
     def observe_every(self) -> int:  # type: ignore[override]  # read-only here
         """Steps between samples of the frequency."""
-        share = self.options.level_share * self.options.iterations / len(self.levels)
-        return max(1, min(OBSERVE_STEPS, int(share / SAMPLES_A_LEVEL)))
+        steps = min(self.shares, default=1.0) * self.options.iterations
+        return max(1, min(OBSERVE_STEPS, int(steps / SAMPLES_A_LEVEL)))
 
     @property
     def every(self) -> int:
@@ -243,7 +262,7 @@ class Sig(Schedule):
                        "threshold": verdict.threshold, "hits": self.hits}
         if self.hits >= o.convergence_hits:
             reason = "converged"
-        elif o.level_share < 1 and since + self.observe_every > self.allotment:
+        elif o.level_share != 1 and since + self.observe_every > self.allotment:
             reason = "deadline"
         else:
             return None
@@ -254,9 +273,9 @@ class Sig(Schedule):
 
     def ahead(self, iteration: int) -> list[tuple[float, float]]:
         """See `Schedule.ahead`: coarser levels until their deadline, the rest at the finest."""
-        coarser: list[tuple[float, float]] = []
-        if not self.last:
-            coarser = [(level, self.allotment) for level in self.levels[self.index:-1]]
+        coarser = [(level, share * self.options.iterations) for level, share
+                   in zip(self.levels[self.index:], self.shares[self.index:])]
+        if coarser:
             coarser[0] = coarser[0][0], max(0, self.allotment - (iteration - self.began))
         rest = self.options.iterations - iteration - sum(steps for _, steps in coarser)
         return [*coarser, (self.levels[-1], max(0, rest))]
@@ -291,18 +310,58 @@ class Sig(Schedule):
             setattr(self, name, value)
 
 
-def chosen_levels(levels: tuple[float, ...], size: tuple[int, int]) -> tuple[float, ...]:
-    """The down-sampling factors of a training.
-
-    InputError where a requested factor would make an image smaller than a tile; the default ones
-    leave out sides below SMALLEST_SIDE.
+def level_shares(levels: Sequence[float], together: float | str) -> tuple[float, ...]:
+    """The share of the run that each of the coarser levels may take, in proportion to its
+    resolution.
 
     Parameters
     ----------
-    levels : the requested ones; empty for the default ones.
-    size : (width, height) of the smallest training image, pixels.
+    levels : down-sampling factors, from coarse to fine.
+    together : of all coarser levels; auto: the finest, too, has its share in proportion.
     """
-    side = min(size)
+    *coarser, finest = (1 / level for level in levels)
+    if isinstance(together, str):
+        together = sum(coarser) / (sum(coarser) + finest)
+    return tuple(together * resolution / sum(coarser) for resolution in coarser)
+
+
+def pixels_per_gaussian(options: "TrainOptions", overlap: float) -> float:
+    """The least number of training pixels for each gaussian; 0: any number.
+
+    Parameters
+    ----------
+    options : of the training.
+    overlap : number of photos that show a place; nan: not known.
+    """
+    requested: str | float = options.pixels_per_gaussian
+    if isinstance(requested, float):
+        return requested
+    overlap = USUAL_OVERLAP if math.isnan(overlap) else overlap
+    return max(LEAST_PIXELS_A_GAUSSIAN, PLACES_A_GAUSSIAN * overlap)
+
+
+def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> float:
+    """Number of gaussians that the training pixels of a level can determine; may be inf."""
+    each = pixels_per_gaussian(options, facts.overlap)
+    return math.floor(facts.pixels / level**2 / each) if each else math.inf
+
+
+def chosen_levels(options: "TrainOptions", size: tuple[int, int]) -> tuple[float, ...]:
+    """The down-sampling factors of a training.
+
+    The default ones leave out sides below SMALLEST_SIDE, and the coarsest levels for which there is
+    no time.
+
+    Parameters
+    ----------
+    options : with scaled steps.
+    size : (width, height) of the smallest training image, pixels.
+
+    Raises
+    ------
+    InputError : a requested factor would make an image smaller than a tile.
+    """
+    levels, side = options.levels, min(size)
     if levels:
         if int(side / levels[0]) < TILE and levels[0] > 1:
             raise InputError(
@@ -310,4 +369,8 @@ def chosen_levels(levels: tuple[float, ...], size: tuple[int, int]) -> tuple[flo
                 f"{int(size[1] / levels[0])} pixels, less than a tile of {TILE}; use smaller "
                 "factors, or a smaller --downscale")
         return levels
-    return tuple(level for level in LEVELS if level == 1 or side / level >= SMALLEST_SIDE)
+    levels = tuple(level for level in LEVELS if level == 1 or side / level >= SMALLEST_SIDE)
+    while (shares := level_shares(levels, options.level_share)) and (
+            shares[0] * options.iterations < LEAST_STEPS):
+        levels = levels[1:]
+    return levels

@@ -73,7 +73,7 @@ def largest(segments: Sequence[Segment]) -> int:
 
 
 def _grown(schedule: Schedule, iteration: int, count: int, densified: float) -> int:
-    """Number of gaussians after a round of growth, as in `training.step.Step`."""
+    """Number of gaussians after a round of growth, as in `training.growth.Round`."""
     above = int(min(densified, MOST_DENSIFIED * count))
     target, limit = schedule.target(iteration, count, above), schedule.options.max_gaussians
     if limit:

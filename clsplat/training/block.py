@@ -5,7 +5,7 @@ from typing import Any
 from clsplat.config.option import differences
 from clsplat.device import choose_device
 from clsplat.errors import InputError
-from clsplat.io.city import BlockFolder
+from clsplat.io.city import DEPTH, BlockFolder
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions, checked, resolve
@@ -13,17 +13,18 @@ from clsplat.training.loop import resume, train
 from clsplat.training.progress import SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
-DECIDED = ("exposure", "sh_degree")
+DECIDED = ("exposure", "vignetting", "sh_degree")
 MAY_DIFFER = "init"  # a path in the block's folder, which may have been moved
 
 
 def decided_by(coarse: RunFolder) -> dict[str, Any]:
     """{option: value} that a coarse run has decided for all blocks."""
     decisions, path = coarse.read_options().get("decisions"), coarse.path / OPTIONS
-    if not isinstance(decisions, dict) or not set(DECIDED) <= set(decisions):
+    known = {"vignetting": "off", **decisions} if isinstance(decisions, dict) else {}  # of old runs
+    if not set(DECIDED) <= set(known):
         raise InputError(f"{path}: damaged (decisions is {str(decisions)[:20]!r}); remove "
                          f"{coarse.path}, and train it again")
-    return {name: checked(str(path), name, decisions[name]) for name in DECIDED}
+    return {name: checked(str(path), name, known[name]) for name in DECIDED}
 
 
 def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[str, Any]:
@@ -38,7 +39,9 @@ def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[st
     decided : those of `decided_by`.
     """
     given = {name: value for name, value in given.items() if name != "images"}  # it has links
-    return {"sh_every": 1, **given, **decided, "coarse": False, "test_every": 0}
+    depth = {"depth": DEPTH} if given.get("depth") else {}
+    return {"sh_every": 1, **given, **depth, **decided, "coarse": False, "test_every": 0,
+            "test_offset": 0}
 
 
 def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:

@@ -42,6 +42,7 @@ class TimeBudget:
     elapsed : seconds spent before the first step.
     saved_bytes : size of checkpoint and model.
     evaluations : requested number, evenly over the time; EVALUATION_SHARE may allow fewer.
+    last_extra : seconds by which the last evaluation, which has more metrics, takes longer.
 
     Attributes
     ----------
@@ -49,8 +50,9 @@ class TimeBudget:
     """
 
     def __init__(self, seconds: float, evaluation_seconds: float, elapsed: float,
-                 saved_bytes: float, evaluations: int = 1) -> None:
+                 saved_bytes: float, evaluations: int = 1, last_extra: float = 0.0) -> None:
         self.seconds, self.evaluation_seconds = seconds, evaluation_seconds
+        self.last_extra = last_extra
         self.rate = BYTES_PER_SECOND
         self.pending = 0  # evaluations to come before the last one
         self.step_seconds: dict[float, float] = {}  # level -> seconds
@@ -69,8 +71,8 @@ class TimeBudget:
 
     def reserve(self, saved_bytes: float) -> float:
         """Seconds to reserve for evaluations to come, files and the page."""
-        return (self.evaluation_seconds * (1 + self.pending) + saved_bytes / self.rate
-                + REPORT_SECONDS + RESERVE_SHARE * self.seconds)
+        return (self.evaluation_seconds * (1 + self.pending) + self.last_extra
+                + saved_bytes / self.rate + REPORT_SECONDS + RESERVE_SHARE * self.seconds)
 
     def evaluates(self, elapsed: float) -> bool:
         """Whether an evaluation is due now, other than the last one."""

@@ -1,10 +1,11 @@
 """A training that ends in time: its schedule is fitted to what a time budget leaves."""
 
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from clsplat.config.option import AUTO
-from clsplat.evaluation.views import evaluate_views
+from clsplat.evaluation.views import METRICS, Metric, evaluate_views
 from clsplat.options import seconds_of
 from clsplat.schedule import Plan
 from clsplat.training.budget import FAR_FROM_END, RESET_RECOVERY, TimeBudget
@@ -20,22 +21,30 @@ COMPARED_VIEWS = 4  # training views by which two models are compared
 class Deadline:
     """Adapts the number of steps of a session to the time that its steps take.
 
+    Parameters
+    ----------
+    session, clock : of the training.
+    final_metrics : of the last evaluation.
+
     Attributes
     ----------
     budget : estimates the number of steps.
     """
 
-    def __init__(self, session: Session, clock: Clock) -> None:
+    def __init__(self, session: Session, clock: Clock, final_metrics: Mapping[str, Metric]) -> None:
         self.session, self.clock = session, clock
         self._rollback: Rollback | None = None
-        options, each = session.options, 0.0
-        for view in 2 * session.test_views[:1]:  # twice: the first time compiles kernels
+        options, view = session.options, session.test_views[:1]
+        each, last = 0.0, 0.0
+        for metrics in (METRICS, METRICS, final_metrics) if view else ():  # the first compiles
             begin = time.perf_counter()
-            evaluate_views(session.renderer, session.model.rows, options.sh_degree, [view])
-            each = time.perf_counter() - begin
+            evaluate_views(session.renderer, session.model.rows, options.sh_degree, view,
+                           metrics=metrics)
+            each, last = last, time.perf_counter() - begin
         self.budget = TimeBudget(
             seconds_of(options.time_budget), each * len(session.test_views), clock.elapsed(),
-            self._checkpoint_bytes(), EVALUATIONS if options.eval_every == AUTO else 1)
+            self._checkpoint_bytes(), EVALUATIONS if options.eval_every == AUTO else 1,
+            (last - each) * len(session.test_views))
         self.note_change()
 
     def begin(self) -> None:
@@ -93,10 +102,11 @@ class Deadline:
         None.
         """
         session, kept, self._rollback = self.session, self._rollback, None
-        if kept and session.iteration < kept.iteration + RESET_RECOVERY and kept.restore_if_better(
-                session.step, session.scoring_views()[:COMPARED_VIEWS]):
-            return kept.iteration
-        return None
+        if not kept or session.iteration >= kept.iteration + RESET_RECOVERY:
+            return None
+        session.step.release()  # the copy may need the memory of frames
+        views = session.scoring_views()[:COMPARED_VIEWS]
+        return kept.iteration if kept.restore_if_better(session.step, views) else None
 
     def state(self) -> dict[str, Any]:
         """State for a checkpoint, of types that JSON has."""

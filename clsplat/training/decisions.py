@@ -12,12 +12,14 @@ import numpy as np
 from clsplat.config.option import AUTO
 from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
 from clsplat.covisibility.source_views import ViewSpread, choose_source_views, view_spread
+from clsplat.covisibility.vignetting import DARKENS, corner_darkening
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts, schedule_of
 from clsplat.schedule.simulate import largest, simulate
+from clsplat.training.facts import scene_facts
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM, model_bytes
 from clsplat.training.photos import at_level, decoded
 
@@ -53,11 +55,13 @@ class Decisions:
     ----------
     options : with values instead of "auto" where the scene decides.
     neighbours : indices of the source views of each training view; None if no loss term uses them.
+    facts : what the schedule knows about the scene; gaussians begin at the sparse points.
     parts : name of a part -> its decision.
     """
 
     options: TrainOptions
     neighbours: list[list[int]] | None
+    facts: SceneFacts
     parts: dict[str, Decision]
 
     @property
@@ -86,15 +90,18 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     exposure = _exposure(scene, views, options)
     neighbours, reproject = _neighbours(scene, views, options)
     spread = view_spread(scene, scene.views)  # held-out views must be served, too
-    parts = {"levels": _levels(views, options), "sh_degree": _degree(spread, options),
-             "antialiased": _antialiased(spread, options), "exposure": exposure,
+    facts, schedule = scene_facts(scene, views), schedule_of(options.schedule)
+    parts = {"levels": Decision(*schedule.planned_levels(options, facts)),
+             "gaussians": Decision(*schedule.planned_limit(options, facts)),
+             "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
+             "exposure": exposure, "vignetting": _vignetting(scene, views, options, exposure),
              "reproject": reproject}
-    decided = ("sh_degree", "exposure", "reproject")
+    decided = ("sh_degree", "exposure", "vignetting", "reproject")
     options = dataclasses.replace(options, **{name: parts[name].value for name in decided})
     if device is not None:
-        parts["engine"] = _engine(scene, views, options, device)
+        parts["engine"] = _engine(facts, options, device)
         options = dataclasses.replace(options, engine=parts["engine"].value)
-    return Decisions(options, neighbours, parts)
+    return Decisions(options, neighbours, facts, parts)
 
 
 def needed_degree(cap: float) -> int:
@@ -119,11 +126,6 @@ def needed_degree(cap: float) -> int:
 
 def _requested(value: Any) -> Decision:
     return Decision(value, f"{value}: requested", requested=True)
-
-
-def _levels(views: Sequence[View], options: TrainOptions) -> Decision:
-    """The levels that the schedule plans."""
-    return Decision(*schedule_of(options.schedule).planned_levels(options, smallest_size(views)))
 
 
 def _degree(spread: ViewSpread, options: TrainOptions) -> Decision:
@@ -154,13 +156,36 @@ def _antialiased(spread: ViewSpread, options: TrainOptions) -> Decision:
 def _exposure(scene: Scene, views: Sequence[View], options: TrainOptions) -> Decision:
     if options.exposure != AUTO:
         return _requested(options.exposure)
-    chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
-    side = max(max(v.camera.width, v.camera.height) for v in chosen)
-    small = at_level(chosen, max(1.0, side / SMALL_SIDE))
+    small = _small_photos(views)
     drift = exposure_drift(small, decoded(small), scene.points, scene.colours)
     value = "on" if drift >= DRIFTS else "off"
-    return Decision(value, f"{value}: the brightness of {len(chosen)} photos varies by "
+    return Decision(value, f"{value}: the brightness of {len(small)} photos varies by "
                     f"{100 * drift:.1f} % ({100 * DRIFTS:.1f} % counts as drift)")
+
+
+def _vignetting(scene: Scene, views: Sequence[View], options: TrainOptions, exposure: Decision
+                ) -> Decision:
+    """On only with exposures, with which it is learned."""
+    if exposure.value == "off":
+        if options.vignetting == "on":
+            raise InputError("--vignetting on: is learned with exposures only; add --exposure on")
+        return Decision("off", "off: exposures are not learned")
+    if options.vignetting == "off":
+        return Decision("off", "off: not requested")
+    if options.vignetting != AUTO:
+        return _requested(options.vignetting)
+    small = _small_photos(views)
+    darker = corner_darkening(small, decoded(small), scene.points)
+    value = "on" if darker >= DARKENS else "off"
+    return Decision(value, f"{value}: the corners of {len(small)} photos are {100 * darker:.1f} % "
+                    f"darker than their middle ({100 * DARKENS:.1f} % counts as vignetting)")
+
+
+def _small_photos(views: Sequence[View]) -> tuple[View, ...]:
+    """Some of the views, with small photos."""
+    chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
+    side = max(max(v.camera.width, v.camera.height) for v in chosen)
+    return at_level(chosen, max(1.0, side / SMALL_SIDE))
 
 
 def _neighbours(scene: Scene, views: Sequence[View], options: TrainOptions
@@ -180,22 +205,14 @@ def _neighbours(scene: Scene, views: Sequence[View], options: TrainOptions
     return None, Decision("off", "off: no two photos share 20 sparse points")
 
 
-def _engine(scene: Scene, views: Sequence[View], options: TrainOptions, device: Device
-            ) -> Decision:
+def _engine(facts: SceneFacts, options: TrainOptions, device: Device) -> Decision:
     """The Adam engine: on the device if the largest model, with room to grow, fits."""
     if options.engine != AUTO:
         return _requested(options.engine)
-    pixels = sum(view.camera.width * view.camera.height for view in views)
-    facts = SceneFacts(smallest_size(views), len(scene.points), 1.0, lambda: iter(()), pixels)
-    count = largest(simulate(schedule_of(options.schedule)(options, facts)))
+    unseen = dataclasses.replace(facts, photos=lambda: iter(()))  # reading them would take long
+    count = largest(simulate(schedule_of(options.schedule)(options, unseen)))
     needed = model_bytes(device, options.sh_degree, int(GROWTH_ROOM * count), options.moments)
     available = device.handle.global_mem_size
     value = "device" if needed < DEVICE_SHARE * available else "numpy"
     return Decision(value, f"{value}: parameters and moments take up to {needed / 2**20:,.0f} MiB "
                     f"of the device's {available / 2**20:,.0f}")
-
-
-def smallest_size(views: Sequence[View]) -> tuple[int, int]:
-    """(width, height) of the training image with the shortest side, pixels."""
-    sizes = [(view.camera.width, view.camera.height) for view in views]
-    return sizes[int(np.argmin([min(size) for size in sizes]))]

@@ -4,7 +4,7 @@ import time
 from typing import Any
 
 from clsplat.config.option import AUTO
-from clsplat.evaluation.views import evaluate_views
+from clsplat.evaluation.views import METRICS, evaluate_views, final_metrics
 from clsplat.training.clock import Clock
 from clsplat.training.recorder import Recorder
 from clsplat.training.session import Session
@@ -20,11 +20,13 @@ class Evaluator:
     ----------
     evaluated_at : step of the last evaluation of the run, or None.
     per_view : scores of its views, if this process made it.
+    final_metrics : of the last evaluation, which has time for more.
     latest_seconds : its duration.
     """
 
     def __init__(self, session: Session, clock: Clock, recorder: Recorder) -> None:
         self.session, self.clock, self.recorder = session, clock, recorder
+        self.final_metrics = final_metrics(session.options.lpips)
         self.evaluated_at: int | None = None
         self.per_view: list[dict[str, Any]] | None = None
         self.latest_seconds = self._all_seconds = 0.0
@@ -39,8 +41,13 @@ class Evaluator:
         return (self._all_seconds + self.latest_seconds
                 <= EVALUATION_SHARE * self.clock.elapsed())
 
-    def evaluate(self) -> None:
-        """Evaluate and record the metrics, outside of training time, if any view is held out."""
+    def evaluate(self, final: bool = False) -> None:
+        """Evaluate and record the metrics, outside of training time, if any view is held out.
+
+        Parameters
+        ----------
+        final : whether this is the last evaluation, by `final_metrics`.
+        """
         session, progress = self.session, self.recorder.progress
         if not session.test_views:
             return
@@ -49,13 +56,20 @@ class Evaluator:
             progress.phase("evaluating")
             session.step.release()  # frames of evaluation have other sizes
             result = evaluate_views(session.renderer, session.model.current_rows(),
-                                    session.options.sh_degree, session.test_views)
+                                    session.options.sh_degree, session.test_views,
+                                    metrics=self.final_metrics if final else METRICS,
+                                    predicted=session.predicted())
             session.device.trim()
         self.latest_seconds = time.perf_counter() - begin
         self._all_seconds += self.latest_seconds
         self.evaluated_at, self.per_view = session.iteration, result.pop("per_view")
         self.recorder.log("eval", **result)
+        predicted = (f", exposure predicted with weight {result['exposure_weight']:.2f}"
+                     if "exposure_weight" in result else "")
+        more = "".join(f"{name.upper()} {result[name]:.4f}, " for name in ("flip", "lpips")
+                       if name in result)
         progress.message(
             f"step {session.iteration}: PSNR {result['psnr']:.2f} dB ({result['psnr_cc']:.2f} "
-            f"after the colour fit), SSIM {result['ssim']:.4f}, {result['views']} held-out views, "
+            f"after the colour fit), SSIM {result['ssim']:.4f}, "
+            f"{more}{result['views']} held-out views{predicted}, "
             f"{session.model.count:,} gaussians, {self.clock.trained():.1f} s of training")

@@ -5,6 +5,8 @@ from typing import Any
 
 from clsplat.errors import ClsplatError
 from clsplat.evaluation.views import pictures_of
+from clsplat.io.georeference.files import placement_comments
+from clsplat.io.model_values import mode_comment
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.report.run import write_report
@@ -14,10 +16,9 @@ from clsplat.training.session import Session
 
 
 def save_model(run: RunFolder, session: Session) -> None:
-    """Write the finished model and the colour transforms of its photos."""
+    """Write the finished model and the responses of its photos."""
     if session.step.exposures:
-        rows = session.step.exposures.transforms.download().reshape(-1, 3, 4)
-        run.save_exposures({view.name: row for view, row in zip(session.train_views, rows)})
+        run.save_exposures(session.responses())
     gaussians = session.model.download().scaled(session.scene.unit)
     run.save_model(gaussians, session.scene.offset, _comments(session),
                    session.options.sphere_columns)
@@ -38,8 +39,9 @@ def save_snapshot(run: RunFolder, session: Session) -> None:
 
 def _comments(session: Session) -> tuple[str, ...]:
     """Comments for the PLY header, which other tools read."""
-    mode = "mip" if session.options.antialiased else "default"
-    return (f"iterations {session.iteration}", f"SplatRenderMode: {mode}")
+    return (f"iterations {session.iteration}",
+            mode_comment(session.options.antialiased),
+            *placement_comments(session.scene.up, session.scene.georeference))
 
 
 def draw_report(run: RunFolder, session: Session, per_view: list[dict[str, Any]] | None) -> None:
@@ -54,7 +56,7 @@ def draw_report(run: RunFolder, session: Session, per_view: list[dict[str, Any]]
     try:
         write_report(run, pictures=pictures_of(
             session.renderer, session.model.current_rows(), session.options.sh_degree,
-            session.test_views, session.train_views, per_view))
+            session.test_views, session.train_views, per_view, session.predicted()))
     except ClsplatError:
         raise
     except Exception as error:  # noqa: BLE001  (fonts, locales, matplotlib settings)

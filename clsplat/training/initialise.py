@@ -1,17 +1,16 @@
-"""The initial gaussians and colour transforms of a training."""
+"""The initial gaussians and responses of a training."""
 
 import os
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.densify.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.ply import read_ply
-from clsplat.loss.exposure import IDENTITY
+from clsplat.io.models import read_model
 from clsplat.options import TrainOptions
+from clsplat.response import Response
 from clsplat.scene import Scene, View
 from clsplat.schedule import schedule_of
 
@@ -19,7 +18,8 @@ FEWEST_GAUSSIANS = 2  # their distance gives new gaussians a size
 
 
 def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
-    """Gaussians at the sparse points, at random points within their bounds, or from a PLY file.
+    """Gaussians at the sparse points, at random points within their bounds, or from a file of
+    gaussians or points.
 
     They have spheres if the options request it. Raises InputError where they are more than the
     options allow, or where the file cannot be used.
@@ -35,15 +35,16 @@ def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
     else:
         if not os.path.exists(options.init):
             raise InputError(
-                f"{options.init}: no such file; --init expects sfm, random or a PLY file")
+                f"{options.init}: no such file; --init expects sfm, random or a file")
         if os.path.isdir(options.init):
-            raise InputError(f"{options.init}: a folder; --init expects sfm, random or a PLY file, "
+            raise InputError(f"{options.init}: a folder; --init expects sfm, random or a file, "
                              "such as the point_cloud.ply of a run")
-        gaussians = read_ply(options.init, scene.offset).scaled(1 / scene.unit)
+        gaussians = read_model(options.init, scene.offset, scene.georeference).scaled(
+            1 / scene.unit)
         if gaussians.count < FEWEST_GAUSSIANS:
             raise InputError(
                 f"{options.init}: has {gaussians.count} gaussians, and a training starts from at "
-                f"least {FEWEST_GAUSSIANS}; give another PLY to --init, or leave it out")
+                f"least {FEWEST_GAUSSIANS}; give another file to --init, or leave it out")
         gaussians = gaussians.with_sh_degree(options.sh_degree)
     constrained = options.sphere and "spheres" in schedule_of(options.schedule).parts
     if constrained and "anchors" not in gaussians.rows:
@@ -56,11 +57,11 @@ def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
     return gaussians
 
 
-def initial_exposures(scene: Scene, views: Iterable[View]) -> NDArray[np.float64] | None:
-    """The colour transforms [V, 3, 4] of a block's views, from the coarse run; None without them.
+def initial_responses(scene: Scene, views: Iterable[View]) -> list[Response] | None:
+    """The responses of a block's views, from the coarse run; None without them.
 
     A view that has none gets the identity.
     """
     if not scene.exposures:
         return None
-    return np.array([scene.exposures.get(view.name, IDENTITY) for view in views])
+    return [scene.exposures.get(view.name, Response()) for view in views]

@@ -1,12 +1,17 @@
 """Handles Ctrl-C and a scheduler's SIGTERM, so that no half step reaches the checkpoint."""
 
+import _thread
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGBREAK")  # the last is Windows's, for Ctrl-Break
+
+AGAIN = 0.02  # seconds
 
 
 class Interrupts:
@@ -23,13 +28,17 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.count = self.number = 0
-        self._waits = False
+        self._waits = self._ended = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
         self.number = self.number or number
-        if not self._waits or self.count > 1:
+        if not self._ended and (not self._waits or self.count > 1):
             raise KeyboardInterrupt
+
+    def end(self) -> None:
+        """Only count signals from now on: the command has ended, and what is left is to say so."""
+        self._ended = True
 
     @contextmanager
     def waiting(self) -> Iterator[Callable[[], bool]]:
@@ -47,16 +56,29 @@ def handled_interrupts() -> Iterator[Interrupts]:
 
     Outside the main thread this does nothing, as Python delivers no signals there.
     """
-    handler, before = Interrupts(), {}
+    handler, before, hook = Interrupts(), {}, sys.unraisablehook
+
+    def unraisable(what: Any) -> None:
+        """Where an exception in a destructor would be shown and lost: send the signal once more, a
+        little later, when the destructor is done."""
+        if isinstance(what.exc_value, KeyboardInterrupt):
+            again = threading.Timer(AGAIN, _thread.interrupt_main, (handler.number,))
+            again.daemon = True
+            again.start()
+        else:
+            hook(what)
     if threading.current_thread() is threading.main_thread():
+        sys.unraisablehook = unraisable
         numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
         before = {number: signal.signal(number, handler) for number in numbers
                   if signal.getsignal(number) is not signal.SIG_IGN}
     try:
         yield handler
     finally:
+        handler.end()
         for number, was in before.items():
             signal.signal(number, was)
+        sys.unraisablehook = hook
 
 
 @contextmanager

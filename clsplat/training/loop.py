@@ -15,8 +15,10 @@ from clsplat.config.option import AUTO
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.gaussians import Gaussians
+from clsplat.io.depth import with_depths
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint
+from clsplat.io.undistort import undistorted
 from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
@@ -28,16 +30,18 @@ from clsplat.training.evaluator import Evaluator
 from clsplat.training.finish import draw_report, save_model, save_snapshot
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
-from clsplat.training.photos import epoch_order, size_note
+from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
 from clsplat.training.scene_checks import find_warnings
 from clsplat.training.session import Session
 from clsplat.training.step import Measured
+from clsplat.training.watcher import Watcher
 
 
 def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
-          progress: SilentProgress | None = None, callbacks: Iterable[Callback] = ()) -> None:
+          progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
+          watcher: Watcher | None = None) -> None:
     """Train a scene from the start.
 
     Parameters
@@ -48,18 +52,21 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     run : an empty folder.
     progress : receives steps, messages and phases; None: only warnings are shown.
     callbacks : called with every record; may raise StopTraining.
+    watcher : asked after every step.
 
     Raises
     ------
     Interrupted : on Ctrl-C, or where an option or a callback stops it; the state is saved.
     """
-    training = Training(scene, options, device, run, progress, callbacks=callbacks)
+    training = Training(scene, options, device, run, progress, callbacks=callbacks,
+                        watcher=watcher)
     session = training.session
     with training.resumable():
         warnings = find_warnings(session.scene, session.train_views,
                                  session.model.rows["opacity_logits"].download())
         run.write_options({**run_record(scene, options, device),
                            "decisions": session.decisions.values})
+        run.write_placement(scene)
         training.recorded = True
         training.begin(warnings)
         training.run_to_end()
@@ -73,16 +80,17 @@ def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str,
 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
-           progress: SilentProgress | None = None, callbacks: Iterable[Callback] = ()) -> None:
+           progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
+           watcher: Watcher | None = None) -> None:
     """Resume a run from its checkpoint, as if it had never stopped; arguments as for `train`."""
-    record = run.read_options()
+    record, scene = run.read_options(), run.placed(scene)
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "
                          f"{record.get('scene_absolute', record.get('scene'))}; give that one, or "
                          "another --output")
     if not (run.has_checkpoint or run.has_model):  # it was killed before its first checkpoint
         run.rewind(-1)
-        train(scene, options, device, run, progress, callbacks)
+        train(scene, options, device, run, progress, callbacks, watcher)
         return
     arrays, state = run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
@@ -90,7 +98,8 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                          "or start again with --overwrite")
     gaussians = saved_gaussians(run, {"sh_degree": options.sh_degree, **record}, arrays, state)
     try:
-        training = Training(scene, options, device, run, progress, gaussians, callbacks)
+        training = Training(scene, options, device, run, progress, gaussians, callbacks,
+                            watcher)
         training.checkpoint.load(arrays, state)
     except KeyError as error:
         raise InputError(f"{run.path}: its checkpoint lacks {error}; "
@@ -109,7 +118,7 @@ class Training:
 
     Parameters
     ----------
-    scene, options, device, run, progress, callbacks : as for `train`.
+    scene, options, device, run, progress, callbacks, watcher : as for `train`.
     gaussians : those of a resumed run; None: the initial ones.
 
     Attributes
@@ -122,19 +131,23 @@ class Training:
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                  progress: SilentProgress | None = None, gaussians: Gaussians | None = None,
-                 callbacks: Iterable[Callback] = ()) -> None:
+                 callbacks: Iterable[Callback] = (), watcher: Watcher | None = None) -> None:
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.recorded = gaussians is not None
-        self.run = run
+        self.run, self.watcher = run, watcher
         self.progress = progress = SilentProgress() if progress is None else progress
         note = size_note(scene.views, options)
         if note and not (options.coarse or scene.region):  # a city shows it once
             progress.message(note)
+        if any(view.lens for view in scene.views):
+            progress.phase("undistorting photos")
+            scene = undistorted(with_depths(scene, options.depth), run.undistorted, THREADS)
         self.clock = Clock(device)
         self.session = Session.build(scene, options, device, progress, gaussians)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
-        self.deadline = Deadline(self.session, self.clock) if options.time_budget else None
+        self.deadline = (Deadline(self.session, self.clock, self.evaluator.final_metrics)
+                         if options.time_budget else None)
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
         self._measured: list[Measured] = []  # by the latest step
@@ -171,7 +184,7 @@ class Training:
         if not self.finished():
             raise self.stopped()
         if self.evaluator.evaluated_at != self.session.iteration:
-            self.evaluator.evaluate()
+            self.evaluator.evaluate(final=True)
         draw_report(self.run, self.session, self.evaluator.per_view)
 
     @contextmanager
@@ -238,6 +251,9 @@ class Training:
             if deadline:
                 deadline.budget.evaluation_seconds = self.evaluator.latest_seconds
         self.recorder.stepped(self._measured, frequency)
+        if self.watcher and self.watcher.is_due():
+            with self.clock.paused():
+                self.watcher.draw(session)
 
     def view_of(self, number: int) -> int:
         """Index of the number-th view (from 1) that is trained on.
@@ -253,7 +269,8 @@ class Training:
         taken = self.session.iteration * self.session.options.batch
         for number in range(taken + 1, taken + 1 + self.session.options.batch):
             sample = self.session.sample(self.view_of(number), number, plan)
-            self.session.expect(self.view_of(number + 1), number + 1, plan)
+            if not self.session.photos.resident:
+                self.session.expect(self.view_of(number + 1), number + 1, plan)
             yield sample
 
     def _observe(self) -> dict[str, float] | None:

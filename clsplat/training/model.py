@@ -98,8 +98,8 @@ class Model:
         """Replace the rows as a round of growth requires; new rows have no moments."""
         self.catch_up()
         count = len(growth.source)
-        self.device.trim()  # frames of another number of gaussians need other sizes
         self.capacity = grown_capacity(self.capacity, count)
+        self.device.trim()  # frames of another number of gaussians need other sizes
         source = self.device.upload(growth.source)
         for name, spec in self.arrays(self._arrays, self.sh_degree, self.capacity).items():
             self._arrays[name] = gather(self.device, self._arrays[name].narrow(self.count), source,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
-from clsplat.io.images import read_photo
+from clsplat.io.views import read_photo
 from clsplat.options import TrainOptions
 from clsplat.scene import View
 
@@ -30,8 +30,12 @@ def epoch_order(seed: int, epoch: int, count: int) -> NDArray[np.int64]:
 
 
 def decode(view: View) -> NDArray[np.uint8]:
-    """Read a view's photo [3, H, W] at its camera's size."""
-    return np.ascontiguousarray(read_photo(view).transpose(2, 0, 1))
+    """Read a view's photo at its camera's size: [3, H, W], or if pixels do not count [4, H, W] with
+    a plane that is 0 there and 255 elsewhere."""
+    planes, valid = read_photo(view).transpose(2, 0, 1), view.valid()
+    if valid is not None:
+        planes = np.concatenate([planes, valid[None] * np.uint8(255)])
+    return np.ascontiguousarray(planes)
 
 
 def decoded(views: Iterable[View]) -> Iterator[NDArray[np.uint8]]:
@@ -73,12 +77,13 @@ def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
 
 
 def photo_array(view: View) -> ArraySpec:
-    """The device array of a view's photo."""
-    return ArraySpec((3, view.camera.height, view.camera.width), np.uint8)
+    """The device array of a view's photo, with a mask if there may be one."""
+    planes = 4 if view.mask is not None or view.transparent or view.lens else 3
+    return ArraySpec((planes, view.camera.height, view.camera.width), np.uint8)
 
 
 class Photos:
-    """`photos[i]` is view i's photo at the present level, uchar[3, H, W] on the device.
+    """`photos[i]` is view i's photo at the present level on the device, as `decode` returns it.
 
     The photos of a level that fits the budget are resampled once; a thread reads them while the
     previous level is trained. At other levels each photo is decoded again at each use, one ahead:

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from clsplat.device import Array
+from clsplat.gaussians import LEARNED
 from clsplat.loss.image_loss import image_loss, loss_value
-from clsplat.training.model import Model
+from clsplat.rendering.project import Rows
 from clsplat.training.step import Step
 
 
@@ -39,25 +40,25 @@ class Rollback:
         -------
         Whether the copy was restored.
         """
-        now, model = _loss(step, samples), step.model
-        step.model = Model(step.device, self._gaussians, step.options.engine,
-                           step.options.optimizer == "dense", step.options.moments)
-        if not _loss(step, samples) < now:
-            step.model = model
+        model = step.model
+        model.catch_up()
+        kept = {field.name: step.device.upload(self._gaussians.rows[field.name])
+                for field in LEARNED}
+        if not _loss(step, kept, samples) < _loss(step, model.rows, samples):
             return False
-        step.model.adam.upload(*self._moments)
-        step.statistics.clear(step.model.count)
+        model.adopt(self._gaussians)
+        model.adam.upload(*self._moments)
+        step.statistics.clear(model.count)
         step.freeze()
         return True
 
 
-def _loss(step: Step, samples: Sequence[tuple[Array, Array]]) -> float:
+def _loss(step: Step, rows: Rows, samples: Sequence[tuple[Array, Array]]) -> float:
     """The mean image loss of some views, without colour transforms."""
     losses = []
     for camera, photo in samples:
         _, height, width = photo.shape
-        frame = step.renderer.render(step.model.rows, camera, width, height,
-                                     step.options.sh_degree)
+        frame = step.renderer.render(rows, camera, width, height, step.options.sh_degree)
         partials, _ = image_loss(step.device, frame.image, photo, step.options.ssim_weight)
         losses.append(loss_value(partials, 3 * height * width, step.options.ssim_weight)[0])
     return float(np.mean(losses))

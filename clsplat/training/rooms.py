@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array
-from clsplat.rendering.bands import choose_bands, pair_limit
+from clsplat.rendering.bands import choose_bands
 from clsplat.rendering.pipeline import Bands, Renderer, Room
 from clsplat.rendering.project import Rows
 
@@ -56,9 +56,7 @@ class Rooms:
         self._most_visible = max(self._most_visible, visible)
         self._most_pairs[size] = max(self._most_pairs.get(size, self._expected_pairs),
                                      int(tiles.sum()))
-        limit = self.renderer.pair_limit
-        if limit is None:
-            limit = pair_limit(self.renderer.device, width, height, with_depth)
+        limit = self.renderer.most_pairs(width, height, with_depth)
         bands: Bands = (None,)
         pairs = self._most_pairs[size]
         if pairs > limit:

@@ -84,7 +84,7 @@ def _covered(camera: Camera, points: NDArray[np.floating]) -> float:
 def _photos(views: Sequence[View]) -> Iterator[str]:
     """Photos that are uniform, all the same, or noise."""
     side = max(max(view.camera.width, view.camera.height) for view in views)
-    photos = [np.tensordot(LUMA, photo, 1)
+    photos = [np.tensordot(LUMA, photo[:3], 1)
               for photo in decoded(at_level(views, max(1.0, side / SMALL_SIDE)))]
     plain = [view.name for view, photo in zip(views, photos) if photo.std() < LEAST_CONTRAST]
     if plain:

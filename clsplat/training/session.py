@@ -7,23 +7,27 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array, Device
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians, mean_inverse_distance
+from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
+from clsplat.gaussians import Gaussians
+from clsplat.io.depth import with_depths
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import SourceView, TrainingSample
 from clsplat.options import TrainOptions
-from clsplat.partition.blocks import seen_pixels, trainable
+from clsplat.partition.blocks import trainable
 from clsplat.rendering.pipeline import Renderer
+from clsplat.response import Lenses, Response
 from clsplat.scene import Scene, View
-from clsplat.schedule import Plan, SceneFacts, Schedule, laid_over, scaled_steps, schedule_of
-from clsplat.training.decisions import Decisions, find_decisions, smallest_size
-from clsplat.training.initialise import initial_exposures, initial_gaussians
+from clsplat.schedule import Plan, Schedule, laid_over, scaled_steps, schedule_of
+from clsplat.training.decisions import Decisions, find_decisions
+from clsplat.training.depth_maps import DepthMapsOnDevice
+from clsplat.training.initialise import initial_gaussians, initial_responses
 from clsplat.training.model import Model
 from clsplat.training.photos import Photos, decoded
 from clsplat.training.progress import SilentProgress
@@ -67,6 +71,15 @@ class PreparedScene:
         """Tells which gaussians a block of a city trains (`step.Step`); None: all."""
         return functools.partial(trainable, self.scene) if self.scene.region else None
 
+    @property
+    def lenses(self) -> Lenses | None:
+        """The lenses of the training views; None where no vignetting is learned."""
+        if self.options.vignetting != "on":
+            return None
+        cameras = [view.camera for view in self.train_views]
+        known = initial_responses(self.scene, self.train_views)
+        return Lenses.of_responses(known) if known else Lenses.of_cameras(cameras)
+
     def schedule(self, gaussians: Gaussians, options: TrainOptions | None = None) -> Schedule:
         """A new schedule.
 
@@ -75,12 +88,10 @@ class PreparedScene:
         gaussians : the initial ones.
         options : instead of `self.options`.
         """
-        trains, views, options = self.trains, self.train_views, options or self.options
+        trains, options = self.trains, options or self.options
         count = (int(trains(gaussians.positions, gaussians.log_scales).sum()) if trains
                  else gaussians.count)
-        return schedule_of(options.schedule)(options, SceneFacts(
-            smallest_size(views), count, mean_inverse_distance(self.scene.points) / self.scene.unit,
-            lambda: decoded(views), seen_pixels(self.scene, views)))
+        return schedule_of(options.schedule)(options, replace(self.decisions.facts, count=count))
 
 
 def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -> PreparedScene:
@@ -92,14 +103,18 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
     options : as the user gave them.
     device : of the training.
     """
+    scene = with_depths(scene, options.depth)
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     if len(scene.views) < 2:
         raise InputError(f"{scene.name}: has a single photo; depth needs at least two from "
                          "different places, and 20 or more make a good model")
-    train_views, test_views = scene.split(options.test_every)
+    train_views, test_views = scene.split(options.test_every, options.test_offset)
     if not train_views:
         raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
                          "view; use a larger number, or none")
+    if options.test_offset and not test_views:
+        raise InputError(f"{scene.name}: --test-offset {options.test_offset} holds out none of its "
+                         f"{len(scene.views)} views; use a smaller number")
     return PreparedScene(scene, train_views, test_views,
                          find_decisions(scene, train_views, scaled_steps(options), device))
 
@@ -139,14 +154,17 @@ class Session:
         exposures = None
         if options.exposure == "on":
             # blocks that learned their own would not agree
-            initial = initial_exposures(self.scene, self.train_views)
-            exposures = Exposures(device, len(self.train_views), initial=initial,
-                                  learns=initial is None)
+            initial = initial_responses(self.scene, self.train_views)
+            exposures = Exposures(
+                device, len(self.train_views), learns=initial is None,
+                initial=initial and np.array([response.transform for response in initial]),
+                lenses=prepared.lenses)
         self.step = Step(self.renderer, model, self.scene.extent, options, exposures,
                          prepared.trains)
         neighbours = self.decisions.neighbours
         self.source_views = (SourceViews(device, neighbours, exposures, options.seed)
                              if neighbours else None)
+        self.depths = DepthMapsOnDevice(device, self.scene.unit) if options.depth else None
         self.iteration, self.level = 0, 0.0
         self.photos = photos or Photos(device, self.train_views, schedule.levels)
         self.use_level(self.photos.level)
@@ -194,6 +212,8 @@ class Session:
         cameras = [view.camera for view in self.photos.views]
         if self.source_views:
             self.source_views.use(cameras)
+        if self.depths:
+            self.depths.use(self.photos.views)
         self.cameras = [self.renderer.pack(camera) for camera in cameras]
         self.step.begin_level()
         # pending steps hold their photos, which elsewhere come and go
@@ -214,12 +234,11 @@ class Session:
             row, other = pair
             source = SourceView(self.photos[other], self.source_views.geometries,
                                 self.source_views.colours, row)
-        return TrainingSample(view, self.cameras[view], self.photos[view], source)
+        return TrainingSample(view, self.cameras[view], self.photos[view], source,
+                              self.depths[view] if self.depths else None)
 
     def expect(self, view: int, number: int, plan: Plan) -> None:
         """Begin to read the photos that `sample` will need; same arguments."""
-        if self.photos.resident:
-            return
         self.photos.expect(view)
         pair = self._pair(view, number, plan)
         if pair:
@@ -230,6 +249,17 @@ class Session:
         if self.source_views and any(term.needs_source for term in self.step.terms_in(plan)):
             return self.source_views.drawn(number, view)
         return None
+
+    def predicted(self) -> Predicted | None:
+        """The responses of all views, for an evaluation; None without exposures."""
+        return predicted_responses(self.scene.views, self.responses())
+
+    def responses(self) -> dict[str, Response]:
+        """The learned responses of the training views by name; empty without exposures."""
+        if not self.step.exposures:
+            return {}
+        return {view.name: response for view, response in zip(
+            self.train_views, self.step.exposures.responses())}
 
     def recentre(self) -> None:
         """Restore the initial mean of the exposures; called once an epoch."""

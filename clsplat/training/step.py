@@ -14,20 +14,21 @@ from clsplat.constants import (
     COUNT_SUM_PAIRS,
     COUNT_SUM_VISIBLE,
 )
-from clsplat.densify.grow import Candidates, plan_growth
-from clsplat.densify.scores import taming_scores
-from clsplat.densify.select import above_threshold, by_score, half_of, highest
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Array, Graph
-from clsplat.gaussians import FIELDS, LEARNED
+from clsplat.gaussians import LEARNED
 from clsplat.loss.exposure import Exposures
+from clsplat.loss.image_loss import is_masked
+from clsplat.loss.regularise import regularise
 from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.loss.terms import terms_of
 from clsplat.optimise.batch import BatchMean
+from clsplat.optimise.noise import add_noise
 from clsplat.optimise.rates import learning_rates
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Gradients, Renderer, Room
 from clsplat.schedule import Plan, Schedule
+from clsplat.training.growth import Round, ScoringViews
 from clsplat.training.model import Model
 from clsplat.training.rooms import Rooms
 from clsplat.training.skipped_gradients import SkippedGradients
@@ -70,10 +71,10 @@ class Step:
         self._statistics = Statistics(self.device, model.count)
         self.skipped = SkippedGradients(
             renderer.skipped, *([exposures.skipped] if exposures else []))
-        self.units, self._rooms = Units(self.device, self._make_room), Rooms(renderer)
+        self.units, self._rooms = Units(self.device), Rooms(renderer)
         self._graphs: dict[Any, Graph] = {}
+        self._batch: BatchMean | None = None
         self._recorded_for: tuple[Any, ...] = 4 * (None,)
-        self._samples: dict[Unit, tuple[Plan, TrainingSample]] = {}
         self.freeze()
         self._earlier_pairs = 0  # of the run, before this process
 
@@ -84,12 +85,6 @@ class Step:
         """The gaussians."""
         self.settle()
         return self._model
-
-    @model.setter
-    def model(self, model: Model) -> None:
-        """Go on with other gaussians."""
-        self.settle()
-        self._model = model
 
     @property
     def frozen(self) -> Array | None:
@@ -125,9 +120,7 @@ class Step:
 
     def settle(self) -> NDArray[np.uint32]:
         """Wait for all steps, and repeat those for which there was no room; returns the counts."""
-        counts = self.units.confirm()
-        self._samples.clear()
-        return counts
+        return self.units.confirm()
 
     def release(self) -> None:
         """Give back the memory of frames, until the next step records them again."""
@@ -160,15 +153,18 @@ class Step:
         views = self.options.batch
         measured: list[Measured] = [{} for _ in range(views)]
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
-        numbers = self._model.adam.numbers(iteration, rates)
+        numbers = {**self._model.adam.numbers(iteration, rates),
+                   "noise": self.options.position_noise * rates["positions"]}
         for slot, sample in zip(range(views), samples):
-            def unit(slot: int = slot, sample: TrainingSample = sample) -> None:
+            def work(slot: int = slot, sample: TrainingSample = sample) -> None:
                 measured[slot] = self._take(plan, sample, numbers, slot)
                 if slot == views - 1:
                     self._model.adam.advance(iteration, plan.degree, self._learned,
                                              self.frozen, self.units.counts)
-            self._samples[unit] = plan, sample
-            self.units.submit(unit)
+
+            def make_room(sample: TrainingSample = sample) -> None:
+                self._make_room(plan, sample)
+            self.units.submit(Unit(work, make_room))
         return measured
 
     def values(self, measured: list[Measured]) -> dict[str, float]:
@@ -183,10 +179,11 @@ class Step:
 
     def _terms_for(self, plan: Plan, sample: TrainingSample) -> list[LossTerm]:
         """Those that can be computed for a sample."""
-        return [term for term in self.terms_in(plan) if sample.source or not term.needs_source]
+        return [term for term in self.terms_in(plan)
+                if (sample.source or not term.needs_source)
+                and (sample.depth is not None or not term.needs_map)]
 
-    def _make_room(self, unit: Unit) -> None:
-        plan, sample = self._samples[unit]
+    def _make_room(self, plan: Plan, sample: TrainingSample) -> None:
         with_depth = any(term.needs_depth for term in self._terms_for(plan, sample))
         _, height, width = sample.photo.shape
         self._graphs.clear()
@@ -211,6 +208,8 @@ class Step:
         if source:
             inputs |= {"source": source.photo, "geometries": source.geometries,
                        "colours": source.colours, "pair": source.pair}
+        if any(term.needs_map for term in terms):
+            inputs["depth_map"] = sample.depth
         key = (slot, plan.degree, plan.gathers, tuple(term.name for term in terms),
                sample.photo.shape, source and source.photo.shape)
         if graph := self._graphs.get(key):
@@ -219,6 +218,8 @@ class Step:
             with_depth = any(term.needs_depth for term in terms)
             _, height, width = sample.photo.shape
             room = self._rooms.room(self._model.rows, sample.camera, width, height, with_depth)
+            if not self._graphs:  # measuring left blocks of other sizes than frames need
+                self.device.trim()
             with self.device.record(**inputs) as graph:
                 graph.result = self._enqueue(plan, _of_inputs(graph.inputs, sample), graph.inputs,
                                              slot, room)
@@ -234,12 +235,15 @@ class Step:
         self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self.frozen,
                                        sample.camera, self.units.counts)
         gradients = self._gradients_of(plan, sample, measured, numbers, room)
-        if views > 1:
+        if self._batch:
             self._batch.add(gradients, used)
             if slot < views - 1:
                 return measured
             gradients = self._batch.mean(self.units.counts, used, room and self.count)
         self._model.adam.apply(self._learned(), gradients, numbers, used, self.frozen)
+        if self.options.position_noise:
+            add_noise(self._model.rows, numbers["noise"], numbers["now"], self.options.seed,
+                      self.units.counts, self.frozen)
         return measured
 
     def _gradients_of(self, plan: Plan, sample: TrainingSample, measured: Measured,
@@ -249,16 +253,22 @@ class Step:
         _, height, width = sample.photo.shape
         terms = self._terms_for(plan, sample)
         frame = self.renderer.render(rows, sample.camera, width, height, plan.degree,
-                                     any(term.needs_depth for term in terms), room, counts)
-        image = exposures.apply(sample.view, frame.image) if exposures else frame.image
+                                     any(term.needs_depth for term in terms), room, counts,
+                                     exposures and exposures.of(sample.view, sample.camera))
         grad = FrameGradient()
         for term in terms:
-            measured[term.name] = term.add_to(grad, frame, image, sample, numbers[_weight(term)])
+            measured[term.name] = term.add_to(grad, frame, frame.exposed, sample,
+                                              numbers[_weight(term)])
         if exposures:
-            grad.image, partials = exposures.adjoint(sample.view, frame.image, grad.image)
+            grad.image, partials = exposures.adjoint(sample.view, sample.camera, frame.image,
+                                                     grad.image)
             exposures.step(sample.view, partials, counts)
-        return self.renderer.adjoint(rows, frame, grad.image, grad.depth, grad.transmittance,
-                                     self.frozen, self._statistics.sums if plan.gathers else None)
+        gradients = self.renderer.adjoint(
+            rows, frame, grad.image, grad.depth, grad.transmittance, self.frozen,
+            self._statistics.sums if plan.gathers else None, is_masked(sample.photo))
+        if self.options.opacity_weight or self.options.scale_weight:
+            regularise(rows, gradients, self.options.opacity_weight, self.options.scale_weight)
+        return gradients
 
     def _learned(self) -> dict[str, Array]:
         rows = self._model.rows
@@ -272,7 +282,7 @@ class Step:
     # --- growth
 
     def densify(self, iteration: int, plan: Plan, schedule: Schedule,
-                scoring_views: Callable[[], list[tuple[Array, Array]]]) -> dict[str, int] | None:
+                scoring_views: ScoringViews) -> dict[str, int] | None:
         """Do the round of growth and the opacity reset that follow a step.
 
         Parameters
@@ -287,8 +297,6 @@ class Step:
         -------
         How many gaussians were cloned, split and pruned; None without growth.
         """
-        if plan.grows or plan.resets_opacity:
-            self.model.catch_up()
         event = self._grow(iteration, plan, schedule, scoring_views) if plan.grows else None
         if plan.resets_opacity:
             self.model.limit_opacity(np.log(RESET_OPACITY / (1 - RESET_OPACITY)),
@@ -320,57 +328,21 @@ class Step:
             self._model.frozen = self.device.upload((~self.trains(*rows)).astype(np.uint32))
 
     def _grow(self, iteration: int, plan: Plan, schedule: Schedule,
-              scoring_views: Callable[[], list[tuple[Array, Array]]]) -> dict[str, int]:
-        model, options = self.model, self.options
-        rows = {field.name: model.rows[field.name].download() for field in FIELDS
-                if field.name in model.rows and not field.name.startswith("sh_")}
-        # counter-based: a resumed run draws the same numbers
-        rng = np.random.default_rng([options.seed, iteration])
-        gradient = self.statistics.mean_gradient()
-        candidates = Candidates(rows, self.extent, options, plan.prunes_large)
+              scoring_views: ScoringViews) -> dict[str, int]:
+        model, statistics = self.model, self.statistics
+        model.catch_up()
         self.freeze()
         frozen = (np.zeros(model.count, bool) if self.frozen is None
                   else self.frozen.download() > 0)
-        prunes = candidates.prunes & ~frozen
-        scores = None
-        if schedule.selection == "score":
-            scores = taming_scores(self.renderer, model.rows, scoring_views(), plan.degree,
-                                   options.ssim_weight, gradient)
-            if schedule.spares_half(iteration):
-                prunes = half_of(prunes, scores, rng)
-        gradient = np.where(frozen, -np.inf, gradient)  # frozen ones stay
-        grows = self._selected(iteration, schedule, gradient, candidates, prunes, scores, rng)
-        growth = plan_growth(candidates, grows, prunes, rng)
+        growth = Round(iteration, plan, schedule, self.options, self.extent,
+                       statistics.mean_gradient, frozen).growth(
+                           self.renderer, model.rows, scoring_views)
+        self.release()  # or recordings would keep the memory of frames while rows are copied
         model.regrow(growth)
         self.freeze()
-        self._statistics.clear(model.count)
+        statistics.clear(model.count)
         self._choose_room(True)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}
-
-    def _selected(self, iteration: int, schedule: Schedule, gradient: NDArray[np.floating],
-                  candidates: Candidates, prunes: NDArray[np.bool_],
-                  scores: NDArray[np.floating] | None, rng: np.random.Generator
-                  ) -> NDArray[np.bool_]:
-        """The gaussians [N] that are cloned or split, each of which adds one.
-
-        `gradient` is -inf for frozen gaussians, which the schedule does not count.
-        """
-        threshold, limit = self.options.grow_threshold, self.options.max_gaussians
-        counted = ~prunes & (gradient != -np.inf)
-        count = int(counted.sum())
-        target = schedule.target(iteration, count, int((gradient >= threshold)[counted].sum()))
-        if limit:
-            limit -= int((~prunes & ~counted).sum())
-            target = limit if target is None else min(target, limit)
-        room = None if target is None else max(0, target - count)
-        if schedule.selection == "score":
-            return by_score(np.where(prunes, 0, scores), gradient, threshold, candidates.is_small,
-                            room, rng)
-        if schedule.selection == "highest":
-            return highest(np.where(prunes, 0, gradient), room)
-        if room is not None:  # a split replaces a gaussian that is too large by two
-            room -= int((prunes & (gradient >= threshold)).sum())
-        return above_threshold(gradient, threshold, room)
 
 
 def _weight(term: LossTerm) -> str:

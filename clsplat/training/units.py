@@ -7,6 +7,7 @@ the failed one on, in their order. So the numbers do not depend on the room.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +19,25 @@ from clsplat.constants import (
     COUNT_NEEDED_VISIBLE,
     FRAME_COUNTS,
 )
-from clsplat.device import ArraySpec, Device
+from clsplat.device import ArraySpec, Device, Reading
 
-Unit = Callable[[], None]  # enqueues the work of one frame; COUNT_DONE counts those that are done
 FEW_PENDING = 8
-MOST_PENDING = 50  # units, between two looks at the counts
+MOST_PENDING = 100  # units; the counts are read twice as often, and looked at one reading later
 WRAP = 2**32
 COUNTS = ArraySpec((FRAME_COUNTS,), np.uint32)
+
+
+class Unit(NamedTuple):
+    """The work of one frame.
+
+    Attributes
+    ----------
+    work : enqueues it; COUNT_DONE counts the units that are done.
+    make_room : is called once the unit has failed, when nothing else is pending.
+    """
+
+    work: Callable[[], None]
+    make_room: Callable[[], None]
 
 
 class Units:
@@ -33,27 +46,33 @@ class Units:
     Parameters
     ----------
     device : of the work.
-    make_room : called with the failed unit, between which and the next nothing is pending.
 
     Attributes
     ----------
     counts : uint[FRAME_COUNTS], for all frames of the units.
-    most_pending : units after which `submit` looks at the counts; fewer after `hurry`.
+    most_pending : units after which `submit` waits for the first half of them; fewer after `hurry`.
     """
 
-    def __init__(self, device: Device, make_room: Callable[[Unit], None]) -> None:
+    def __init__(self, device: Device) -> None:
         self.counts = device.zeros(*COUNTS)
         self.most_pending = MOST_PENDING
-        self._make_room, self._pending, self._done = make_room, list[Unit](), 0
-        self._patience = FEW_PENDING
+        self._pending, self._done = list[Unit](), 0
+        self._reading: Reading | None = None
+        self._since_reading = 0
+        self.hurry()
 
     def submit(self, unit: Unit) -> None:
         """Run a unit."""
-        unit()
+        unit.work()
         self._pending.append(unit)
-        if len(self._pending) >= min(self._patience, self.most_pending):
-            self._patience *= 2
+        self._since_reading += 1
+        if self._since_reading < min(self._patience, self.most_pending // 2):
+            return
+        # what was asked for so many units ago is there: the queue never runs dry
+        if self._reading and not self._drop_done(self._reading.values()):
             self.confirm()
+        self._reading, self._since_reading = self.counts.reading(), 0
+        self._patience *= 2
 
     def hurry(self) -> None:
         """Look at the counts soon, as the room is new: units after one that failed are in vain."""
@@ -61,18 +80,22 @@ class Units:
 
     def confirm(self) -> NDArray[np.uint32]:
         """Make sure that all units are done; waits. Returns the counts."""
+        self._reading, self._since_reading = None, 0
         read: NDArray[np.uint32] = self.counts.download()
-        while self._pending:
-            done = (int(read[COUNT_DONE]) - self._done) % WRAP
-            self._pending, self._done = self._pending[done:], int(read[COUNT_DONE])
-            if not self._pending:
-                break
-            assert read[COUNT_FAILED], "a unit neither failed nor was done"
+        while not self._drop_done(read):
+            assert self._pending, "a frame failed that is of no unit"
             read[[COUNT_FAILED, COUNT_NEEDED_VISIBLE, COUNT_NEEDED_PAIRS]] = 0
             self.counts.write(read)
             self.hurry()
-            self._make_room(self._pending[0])
+            self._pending[0].make_room()
             for unit in self._pending:
-                unit()
+                unit.work()
             read = self.counts.download()
+        assert not self._pending, "a unit neither failed nor was done"
         return read
+
+    def _drop_done(self, read: NDArray[np.uint32]) -> bool:
+        """Forget the units that are done by the counts; whether none has failed."""
+        done = (int(read[COUNT_DONE]) - self._done) % WRAP
+        self._pending, self._done = self._pending[done:], int(read[COUNT_DONE])
+        return not read[COUNT_FAILED]

@@ -28,7 +28,8 @@ SAME = re.compile(r"same command|again")
 
 @dataclass(frozen=True)
 class Target:
-    """moments: how many; result: the model that must have the same bytes, or the table ("")."""
+    """moments: how many for SIGINT; others: how many for each of EXTRA; result: the model that must
+    have the same bytes, or the table ("")."""
 
     name: str
     line: str
@@ -36,6 +37,7 @@ class Target:
     moments: int
     needs: tuple[str, ...] = ("sy",)
     writes: tuple[str, ...] = ("out",)
+    others: int = 2
 
 
 TARGETS = (
@@ -152,7 +154,7 @@ def moments(target, seed):
             share = (number + rng.random()) / target.moments
             yield bench.attempt("SIGINT", share * bench.seconds, ((signal.SIGINT, 0.0),))
         for how, signals in EXTRA:
-            for _ in range(2):
+            for _ in range(target.others):
                 yield bench.attempt(how, rng.uniform(0.3, 0.9) * bench.seconds, signals)
 
 

@@ -17,9 +17,10 @@ import pytest
 from PIL import Image
 
 from clsplat.errors import InputError
-from clsplat.io.images import read_photo, write_image
+from clsplat.io.images import write_image
 from clsplat.io.packed import write_packed
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.views import read_photo
 from tests.adversarial.test_photos import exif
 from tests.data import layouts
 from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
@@ -223,7 +224,7 @@ def test_notes_on_photos(tmp_path):
     Image.new("RGBA", (WIDTH, HEIGHT)).save(folder / PHOTO)
     Image.new("RGB", (WIDTH, HEIGHT)).save(folder / "images/photo_2.png", exif=exif(3))
     alpha, turned = read_scene(folder).notes
-    assert alpha.startswith("1 of 4 photos have an alpha channel, which is ignored")
+    assert alpha.startswith("1 of 4 photos have an alpha channel: transparent pixels are")
     assert turned.startswith("1 of 4 photos have an EXIF orientation")
 
 
@@ -235,7 +236,7 @@ def test_paths_that_are_not_utf8(tmp_path, locale):
     made = renamed(lambda name: f"ü {name}")(tmp_path / "town")
     place = os.path.join(os.fsencode(tmp_path), b"t\xffwn")
     shutil.move(made, place)
-    code = ("import sys\nfrom clsplat.io.images import read_photo\n"
+    code = ("import sys\nfrom clsplat.io.views import read_photo\n"
             "from clsplat.io.packed import write_packed\n"
             "from clsplat.io.scenes import read_scene\n"
             "scene = read_scene(sys.argv[1])\n"
@@ -247,7 +248,7 @@ def test_paths_that_are_not_utf8(tmp_path, locale):
             "for name in names:\n    run.renders.path('test', name).touch()\n"
             "run.renders.note('train', [])\nprint(len(run.renders.paths()))\n")
     done = subprocess.run([sys.executable, "-c", code, place], env={**os.environ, **locale},
-                          capture_output=True, text=True, timeout=100, check=False)
+                          capture_output=True, text=True, timeout=300, check=False)
     assert done.stdout.split() == [str(4 * HEIGHT), "4", "4"], done.stderr
 
 
@@ -257,11 +258,11 @@ def test_nothing_is_written_to_the_temporary_folder(tmp_path):
     folder = write_scene(tmp_path / "town")
     write_packed(read_scene(folder), tmp_path / "town.npz")
     code = ("import sys, tempfile\ntempfile.tempdir = '/nowhere'\n"
-            "from clsplat.io.images import read_photo\n"
+            "from clsplat.io.views import read_photo\n"
             "from clsplat.io.scenes import read_scene\n"
             "for path in sys.argv[1:]:\n    print(read_photo(read_scene(path).views[0]).mean())\n")
     done = subprocess.run([sys.executable, "-c", code, folder, tmp_path / "town.npz"],
-                          capture_output=True, text=True, timeout=100, check=False)
+                          capture_output=True, text=True, timeout=300, check=False)
     assert done.stdout == "90.0\n90.0\n", done.stderr
 
 

@@ -82,6 +82,16 @@ def test_a_render_is_what_evaluations_see(run, scene, item_device):
     assert np.array_equal(np.clip(image, 0, 1), render_view(opened, rows, 3, camera))
 
 
+def test_the_name_of_a_device_is_no_device(scene, tmp_path):
+    for call in (lambda: clsplat.render(blob(), CAMERA, device="cpu"),
+                 lambda: clsplat.Renderer("cpu", blob()),
+                 lambda: clsplat.evaluate(blob(), scene, device="cpu"),
+                 lambda: clsplat.train(scene, tmp_path / "run", device="cpu")):
+        with pytest.raises(clsplat.ClsplatError, match=r"give clsplat.Device\('cpu'\)"):
+            call()
+    assert not (tmp_path / "run").exists()
+
+
 def test_model_and_camera_may_have_other_origins(run, scene, item_device):
     camera, model = scene.reduced(8).views[0].camera, run.model
     assert np.array_equal(camera.offset, scene.offset) and scene.offset.any()
@@ -213,8 +223,13 @@ def test_models_come_back_from_files(tmp_path):
     again = clsplat.Gaussians.load(tmp_path / "model.ply")
     assert np.abs(again.positions - model.positions).max() < 1e-6
     assert np.array_equal(again.offset, model.offset)
-    with pytest.raises(clsplat.ClsplatError, match="written as .ply"):
-        model.save(tmp_path / "model.spz")
+    model.save(tmp_path / "model.spz")
+    again = clsplat.Gaussians.load(tmp_path / "model.spz")  # in another order
+    places = [np.sort(each.positions.astype(float) + each.offset, axis=0)
+              for each in (again, model)]
+    assert np.abs(places[0] - places[1]).max() < 1e-3
+    with pytest.raises(clsplat.ClsplatError, match="model.obj"):
+        model.save(tmp_path / "model.obj")
     with pytest.raises(clsplat.ClsplatError, match="none.ply"):
         clsplat.Gaussians.load(tmp_path / "none.ply")
 
@@ -262,6 +277,7 @@ def test_example_of_rendering(run, tmp_path):
     assert "320 x 240 pixels" in said and np.load(tmp_path / "image.npy").shape == (240, 320, 3)
 
 
+@pytest.mark.slow
 def test_example_of_fitting_an_image():
     quality = [float(line.split()[2]) for line in ran("fit_an_image.py").splitlines()]
     assert quality[0] < 10 and quality[-1] > 27

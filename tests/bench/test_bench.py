@@ -66,8 +66,8 @@ def test_a_bad_count_is_told(text):
 @pytest.mark.slow
 @pytest.mark.parametrize("family", ["adam", "batch", "bin", "blend", "compact", "contribution",
                                     "cull", "exposure", "frequency", "gather", "image_loss",
-                                    "project", "reduce", "render", "reproject", "sort",
-                                    "statistics", "step"])
+                                    "noise", "project", "reduce", "regularise", "render",
+                                    "reproject", "sort", "statistics", "step"])
 def test_each_family_prints_its_lines(family, monkeypatch, capsys):
     monkeypatch.setattr(measure, "measure_ceilings", lambda device: Ceilings(1e15, 1e18))
     more = ["--scene", "data_samples/city", "--downscale", "4"] if family == "step" else []

@@ -12,12 +12,17 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
+from clsplat.georeference import Georeference
 from clsplat.io import city as module
 from clsplat.io.city import BlockFolder, CityFolder, attached
+from clsplat.io.depth import read_depth, with_depths
+from clsplat.io.images import write_image
 from clsplat.io.packed import write_packed
 from clsplat.io.ply import read_ply
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.partition.region import Region, Space
+from clsplat.response import Response
+from clsplat.training.block import options_of_blocks
 from tests.data.tiny_training import CITY
 
 VIEWS = [3, 9, 8, 11]  # in no order
@@ -45,7 +50,8 @@ def gaussians(scene):
 
 
 def exposures_of(scene):
-    return {view.name: np.eye(3, 4) + 0.01 * i / 3 for i, view in enumerate(scene.views[:10])}
+    return {view.name: Response(np.eye(3, 4) + 0.01 * i / 3, np.array([0.1, -0.2, i / 3, 1.5]))
+            for i, view in enumerate(scene.views[:10])}
 
 
 def written(folder, scene, gaussians, number=0, views=VIEWS, **identity):
@@ -94,7 +100,9 @@ def test_a_block_is_a_scene(city, scene, gaussians, away):
     assert all(view.source.is_symlink() for view in read.views)
     expected = exposures_of(scene)
     assert set(read.exposures) == {scene.views[i].name for i in (3, 8, 9)}
-    assert all(np.array_equal(read.exposures[name], expected[name]) for name in read.exposures)
+    for name, response in read.exposures.items():
+        assert np.array_equal(response.transform, expected[name].transform)
+        assert np.array_equal(response.vignetting, expected[name].vignetting)
     there = read_ply(block.initial, far.offset)
     assert np.allclose(there.positions, gaussians.positions, atol=1e-4)
     assert block.read() == {"number": 0, **city.identity(),
@@ -112,6 +120,15 @@ def test_a_block_of_a_packed_scene_is_packed(city, scene, gaussians, tmp_path):
     assert read.path == block.path and read.name == "000"
 
 
+def test_a_block_keeps_the_place_of_the_whole(city, scene, gaussians):
+    here = Georeference("EPSG:32614", (5e5, 3e6, 300.0), "test", 0.5)
+    block = written(city, replace(scene, georeference=here, given_up=None), gaussians)
+    read = read_scene(block.path)
+    assert read.georeference == here and read.up.tolist() == [0, 0, 1]
+    estimated = read_scene(written(city, scene, gaussians, number=1).path)
+    assert estimated.georeference is None and np.allclose(estimated.up, scene.up, atol=1e-15)
+
+
 def test_a_block_of_a_scene_without_tracks(city, scene, gaussians):
     """Its points are those that fall into the views' images."""
     block = written(city, replace(scene, observations=None), gaussians, views=[3, 4])
@@ -119,6 +136,22 @@ def test_a_block_of_a_scene_without_tracks(city, scene, gaussians):
     assert read.observations is None
     seen = np.any([scene.views[i].sees(scene.points) for i in (3, 4)], axis=0)
     assert len(read.points) == seen.sum() < len(scene.points)
+
+
+def test_masks_and_depth_maps_of_a_block(city, scene, gaussians, tmp_path):
+    mask, depth = tmp_path / "mask.png", tmp_path / "far" / "depth.npy"
+    write_image(mask, np.tile((np.arange(320) > 99)[:, None] * np.uint8(255), (240, 1, 3)))
+    depth.parent.mkdir()
+    np.save(depth, np.full((240, 320), 7.0))
+    views = list(scene.views)
+    views[3], views[9] = replace(views[3], mask=mask), replace(views[9], depth=depth)
+    block = written(city, replace(scene, views=tuple(views)), gaussians)
+    read = check_part(block, scene)
+    assert [view.mask is not None for view in read.views] == [True, False, False, False]
+    assert np.array_equal(read.views[0].valid(), views[3].valid())
+    held = with_depths(read, options_of_blocks({"depth": "elsewhere"}, {})["depth"])
+    assert [view.depth is not None for view in held.views] == [False, False, True, False]
+    assert (read_depth(held.views[2]) == 7).all()
 
 
 def test_photos_in_folders(city, scene, gaussians):

@@ -2,19 +2,24 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from clsplat.city.finish import merge_city
 from clsplat.city.merge import joined, merge
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply, write_ply
+from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.options import resolve
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from clsplat.report.city import share_table
+from clsplat.response import Response
 from tests.data.tiny_training import CITY
 
 BLOCKS = 4
@@ -246,3 +251,16 @@ def test_a_city_of_another_scene_is_refused(city, scene):
     city.write({"fingerprint": "another"})
     with pytest.raises(InputError, match="is a city of another scene than"):
         merge(city, scene)
+
+
+def test_the_merged_run_has_the_exposures_of_the_coarse_run(city, scene):
+    """By which its held-out views are scored; a coarse run without any leaves none."""
+    device = SimpleNamespace(name="none", form="item")
+    merge_city(city, scene, resolve({}, {}), device)
+    assert RunFolder(city.path).load_exposures() is None
+    known = {scene.views[1].name: Response(1.1 * np.eye(3, 4), np.array([-0.1, 0, 0.2, 1.5]))}
+    RunFolder(city.coarse).save_exposures(known)
+    merge_city(city, scene, resolve({}, {}), device)
+    (name, found), = RunFolder(city.path).load_exposures().items()
+    assert name in known and np.array_equal(found.transform, known[name].transform)
+    assert np.array_equal(found.vignetting, known[name].vignetting)

@@ -105,8 +105,8 @@ def photos(scene, tmp_path_factory):
 
 
 @pytest.fixture
-def photographed(float_device, photos, model):
-    return photos(float_device, model)
+def photographed(item_device, photos, model):
+    return photos(item_device, model)
 
 
 def noisy(model, seed, size):
@@ -139,8 +139,8 @@ def by_pair(seams, key):
     return {tuple(record["blocks"]): record[key] for record in seams["borders"]}
 
 
-def test_blocks_that_agree_have_no_seam(float_device, photographed, model):
-    seams = report(float_device, photographed, model)
+def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
+    seams = report(item_device, photographed, model)
     assert len(seams["borders"]) == 4
     assert abs(seams["seam_db"]) < SEAM / 2 and seams["worst_seam_db"] < SEAM
     for record in seams["borders"]:
@@ -152,22 +152,22 @@ def test_blocks_that_agree_have_no_seam(float_device, photographed, model):
     assert "000 | 001" in table and "all" in table
 
 
-def test_blocks_that_are_worse_everywhere_have_no_seam(float_device, photographed, model):
+def test_blocks_that_are_worse_everywhere_have_no_seam(item_device, photographed, model):
     """They lose to the reference, but not beside their borders."""
-    seams = report(float_device, photographed, model,
+    seams = report(item_device, photographed, model,
                    lambda number, gaussians: noisy(gaussians, 5, 0.2))
     lost = min(record["reference_psnr"] - record["psnr"] for record in seams["borders"])
     assert lost > 1.5 and abs(seams["seam_db"]) < lost / 4
 
 
-def test_a_brighter_block_shows_at_its_borders_only(float_device, photographed, model):
+def test_a_brighter_block_shows_at_its_borders_only(item_device, photographed, model):
     def spoil(number, gaussians):
         if number == 0:
             gaussians.rows["sh_constant"] += 0.5
         return gaussians
 
-    fine = by_pair(report(float_device, photographed, model), "overlap_psnr")
-    seams = report(float_device, photographed, model, spoil)
+    fine = by_pair(report(item_device, photographed, model), "overlap_psnr")
+    seams = report(item_device, photographed, model, spoil)
     overlap, values = by_pair(seams, "overlap_psnr"), by_pair(seams, "seam_db")
     for pair in overlap:
         expected = -20 * np.log10(0.5 * SH_C0) if 0 in pair else fine[pair]
@@ -176,7 +176,7 @@ def test_a_brighter_block_shows_at_its_borders_only(float_device, photographed, 
     assert max(values[0, 1], values[0, 2]) > values[1, 3] + 2
 
 
-def test_a_block_that_is_worse_beside_its_borders_is_a_seam(float_device, photographed, model):
+def test_a_block_that_is_worse_beside_its_borders_is_a_seam(item_device, photographed, model):
     """As blocks are whose margins no view has trained."""
     def spoil(number, gaussians):
         if number == 3:
@@ -184,22 +184,22 @@ def test_a_block_that_is_worse_beside_its_borders_is_a_seam(float_device, photog
             gaussians.rows["sh_constant"][near] -= np.float32([0.8, 0, 0])
         return gaussians
 
-    seams = report(float_device, photographed, model, spoil)
+    seams = report(item_device, photographed, model, spoil)
     values = by_pair(seams, "seam_db")
     assert seams["worst_seam_db"] > SEAM and seams["seam_db"] > SEAM
     assert min(values[1, 3], values[2, 3]) > SEAM
     assert max(values[0, 1], values[0, 2]) < min(values[1, 3], values[2, 3])
 
 
-def test_a_block_shifted_by_a_hundredth_shows(float_device, photographed, model):
+def test_a_block_shifted_by_a_hundredth_shows(item_device, photographed, model):
     """Of the city's size, sideways."""
     def spoil(number, gaussians):
         if number == 1:
             gaussians.rows["positions"] += np.float32([0.66, 0, 0])
         return gaussians
 
-    fine = by_pair(report(float_device, photographed, model), "overlap_psnr")
-    seams = report(float_device, photographed, model, spoil)
+    fine = by_pair(report(item_device, photographed, model), "overlap_psnr")
+    seams = report(item_device, photographed, model, spoil)
     overlap = by_pair(seams, "overlap_psnr")
     for pair in overlap:
         loss = fine[pair] - overlap[pair]
@@ -207,14 +207,14 @@ def test_a_block_shifted_by_a_hundredth_shows(float_device, photographed, model)
     assert seams["worst_seam_db"] > SEAM
 
 
-def test_gaussians_kept_twice_are_a_jump_of_density(float_device, photographed, model):
+def test_gaussians_kept_twice_are_a_jump_of_density(item_device, photographed, model):
     def spoil(number, gaussians):
         if number == 2:
             return Gaussians({f.name: np.concatenate([gaussians.rows[f.name]] * 2)
                               for f in LEARNED}, gaussians.sh_degree)
         return gaussians
 
-    jumps = by_pair(report(float_device, photographed, model, spoil), "density_jump")
+    jumps = by_pair(report(item_device, photographed, model, spoil), "density_jump")
     assert jumps[0, 2] == pytest.approx(np.log(2), abs=0.02)
     assert jumps[2, 3] == pytest.approx(-np.log(2), abs=0.02)
     assert jumps[0, 1] == pytest.approx(0) and jumps[1, 3] == pytest.approx(0)
@@ -236,15 +236,15 @@ def test_a_border_is_the_mean_of_its_views_by_their_pixels():
     assert _scores(errors[2:])["seam_db"] is None and _scores([])["pixels"] == 0
 
 
-def test_what_cannot_be_said_is_left_open(float_device, photographed, model):
+def test_what_cannot_be_said_is_left_open(item_device, photographed, model):
     space = Space(np.eye(3), photographed.offset, np.full(3, 30.0))
     partition = boxes(QUARTERS, space)
     counts = np.bincount(partition.owner(model.positions + photographed.offset), minlength=4)
     merged = joined([cropped(model, partition, n, photographed.offset) for n in range(4)])
-    seams = find_seams(float_device, partition, photographed, photographed.views[:1], OPTIONS,
+    seams = find_seams(item_device, partition, photographed, photographed.views[:1], OPTIONS,
                        merged, counts, model, lambda number: None)
     assert all(record["overlap_psnr"] is None for record in seams["borders"])
-    empty = find_seams(float_device, partition, photographed, (), OPTIONS, merged, counts, model,
+    empty = find_seams(item_device, partition, photographed, (), OPTIONS, merged, counts, model,
                        lambda number: None)
     assert empty["worst_seam_db"] is None and empty["seam_db"] is None
     assert "-" in seam_table(empty).text()

@@ -22,6 +22,7 @@ from clsplat.errors import ClsplatError, DeviceError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.run import RunFolder
 from clsplat.options import resolve
+from tests.data import ground_model
 
 
 def clsplat_(*arguments):
@@ -78,7 +79,7 @@ def calls(monkeypatch):
             return json.loads(json.dumps(record))
 
     def trainer(name):
-        def call(scene, options, device, run, progress=None):
+        def call(scene, options, device, run, progress=None, watcher=None):
             noted.append((name, scene, options, device, progress))
             if progress is not None:
                 progress(iteration=0, total=5, loss=1.0, gaussians=1, memory_bytes=0, level=2.0)
@@ -103,6 +104,16 @@ def raising(error):
         raise error
     group.add_section("Fail", fail)
     return group
+
+
+def test_up_is_not_asked_for_where_the_earth_tells(tmp_path, calls, monkeypatch):
+    """Maps and tiles of a run so trained would be turned against the earth."""
+    module(monkeypatch, "clsplat.io.scenes", read_scene=lambda *_: ground_model.scene())
+    result = clsplat_("train", tmp_path, "-o", tmp_path / "run", "--up", 0, 0.1, 1)
+    assert result.exit_code == 2 and "so its z axis points up" in result.stderr, result.output
+    module(monkeypatch, "clsplat.io.scenes", read_scene=lambda *_: ground_model.scene(None))
+    assert clsplat_("train", tmp_path, "-o", tmp_path / "run", "--up", 0, 0.1, 1).exit_code == 0
+    assert calls[-1][0] == "train" and calls[-1][1].up[1] > 0.09
 
 
 def test_version_and_module_entry():
@@ -189,6 +200,11 @@ def test_resume_uses_the_stored_options(calls):
     assert calls[1][1] == "scene city" and calls[1][3] == "device stored"
 
 
+def test_a_view_is_for_one_training(calls):
+    result = clsplat_("train", "city", "-o", "run", "--schedules", "sig,constant", "--view")
+    assert result.exit_code == 2 and result.stderr.startswith("error: --view: ") and not calls
+
+
 def test_resume_needs_no_scene(calls):
     result = clsplat_("train", "--resume", "-o", "run")
     assert result.exit_code == 0, result.output
@@ -211,7 +227,7 @@ def test_a_record_resolves_to_itself(choice):
     (["--seed", "6"], "--seed"), (["--schedule", "dash"], "--schedule"),
     (["--levels", "2", "--levels", "1"], "--levels"), (["--time-budget", "9m"], "--time-budget"),
     (["-n", "900"], "--iterations"), (["--overwrite"], "--overwrite"),
-    (["--config", "run.toml"], "--config")])
+    (["--config", "run.toml"], "--config"), (["--up", "0", "0", "1"], "--up")])
 def test_resume_refuses_another_run(calls, arguments, named):
     result = clsplat_("train", "city", "-o", "run", "--resume", *arguments)
     assert result.exit_code == 2 and result.stderr.startswith(f"error: {named}: ")
@@ -224,9 +240,9 @@ def test_bad_options_leave_no_folder(calls):
 
 
 def test_export_names_the_formats_it_knows(tmp_path):
-    result = clsplat_("export", tmp_path, "-o", "model.splat")
+    result = clsplat_("export", tmp_path, "-o", "model.obj")
     assert result.exit_code == 2
-    assert "model.splat" in result.stderr and ".ply" in result.stderr
+    assert all(name in result.stderr for name in ("model.obj", ".ply", ".sog", ".html"))
 
 
 def test_export_copies_a_whole_model_only(tmp_path):
@@ -234,7 +250,9 @@ def test_export_copies_a_whole_model_only(tmp_path):
     folder = RunFolder.create(run)
     folder.write_options({})
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
-    folder.save_model(Gaussians.from_points(points, np.full((3, 3), 99, np.uint8)), [5e6, 0, 0])
+    model = Gaussians.from_points(points, np.full((3, 3), 99, np.uint8))
+    model.rows["sh_rest"][:] = 0.1  # harmonics that nothing uses would not be written
+    folder.save_model(model, [5e6, 0, 0])
     model = (run / "point_cloud.ply").read_bytes()
     result = clsplat_("export", run, "-o", output)
     assert result.exit_code == 0 and "3 gaussians" in result.output
@@ -251,16 +269,18 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
     (tmp_path / "point_cloud.ply").touch()
     asked = []
 
-    def evaluate_run(run, device, save_images, scene_path):
-        asked.append((run.path, device, save_images, str(scene_path)))
+    def evaluate_run(run, device, save_images, scene_path, metrics):
+        asked.append((run.path, device, save_images, str(scene_path), metrics))
         return {"views": 1, "psnr": 1, "ssim": 1, "psnr_cc": 1, "ssim_cc": 1, "pictures": "new"}
 
     module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
-    module(monkeypatch, "clsplat.evaluation.views", evaluate_run=evaluate_run, PANELS=())
-    module(monkeypatch, "clsplat.report.run", renew_pictures=lambda *words: f"page with {words[1]}")
-    result = clsplat_("eval", tmp_path, flag, "--device", "cpu", "--scene", "moved")
+    module(monkeypatch, "clsplat.evaluation.views", evaluate_run=evaluate_run, PANELS=(),
+           final_metrics=lambda path: f"metrics with {path}")
+    module(monkeypatch, "clsplat.report.run", renew_report=lambda *words: f"page with {words[1]}")
+    result = clsplat_("eval", tmp_path, flag, "--device", "cpu", "--scene", "moved",
+                      "--lpips", "net.onnx")
     assert result.exit_code == 0, result.output
-    assert asked == [(tmp_path, "device cpu", images, "moved")]
+    assert asked == [(tmp_path, "device cpu", images, "moved", "metrics with net.onnx")]
     assert all((words in result.output) is images for words in ("renders", "page with new"))
 
 
@@ -269,6 +289,11 @@ def test_eval_summary_labels_both():
     rows = [line.split() for line in text.splitlines()]
     assert rows == [["3", "held-out", "views", "PSNR", "SSIM"], ["plain", "20.12", "0.5000"],
                     ["colour-corrected", "25.00", "0.7500"]]
+    text = summary({"views": 1, "psnr": 20, "ssim": 0.5, "flip": 0.25, "lpips": 0.5,
+                    "psnr_cc": 25, "ssim_cc": 0.75, "flip_cc": 0.125, "lpips_cc": 0.375})
+    rows = [line.split() for line in text.splitlines()]
+    assert rows[0][3:] == ["PSNR", "SSIM", "FLIP", "LPIPS"]
+    assert rows[2] == ["colour-corrected", "25.00", "0.7500", "0.1250", "0.3750"]
 
 
 def entry(index, works, **more):

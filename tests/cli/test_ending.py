@@ -10,11 +10,12 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from clsplat.training.interrupt import handled_interrupts
 from tests.cli.test_cli import python, raising
 
 
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code):
+def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code, request):
     """Fault M5 of the hostile trial: KeyboardInterrupt raised in a callback of C code."""
     group = raising(None)
 
@@ -27,13 +28,49 @@ def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code):
             raise SystemError("<built-in> returned a result with an exception set") from None
 
     group.add_section("Burn", burn)
-    before = signal.getsignal(number)
-    if before is signal.SIG_IGN:  # of a job in the background of a shell
-        pytest.skip("this process was started with the signal ignored, and leaves it so")
+    was = signal.getsignal(number)
+    before = signal.default_int_handler  # a job in the background of a shell ignores signals
+    signal.signal(number, before)
+    request.addfinalizer(lambda: signal.signal(number, was))
     result = CliRunner().invoke(group, ["burn"])
     assert result.exit_code == code and "bug" not in result.stderr
     assert result.stderr.startswith("interrupted; what was saved is kept: give the same command")
     assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("name", ["verdict", "say"])
+def test_a_second_ctrl_c_while_the_first_one_is_told(name):
+    result = python(
+        "-c", "import os, signal, sys\nimport clsplat.__main__ as entry\n"
+        "import clsplat.cli.main as cli\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "interrupt = lambda *_: os.kill(os.getpid(), signal.SIGINT)\n"
+        "cli.devices.invoke = interrupt\n"
+        f"tell = cli.{name}\n"
+        f"cli.{name} = lambda *words: (interrupt(), tell(*words))[1]\n"
+        "sys.argv = ['clsplat', 'devices']\nentry.run()")
+    assert result.returncode == 130 and "Traceback" not in result.stderr
+    told = result.stderr.strip()  # click begins a new line after ^C
+    assert told == "interrupted; what was saved is kept: give the same command again"
+
+
+def test_ctrl_c_after_the_end_changes_nothing():
+    """What the command said of how to go on is its last line."""
+    result = python("-c", "import atexit, os, signal, sys\nimport clsplat.__main__ as entry\n"
+                    "import clsplat.cli.main as cli\n"
+                    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+                    "atexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+                    "cli.main = lambda **_: sys.exit(130)\nentry.run()")
+    assert (result.returncode, result.stderr) == (130, "")
+
+
+def test_ctrl_c_that_no_handler_of_the_command_took():
+    """In the few instructions before the command's own handling: no traceback either."""
+    result = python("-c", "import clsplat.__main__ as entry, clsplat.cli.main as cli\n"
+                    "def interrupted(**_): raise KeyboardInterrupt\n"
+                    "cli.main = interrupted\nentry.run()")
+    assert (result.returncode, result.stderr) == (
+        130, "interrupted: give the same command again\n")
 
 
 def test_ctrl_c_while_the_program_starts():
@@ -78,3 +115,18 @@ def test_a_reader_who_leaves_is_no_error():
 def test_what_the_machine_lacks_is_no_bug(error, said, code):
     result = CliRunner().invoke(raising(error), ["fail"])
     assert result.exit_code == code and said in result.stderr and "bug" not in result.stderr
+
+
+def test_an_interrupt_in_a_destructor_is_not_lost(capfd, request):
+    """Python shows exceptions of destructors, and goes on."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
+
+    class Ending:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    with handled_interrupts() as interrupts, pytest.raises(KeyboardInterrupt):
+        Ending()
+        time.sleep(5)
+    assert interrupts.number == signal.SIGINT and not capfd.readouterr().err

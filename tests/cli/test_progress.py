@@ -106,6 +106,18 @@ def test_things_are_counted(monkeypatch):
     assert log.getvalue().splitlines()[-1] == "photo 12 of 48, 36s left"
 
 
+def test_a_log_has_the_last_of_what_is_counted_before_what_follows(monkeypatch):
+    log, clock = io.StringIO(), Clock(monkeypatch)
+    with Progress(file=log) as progress:
+        for tile in range(1, 5):
+            clock.now += 1
+            progress.count("tile", tile, 4)
+        progress.phase("writing files")
+        progress.message("done")
+    assert log.getvalue().splitlines() == [
+        "tile 1 of 4", "tile 4 of 4, 0s left", "writing files", "done"]
+
+
 class Failing(io.StringIO):
     """A stream that cannot be written."""
 

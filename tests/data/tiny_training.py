@@ -4,6 +4,7 @@
 import hashlib
 import json
 from pathlib import Path
+from unittest.mock import patch
 
 from clsplat.errors import Interrupted
 from clsplat.io.run import RunFolder
@@ -44,8 +45,10 @@ def resumed(run, scene, device, **changes):
 
 def _taken(start, run, scene, device, changes):
     options = options_of(**changes)
+    # the curves of a report take half a second: tests/report draws them
     try:
-        start(scene, options, device, run)
+        with patch("clsplat.report.run.drawn", return_value=""):
+            start(scene, options, device, run)
         assert not 0 < options.stop_at < options.iterations
     except Interrupted:
         if not options.stop_at:

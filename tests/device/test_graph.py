@@ -140,6 +140,8 @@ def test_blocks_are_used_again_and_results_are_not(own_device):
     case, total = Case(device, 0), device.zeros((5, 3))
     with device.record(rows=case.rows) as graph:
         work(device, case.rows, case.indices, total, 1.0)
+    del graph
+    gc.collect()
     managed, persistent = device._pool.managed_bytes, device._persistent.nbytes
     for _ in range(4):
         with device.record(rows=case.rows) as graph:

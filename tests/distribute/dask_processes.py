@@ -6,10 +6,11 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-ENDED_SECONDS = 20
+STARTED_SECONDS, ENDED_SECONDS = 120, 120
 
 
 class DaskProcesses:
@@ -33,8 +34,17 @@ class DaskProcesses:
         self._scratch.cleanup()
 
     def start_scheduler(self):
+        """Start it, and wait until it listens: on a busy machine Dask itself starts slowly."""
         self.scheduler = self._dask("scheduler", "--host", "127.0.0.1", "--port", str(self.port),
                                     "--no-dashboard")
+        deadline = time.monotonic() + STARTED_SECONDS
+        while True:
+            try:
+                socket.create_connection(("127.0.0.1", self.port), 1).close()
+                return
+            except OSError:
+                assert time.monotonic() < deadline and self.scheduler.poll() is None
+                time.sleep(0.05)
 
     def start_worker(self, *words, device="", resources="device=1"):
         """Start a worker, without a nanny unless `words` are given; device: its CLSPLAT_DEVICE."""

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 DONE, STATE, STARTS, ENDS = "done.txt", "state.txt", "starts.txt", "ends.txt"
+STEPPED = "stepped.txt"  # has a line for each start after which a step was made
 NO_DEVICE = "no such device"
 STEP_SECONDS, SAVE_SECONDS = 0.05, 0.1
 
@@ -36,11 +37,13 @@ def main():
         if options.code < 0:
             os.kill(os.getpid(), -options.code)
         sys.exit(options.code)
-    step = int(state.read_text()) if state.exists() else 0
+    step = begun = int(state.read_text()) if state.exists() else 0
     try:
         while step < options.steps:
             time.sleep(STEP_SECONDS)
             step += 1
+            if step == begun + 1:
+                note(folder / STEPPED)
     finally:  # as a training that is interrupted once saves its state
         time.sleep(SAVE_SECONDS)
         state.write_text(str(step))

@@ -1,6 +1,7 @@
 """What is predicted of a training: its course, its memory, its time."""
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,12 +36,12 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.images import write_image
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
-from clsplat.rendering.frame_arrays import FrameSize, measure_arrays
+from clsplat.rendering.frame_arrays import FrameSize
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule import OURS, SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.simulate import Segment, largest, simulate
-from clsplat.training.model import grown_capacity
+from clsplat.training.model import ENGINES, grown_capacity
 from clsplat.training.photos import photo_array, size_note
 from clsplat.training.session import prepare
 from tests.data.tiny_training import CITY, options_of, records, trained
@@ -143,8 +144,19 @@ def test_blocks_are_those_of_the_pool(own_device):
             0, block_bytes(size)) and block_bytes(size) >= size
 
 
-PARTS = [{}, {"exposure": "on", "reproject": "on"}, {"batch": 3}, {"moments": "half"},
+PARTS = [{}, {"exposure": "on", "vignetting": "on", "reproject": "on", "moments": "half"},
+         {"batch": 3},
          {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]
+
+
+def with_another_lens(scene):
+    """Half of its views have a longer focal length."""
+    views = list(scene.views)
+    for i in range(0, len(views), 2):
+        camera = views[i].camera
+        views[i] = replace(views[i], camera=replace(
+            camera, focal=tuple(1.3 * length for length in camera.focal)))
+    return replace(scene, views=tuple(views))
 
 
 @pytest.mark.parametrize("options", PARTS, ids=str)
@@ -152,28 +164,24 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
     """What lasts to the byte, at two levels and after growth; of what the pool keeps for steps
     all but the last numbers of the loss."""
     device, regularises = own_device, options.get("reproject") == "on"
-    prepared = prepare(read_scene(CITY), resolve({}, {
+    prepared = prepare(with_another_lens(read_scene(CITY)), resolve({}, {
         "exposure": "off", "downscale": 4.0, "test_every": 0, "sphere": False, **options}), device)
     views, degree = prepared.train_views, prepared.options.sh_degree
     session = trial_session(prepared, device, sampled(prepared.scene, 3000, degree), 2.0)
-    trial, pool, found = TrialSteps(session), Pool(device.real), []
-    render, measure, measured = session.renderer.render, session.renderer.measure, []
-
-    def noted_measure(*arguments):
-        measured.append(measure(*arguments))
-        return measured[-1]
+    trial, found = TrialSteps(session), []
+    render = session.renderer.render
 
     def noted(*arguments, **more):
         frame = render(*arguments, **more)
         found.append((len(frame.visible), frame.pairs.count))
         return frame
 
-    session.renderer.render, session.renderer.measure = noted, noted_measure
+    session.renderer.render = noted
     capacity = 3000
     for level, count in ((2.0, 3000), (1.0, 3000), (1.0, 5000)):
         session.photos = SizedPhotos(device, views, level)
         session.use_level(level)
-        pool = Pool(device.real)
+        pool = Pool(device.real, ENGINES[prepared.options.engine].RECORDS)
         if count != session.model.count:
             session.model.regrow(Growth(np.zeros(count, np.uint32), 3000, 0, 0, 0, {}))
             session.step.statistics.clear(count)
@@ -188,12 +196,9 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
             plan = trial_plan(prepared.options, level, regularises)
             terms = session.step.terms_in(plan)
             pool.add(step_arrays(device, prepared, size, terms))
-            for splats, _ in measured:
-                pool.add(measure_arrays(device, size._replace(splats=splats)))
-            measured.clear()
-        lasting += result_arrays(prepared, terms, camera.width, camera.height)
+        lasting += result_arrays(device, prepared, terms, camera.width, camera.height)
         assert device._persistent.nbytes == sum(spec.nbytes(device.real) for spec in lasting)
-        bound = 0.05 if "batch" in options or "engine" in options else 0.01
+        bound = 0.05 if "batch" in options or "engine" in options else 0.03
         kept = device._pool.managed_bytes
         assert kept == pytest.approx(pool.nbytes, rel=bound), (level, count)
 
@@ -214,14 +219,15 @@ def measured_peak(device, monkeypatch):
 @pytest.mark.parametrize("options", [
     {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
     {"schedule": "taming", "downscale": 4.0, "iterations": 400, "taming_budget": 4.0}], ids=str)
-def test_a_run_takes_what_was_foretold(tmp_path, own_device, monkeypatch, options):
+def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, options):
     """Memory, which has the margins of rooms (training/rooms.py), within 20 %; of the time no more
-    is asked for than a busy machine can keep."""
+    is asked for than a busy machine can keep. What the forms allocate is counted above."""
     scene = read_scene(CITY)
     options = {"exposure": "off", "reset_every": 0, "prune_opacity": 0.005, "densify_from": 100,
                "densify_every": 25, "grow_threshold": 2e-5, "densify_until": 0, **options}
-    forecast = Planned(scene, options_of(**options), own_device).forecast()
-    fresh = Device(own_device.handle, form=own_device.form)
+    forecast = Planned(scene, options_of(**options), Device(
+        item_device.handle, form="item")).forecast()
+    fresh = Device(item_device.handle, form="item")
     peaks = measured_peak(fresh, monkeypatch)
     run = trained(tmp_path, scene, fresh, **options)
     steps = records(run, "step")
@@ -336,7 +342,7 @@ def test_the_command_says_it_all(monkeypatch, item_device):
     assert result.stderr.startswith("reading the scene\nplanning: inspecting the photos\n")
     assert result.stdout.startswith("city: 28 photos to train on, 4 held out, 4,400 points; ")
     assert " ".join(line[0] for line in lines[1:]) == (
-        "levels sh antialiased exposure reproject engine photos memory time")
+        "levels gaussians sh antialiased exposure vignetting reproject engine photos memory time")
     assert "exposure      off: requested\n" in result.output
     assert "sh degree     3: 99% of the points are seen from within 7" in result.output
     assert "for 60 steps: a step takes " in result.output

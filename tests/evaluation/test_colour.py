@@ -73,3 +73,14 @@ def test_the_result_is_clipped(image):
 def test_the_fit_never_makes_an_image_worse(image):
     photo = np.clip(image + np.random.default_rng(3).normal(0, 0.1, image.shape), 0, 1)
     assert psnr(fit_colour(image, photo), photo) >= psnr(image, photo)
+
+
+def test_masked_pixels_do_not_decide_the_fit():
+    rng = np.random.default_rng(3)
+    photo = rng.random((20, 30, 3))
+    image, valid = 0.5 * photo + 0.1, np.ones((20, 30), bool)
+    valid[:, :10] = False
+    image[~valid] = rng.random((200, 3))
+    fitted = fit_colour(image, photo, valid)
+    assert np.allclose(fitted[valid], photo[valid], atol=1e-6)
+    assert not np.allclose(fit_colour(image, photo)[valid], photo[valid], atol=1e-2)

@@ -160,7 +160,7 @@ def test_where_the_ground_truth_lies(tmp_path, plane):
 @pytest.mark.slow
 def test_evaluations_tell_floaters_where_the_truth_is_known(tmp_path, sample, monkeypatch):
     monkeypatch.setattr(Run, "opened", lambda *_: (None, None, 0))
-    monkeypatch.setattr(views, "evaluate_views", lambda *_: {"psnr": 20.0, "per_view": []})
+    monkeypatch.setattr(views, "evaluate_views", lambda *_, **__: {"psnr": 20.0, "per_view": []})
     model = Gaussians.from_points(sample.points, sample.colours, 0)
     lift = np.random.default_rng(0).exponential(5, model.count)  # from none to many pixels
     model.rows["positions"][:, 2] += lift.astype(np.float32)

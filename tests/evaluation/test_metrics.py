@@ -60,3 +60,19 @@ def test_ssim_is_that_of_wang_et_al(photo):
 def test_an_image_smaller_than_the_window_is_refused():
     with pytest.raises(InputError, match="40x10 pixels.*11x11.*--downscale"):
         ssim(np.zeros((10, 40, 3)), np.zeros((10, 40, 3)))
+
+
+def test_only_pixels_that_count_count(photo):
+    """Whatever is elsewhere; of SSIM whole windows, which a mask of a rectangle cuts like a border.
+    """
+    noisy = photo + np.random.default_rng(2).normal(0, 0.05, photo.shape)
+    part, valid = (slice(20, 60), slice(10, 50)), np.zeros(photo.shape[:2], bool)
+    valid[part] = True
+    spoilt = np.where(valid[..., None], noisy, 7)
+    assert psnr(spoilt, photo, valid) == pytest.approx(psnr(noisy[part], photo[part]))
+    assert ssim(spoilt, photo, valid) == pytest.approx(ssim(noisy[part], photo[part]))
+    every = np.ones_like(valid)
+    assert ssim(noisy, photo, every) == pytest.approx(ssim(noisy, photo))
+    valid[:] = False
+    valid[30:33, 30:60] = True  # too thin for a window
+    assert 0 < ssim(noisy, photo, valid) < 1

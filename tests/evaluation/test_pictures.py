@@ -14,7 +14,7 @@ from clsplat.evaluation.pictures import MOST_PIXELS, Pictures, chosen_views, sho
 from clsplat.io.images import read_image
 from clsplat.io.run import RunFolder
 from clsplat.report.page import Table
-from clsplat.report.run import renew_pictures, write_report
+from clsplat.report.run import renew_report, write_report
 from tests.report.test_report import Balanced, headings
 
 
@@ -52,11 +52,11 @@ def test_which_views_are_shown(scores, chosen):
 def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
     asked = []
 
-    def evaluate_views(renderer, rows, degree, chosen, keep=None):
+    def evaluate_views(renderer, rows, degree, chosen, keep=None, predicted=None):
         asked.append([view.name for view in chosen])
         found = [scored(view.name, view.psnr) for view in chosen]
         for _, fitted, photo in found if keep else ():
-            keep(None, None, fitted, photo)
+            keep(None, None, fitted, photo, None)
         return {"per_view": [scores for scores, *_ in found]}
 
     def named(*scores):
@@ -128,12 +128,26 @@ def test_pictures_of_training_views_are_called_so(run):
 def test_pictures_are_renewed_and_the_rest_stays(run):
     write_report(run, Table("Blocks", ("block",), [("7",)]), pictures=pictures())
     before = (run.path / "report.html").read_text()
-    html = renew_pictures(run, pictures(names=("new.jpg", "b.jpg", "c.jpg"))).read_text()
+    html = renew_report(run, pictures(names=("new.jpg", "b.jpg", "c.jpg"))).read_text()
     assert "new.jpg" in html and "a.jpg" not in html and "<h2>Blocks</h2>" in html
-    assert renew_pictures(run, pictures()).read_text() == before
+    assert renew_report(run, pictures()).read_text() == before
     for old in (b"<p>a page of an older version", b"\xff", None):
         (run.path / "report.html").write_bytes(old) if old else (run.path / "report.html").unlink()
-        assert "a.jpg" in renew_pictures(run, pictures()).read_text()
+        assert "a.jpg" in renew_report(run, pictures()).read_text()
+
+
+def test_scores_are_renewed_too(run):
+    run.log({"event": "eval", "iteration": 20, "psnr_cc": 22.0})
+    run.log({"event": "step", "iteration": 20})
+    assert "FLIP cc" not in write_report(run, Table("Blocks", ("block",), [("7",)])).read_text()
+    run.add_scores({"flip": 0.1234, "flip_cc": 0.05})
+    assert [record.get("flip") for record in run.records()] == [None, 0.1234, None]
+    html = renew_report(run, pictures()).read_text()
+    assert "FLIP cc" in html and "0.1234" in html and "<h2>Blocks</h2>" in html
+    assert html.count("PSNR cc, dB") == 1
+    (run.path / "metrics.jsonl").unlink()
+    run.add_scores({"flip": 0.5})
+    assert not run.has_metrics
 
 
 def test_pictures_that_cannot_be_encoded_cost_no_page(run, monkeypatch):

@@ -7,16 +7,23 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from clsplat.cli.evaluate import summary
 from clsplat.cli.main import main
 from clsplat.errors import InputError
+from clsplat.evaluation import run as run_module
+from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import Run, to_render
-from clsplat.evaluation.views import render_view
+from clsplat.evaluation.score import Score
+from clsplat.evaluation.views import evaluate_run, photo_of, render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.images import read_image
+from clsplat.io.models import write_model
 from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import resolve
+from clsplat.report.run import lead
+from clsplat.response import Response
 from tests.data.tiny_training import CITY
 
 OPTIONS = {"downscale": 8.0, "background": (0.3, 0.2, 0.1), "near": 2.0, "test_every": 16}
@@ -45,6 +52,38 @@ def test_the_scene_is_as_it_was_trained_on(run, scene):
     assert run.scene(whole=True).views[0].camera.width == whole.width
 
 
+@pytest.mark.slow
+def test_held_out_views_have_an_exposure_that_training_photos_tell(run, item_device):
+    """And their lens's vignetting; a report and `eval` state it."""
+    scene = run.scene()
+    train, test = scene.split(OPTIONS["test_every"])
+    plain = run.evaluate(item_device)
+    assert plain.exposure_weight is None
+    lens = np.array([-0.5, 0, 0, 1.0])
+    dim = Response(np.column_stack([0.5 * np.eye(3), [0.1, 0, 0]]), lens)
+    run.folder.save_exposures({view.name: dim for view in train})
+    result = evaluate_run(run, item_device, save_images=False)
+    assert result["exposure_weight"] == 0  # all are equal, which no neighbour tells better
+    model = run.opened(item_device, scene)
+    expected = []
+    for view in test:
+        shown = 0.5 * render_view(*model, view.camera) * dim.gain(view.camera)[:, :, None]
+        expected.append(psnr(np.clip(shown + [0.1, 0, 0], 0, 1), photo_of(view)))
+    assert result["psnr"] == pytest.approx(np.mean(expected), abs=1e-3)
+    assert abs(result["psnr"] - plain.psnr) > 0.1
+    assert "exposure of held-out views: 0% interpolated" in summary(result)
+    assert Score.of(result).exposure_weight == 0
+    told = lead({}, [{"event": "eval", **result}])
+    assert "0% interpolated between those before and after" in told
+
+
+def test_a_run_goes_on_without_what_it_was_begun_before(run):
+    record = run.record
+    del record["vignetting"]
+    run.folder.write_options(record)
+    assert run.options == resolve({}, {**OPTIONS, "vignetting": "off"})
+
+
 def test_another_scene_is_refused(run, tmp_path):
     shutil.copytree(CITY, tmp_path / "other")
     points = tmp_path / "other/sparse/0/points3D.bin"
@@ -53,8 +92,18 @@ def test_another_scene_is_refused(run, tmp_path):
     points.write_bytes(data)
     with pytest.raises(InputError, match="other: is not the scene that .* was trained on"):
         run.scene(tmp_path / "other")
-    _, shown, _ = to_render(run.path, tmp_path / "other")  # cameras may be those of any scene
-    assert shown.path == tmp_path / "other"
+
+
+def test_a_run_is_rendered_by_the_cameras_of_any_scene(run, scene, tmp_path, monkeypatch):
+    """Its gaussians stay where they are, though the other scene has another local origin."""
+    away = np.array([40.0, -7.0, 3.0])
+    other = dataclasses.replace(scene, points=scene.points - away, offset=scene.offset + away)
+    monkeypatch.setattr(run_module, "read_scene", lambda *_: other)
+    gaussians, shown, _ = to_render(run.path, tmp_path / "other")
+    assert np.array_equal(gaussians.offset, shown.offset)
+    model = run.finished_model
+    assert np.allclose(gaussians.positions + gaussians.offset, model.positions + model.offset,
+                       atol=1e-4)
 
 
 def test_the_near_plane_is_asked_for_in_the_units_of_the_original(scene):
@@ -88,12 +137,20 @@ def test_pictures_of_a_run_and_of_its_model(run, tmp_path, scene, item_device):
     picture = read_image(out / f"{test[0].name}.png")
     drawn = render_view(*run.opened(item_device, run.scene()), test[0].camera)
     assert abs(picture / 255 - drawn).max() <= 0.5 / 255 + 1e-6
+    run.folder.write_options({**run.record, "test_offset": 3, "scene": CITY})
+    _, out = rendered(run.path, "--views", "test")
+    others = {path.relative_to(out).as_posix() for path in out.rglob("*.png")}
+    assert others == {f"{view.name}.png" for view in scene.split(16, 3)[1]} and not names & others
     result, out = rendered(run.folder.model_path, "--views", "test")
-    assert result.exit_code == 2 and "point_cloud.ply: a PLY file has no cameras" in result.output
-    run.folder.write_options({**run.record, "test_every": 0, "scene": CITY})
+    assert result.exit_code == 2
+    assert "point_cloud.ply: a file of gaussians has no cameras" in result.output
+    run.folder.write_options({**run.record, "test_every": 0, "test_offset": 0, "scene": CITY})
     result, out = rendered(run.path, "--views", "test")
     assert result.exit_code == 2 and "no test views; choose others with --views" in result.output
     _, shown, options = to_render(run.folder.model_path, CITY)
+    assert not options.antialiased
+    write_model(tmp_path / "mip.spz", run.finished_model, ("SplatRenderMode: mip",))
+    assert to_render(tmp_path / "mip.spz", CITY)[2].antialiased
     assert shown.views[0].camera.width == scene.views[0].camera.width and options.near == 0
 
 

@@ -1,5 +1,7 @@
 """What a finished model can lose: gaussians that no view shows, and harmonics nobody misses."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -76,7 +78,7 @@ def test_export_leaves_out_what_carries_nothing(tmp_path, city):
     run, output = run_with(tmp_path / "run", gaussians), tmp_path / "model.ply"
     result = clsplat_("export", run.path, "-o", output, "--sh-degree", 2)
     assert result.exit_code == 0, result.output
-    assert "298 gaussians, spherical harmonics to degree 2; 2 invisible ones" in result.output
+    assert "298 gaussians, spherical harmonics to degree 2; left out as inv" in result.output
     whole, part = read_ply(run.path / "point_cloud.ply"), read_ply(output)
     keep = thin.alive(gaussians)
     assert part.sh_degree == 2 and b"SplatRenderMode: default" in output.read_bytes()[:400]
@@ -89,13 +91,18 @@ def test_export_leaves_out_what_carries_nothing(tmp_path, city):
     write_ply(tmp_path / "direct.ply", Gaussians(rows, 2), [5e6, 0, 0],
               ("SplatRenderMode: default",))
     assert (tmp_path / "direct.ply").read_bytes() == output.read_bytes()
-    assert clsplat_("export", run.path, "-o", output).exit_code == 0
+    before = output.read_bytes()
+    result = clsplat_("export", run.path, "-o", output)
+    assert result.exit_code == 2 and "exists already; replace it with --over" in result.stderr
+    assert output.read_bytes() == before
+    export = partial(clsplat_, "export", run.path, "-o", output, "--overwrite")
+    assert export().exit_code == 0
     assert (read_ply(output).sh_degree, read_ply(output).count) == (3, 298)
     for degree in ("0", "1"):
-        assert clsplat_("export", run.path, "-o", output, "--sh-degree", degree).exit_code == 0
+        assert export("--sh-degree", degree).exit_code == 0
         assert read_ply(output).sh_degree == int(degree)
     again = run_with(tmp_path / "small", replace_degree(gaussians, 1))
-    result = clsplat_("export", again.path, "-o", output, "--sh-degree", 3)
+    result = clsplat_("export", again.path, "-o", tmp_path / "a.ply", "--sh-degree", 3)
     assert result.exit_code == 2
     assert "has spherical harmonics up to degree 1, not 3" in result.stderr
 

@@ -72,11 +72,6 @@ def tiny(folder):
     return folder
 
 
-def bent(folder):
-    shutil.rmtree(folder / "val")
-    write_scene(folder / "val", reconstruction("SIMPLE_RADIAL", (50.0, 24.0, 18.0, 0.1)))
-
-
 def absolute(folder):
     made = reconstruction()
     next(iter(made.images.values())).name = str(folder / "outside.png")
@@ -91,7 +86,6 @@ def absolute(folder):
     (lambda f: (f / "val/sparse/0/images.bin").write_bytes(b"\1\0\0"), "images.bin: empty or cut"),
     (lambda f: (f / "val/images/val_2.png").unlink(), "val/images/val_2.png: no such image"),
     (lambda f: shutil.rmtree(f / "train/images"), "train/images/train_0.png: no such image"),
-    (bent, "val/sparse/0: camera model SIMPLE_RADIAL has lens distortion.*image_undistorter"),
     (absolute, "town/val/images/.*outside.png: no such image"),
 ])
 def test_unusable_scenes(tmp_path, spoil, words):

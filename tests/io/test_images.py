@@ -148,4 +148,4 @@ for suffix in 30 * ("jpg", "png"):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has pipes of another size")
 def test_the_end_of_a_file_does_not_wait_for_the_reader_of_its_beginning():
-    subprocess.run([sys.executable, "-c", SMALL_PIPES], check=True, timeout=100)
+    subprocess.run([sys.executable, "-c", SMALL_PIPES], check=True, timeout=300)

@@ -10,7 +10,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.cloud import sample_points
-from clsplat.io.images import read_image
+from clsplat.io.images import read_image, write_image
 from clsplat.io.scenes import read_scene
 from clsplat.scene import View
 from tests.data.layouts import (
@@ -203,6 +203,40 @@ def first(**changes):
     return lambda table: {"frames": [{**table["frames"][0], **changes}, *table["frames"][1:]]}
 
 
+@pytest.mark.parametrize("change, model, views", [
+    ({"k1": -0.1, "p2": 0.01}, "OPENCV", 1),
+    ({"camera_model": "OPENCV", "k1": -0.1, "k3": 0.01}, "FULL_OPENCV", 1),
+    ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1}, "OPENCV_FISHEYE", 1),
+    ({"is_fisheye": True}, "OPENCV_FISHEYE", 1),
+    ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR", 6),
+    ({"camera_model": "SIMPLE_RADIAL", "k1": 0}, None, 1)])
+def test_lenses(tmp_path, city, change, model, views):
+    table = write_transforms(tmp_path, city)
+    scene = read_scene(changed(tmp_path, table, **change))
+    assert len(scene.views) == views * len(city.views)
+    lens = scene.views[0].lens
+    assert (lens and lens.model) == model
+    if model == "OPENCV":
+        assert lens.parameters[4:] == (-0.1, 0, 0, 0.01)
+    if model == "FULL_OPENCV":
+        assert lens.parameters[4:] == (-0.1, 0, 0, 0, 0.01, 0, 0, 0)
+    assert scene.views[0].photo().shape[:2] == (scene.views[0].camera.height,
+                                                scene.views[0].camera.width)
+
+
+def test_masks_that_frames_name(tmp_path, city):
+    table = write_transforms(tmp_path, city)
+    changed(tmp_path, table, **first(mask_path="stencils/a.png")(table))
+    (tmp_path / "stencils").mkdir()
+    camera = city.views[0].camera
+    valid = np.zeros((camera.height, camera.width, 3))
+    valid[5:] = 1
+    write_image(tmp_path / "stencils/a.png", valid)
+    scene = read_scene(tmp_path)
+    assert [view.mask is None for view in scene.views].count(False) == 1
+    assert np.array_equal(scene.views[0].valid(), valid[..., 0] == 1)
+
+
 def tilted(table):
     matrix = np.array(table["frames"][0]["transform_matrix"])
     matrix[:3, :3] *= 1.2
@@ -210,9 +244,9 @@ def tilted(table):
 
 
 @pytest.mark.parametrize("change, words", [
-    ({"k1": 0.01, "p2": -1}, "000.jpg: has lens distortion (k1, p2).*image_undistorter"),
-    ({"camera_model": "OPENCV_FISHEYE"}, "not a pinhole camera.*image_undistorter"),
-    ({"is_fisheye": True}, "not a pinhole camera"),
+    ({"k1": 1e9}, "camera of image images/000.jpg cannot be undistorted"),
+    ({"camera_model": "SPIRAL"}, "frame 0.*camera_model is 'SPIRAL', not OPENCV_FISHEYE"),
+    ({"k1": "0.1"}, "frame 0.*k1 is not a number"),
     ({"frames": []}, "no frames.*copy it again"),
     ({"frames": {"a": 1}}, "no frames"),
     ({"fl_x": None}, "frame 0.*neither fl_x nor camera_angle_x"),

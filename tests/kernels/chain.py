@@ -26,7 +26,7 @@ def upload_rows(device, rows):
 def camera_of(case):
     c = case["camera"]
     return Camera(c["width"], c["height"], (c["fx"], c["fy"]), (c["cx"], c["cy"]),
-                  c["rotation"], c["translation"])
+                  c["rotation"], c["translation"], orthographic=c.get("orthographic", False))
 
 
 def size_of(case):
@@ -42,12 +42,12 @@ def renderer_of(device, case, **options):
                     **options)
 
 
-def render(device, case, rows=None, with_depth=False, **options):
+def render(device, case, rows=None, with_depth=False, exposure=None, **options):
     """(renderer, rows on the device, frame) of a case."""
     renderer = renderer_of(device, case, **options)
     rows = upload_rows(device, case["rows"] if rows is None else rows)
     frame = renderer.render(rows, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
-                            with_depth)
+                            with_depth, exposure=exposure)
     return renderer, rows, frame
 
 

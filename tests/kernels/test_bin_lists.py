@@ -21,7 +21,8 @@ from clsplat.constants import (
 )
 from clsplat.device.array import Array
 from clsplat.primitives.compact import new_counts
-from clsplat.rendering.bin import HAS_BUCKETS, bin_splats
+from clsplat.rendering import bin
+from clsplat.rendering.bin import HAS_BUCKETS, TooManyPairs, bin_splats
 from tests.kernels.test_bin import Binned, check, is_in_order, rows_of
 
 GROUP = 64  # of 32, Intel's compiler crashes
@@ -120,6 +121,18 @@ def test_splats_around_the_number_of_tiles_that_makes_them_large(device):
     for width in (63, 64, 65):
         rows, order = shuffled(giants(rows_of(20, 16 * width, 16, sigma=(0.3, 3)), [2, 9, 19]))
         check(device, rows, 16 * width, 16, f"{width} tiles", order)
+
+
+@pytest.mark.slow
+def test_more_pairs_than_32_bits_count(float_device, monkeypatch):
+    """All in one part of the item form: the number must not begin again at 0."""
+    monkeypatch.setattr(bin, "parts_of", lambda device: 1)
+    size = 512 * float_device.tile
+    count = 2**32 // 512**2 + 4
+    rows, order = shuffled(giants(specks(count, 0, 0), range(count)))
+    with pytest.raises(TooManyPairs, match="^4294967295 pairs"):
+        bin_splats(float_device, float_device.upload(rows), new_counts(float_device, count),
+                   float_device.upload(order.astype(np.uint32)), size, size, limit=1000)
 
 
 # --- rooms

@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 
+from clsplat.camera import Camera
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.bin import bin_splats
-from clsplat.rendering.blend import blend, blend_adjoint, blend_defines
+from clsplat.rendering.blend import Exposure, Vignetting, blend, blend_adjoint, blend_defines
+from clsplat.rendering.project import pack_camera, project_defines, sum_pairs
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import SUM_NAMES, grads_of_sums, pack_splats, precision_of
 from tests.reference import blend as reference
+from tests.reference.exposure import apply, radius
 
 BACKGROUND = np.array([0.25, 0.5, 0.875])
 
@@ -36,9 +39,11 @@ class Blended:
         by_depth, by_transmittance = (
             self.device.upload(np.zeros(self.depth.shape) if grad is None else grad)
             for grad in (grad_depth, grad_transmittance))
-        return blend_adjoint(
+        by_pair = blend_adjoint(
             self.device, self.splats, self.pairs, self.blended, self.background,
-            self.device.upload(grad_image), by_depth, by_transmittance, self.defines).download()
+            self.device.upload(grad_image), by_depth, by_transmittance, self.defines)
+        return sum_pairs(self.device, by_pair, self.pairs.counts,
+                         project_defines(0, False)).download()
 
 
 def check(device, splats, order, size, what, with_depth=True, smooth=False):
@@ -72,6 +77,41 @@ def check(device, splats, order, size, what, with_depth=True, smooth=False):
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
 def test_image_and_gradients(device, size):
     check(device, *cases.splats(40, *size), size, f"{size}")
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
+def test_the_colour_transform_of_a_view(device, size):
+    """Beside the image, which stays as it is; with and without depth."""
+    rows = pack_splats(*cases.splats(40, *size))
+    transforms = cases.single(np.random.default_rng(5).normal(0, 0.5, (3, 3, 4)))
+    for with_depth in (False, True):
+        plain = Blended(device, rows, size, with_depth=with_depth)
+        given = device.upload(transforms.reshape(3, 12))
+        drawn = blend(device, plain.splats, plain.pairs, *size, plain.background, plain.defines,
+                      exposure=Exposure(given, 1))
+        assert np.array_equal(drawn.image.download(), plain.image)
+        close(drawn.exposed.download(), apply(transforms[1], plain.image), precision_of(device),
+              "exposed")
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
+def test_the_gain_of_the_lens_of_a_view(device, size):
+    """Before the colour transform; a lens of another view differs."""
+    rows = pack_splats(*cases.splats(40, *size))
+    transforms = cases.single(np.random.default_rng(5).normal(0, 0.5, (3, 3, 4)))
+    lenses = cases.single(np.array([[0.5, 0.5, 0.5, 1], [-0.3, 0.2, -0.4, 0.9]]))
+    camera = Camera(*size, (0.9 * size[0], 1.1 * size[0]), (0.45 * size[0], 0.6 * size[1]),
+                    np.eye(3), np.zeros(3))
+    plain = Blended(device, rows, size, with_depth=False)
+    vignetting = Vignetting(pack_camera(device, camera, 0.01),
+                            device.upload(np.array([0, 1, 0], np.uint32)), device.upload(lenses))
+    drawn = blend(device, plain.splats, plain.pairs, *size, plain.background, plain.defines,
+                  exposure=Exposure(device.upload(transforms.reshape(3, 12)), 1, vignetting))
+    assert np.array_equal(drawn.image.download(), plain.image)
+    expected = apply(transforms[1], plain.image, lenses[1], radius(camera, lenses[1]))
+    close(drawn.exposed.download(), expected, precision_of(device), "exposed")
 
 
 @pytest.mark.parametrize("with_depth, smooth", [(False, False), (True, True)])

@@ -1,11 +1,15 @@
-"""Colour transforms of views: image, gradients and steps, on images around the size of a block."""
+"""Colour transforms of views: gradients and steps, on images around the size of a block (their
+values: test_blend.py)."""
 
 import numpy as np
 import pytest
 
+from clsplat.camera import Camera
 from clsplat.constants import COUNT_FAILED, EXPOSURE_BLOCK
 from clsplat.loss.exposure import Exposures
 from clsplat.primitives.compact import new_counts
+from clsplat.rendering.project import pack_camera
+from clsplat.response import Lenses, Response
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import precision_of
@@ -14,41 +18,70 @@ from tests.reference import exposure as reference
 # one pixel, less than 16, a block but one, a block, one more, ragged over several
 SIZES = ((1, 1), (7, 2), (23, 89), (64, 32), (683, 3), (61, 137))
 RATE, PULL, VIEWS = 0.05, 0.3, 3
+LENS_OF = (0, 1, 0, 0, 0)  # of the views
+NAMES = ("transforms", "m", "v", "steps")
+LENS_NAMES = ("lenses", "lens_m", "lens_v", "lens_steps")
+
+
+def camera_of(width, height):
+    """One whose optical axis is off the centre, with two focal lengths."""
+    return Camera(width, height, (0.9 * width, 1.1 * width), (0.47 * width, 0.55 * height),
+                  np.eye(3), np.zeros(3))
 
 
 class Run:
-    """Exposures with random transforms, and the same by the reference."""
+    """Exposures with random transforms and lenses, and the same by the reference."""
 
-    def __init__(self, device, views=VIEWS, pull=PULL, seed=0):
+    def __init__(self, device, views=VIEWS, pull=PULL, seed=0, vignetting=False):
         self.device, self.pull, self.rng = device, pull, np.random.default_rng(seed)
-        self.exposures = Exposures(device, views, RATE, pull)
         away = cases.single(self.rng.normal(0, 0.2, (views, 3, 4)))
+        lenses = cases.single(np.column_stack([self.rng.normal(0, 0.3, (2, 3)), [0.8, 1.3]]))
+        self.vignetting = vignetting
+        self.exposures = Exposures(device, views, RATE, pull, lenses=Lenses(
+            np.array(LENS_OF[:views]), lenses) if vignetting else None)
         zero = np.zeros(away.shape)
         self.state = np.eye(3, 4) + away, zero, zero, np.zeros(views, np.uint32)
-        self.exposures.upload(dict(zip(("transforms", "m", "v"), (
+        self.lens_state = lenses, np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2, np.uint32)
+        self.exposures.upload(dict(zip(NAMES[:3], (
             values.reshape(views, 12) for values in self.state)), steps=self.state[3],
-            recentred=self.state[0]))
+            recentred=self.state[0], **dict(zip(LENS_NAMES, self.lens_state))))
 
     def step(self, view, image, grad):
         """The gradient by the image, checked; then a step by both."""
-        expected, by_transform = reference.apply_adjoint(self.state[0][view], image, grad)
+        lens = LENS_OF[view]
+        row = self.lens_state[0][lens] if self.vignetting else np.zeros(4)
+        u = reference.radius(camera_of(*image.shape[:0:-1]), row)
+        expected, by_transform, by_lens = reference.apply_adjoint(
+            self.state[0][view], image, grad, row, u)
         actual = stepped(
             self.exposures, view, self.device.upload(image), self.device.upload(grad))
         close(actual.download(), expected, precision_of(self.device), "gradient")
-        self.state = reference.step(*self.state, view, by_transform, RATE, self.pull)
+        if np.isfinite(by_transform).all():
+            self.state = reference.step(*self.state, view, by_transform, RATE, self.pull)
+            if self.vignetting:
+                self.lens_state = reference.lens_step(*self.lens_state, lens, by_lens, RATE,
+                                                      self.pull)
 
     def check(self, what):
         saved = self.exposures.download()
-        for name, expected in zip(("transforms", "m", "v"), self.state):
-            close(saved[name], expected.reshape(-1, 12), precision_of(self.device),
-                  f"{what}: {name}")
-        assert np.array_equal(saved["steps"], self.state[3]), what
+        states = dict(zip(NAMES, self.state))
+        if self.vignetting:
+            states |= dict(zip(LENS_NAMES, self.lens_state))
+        assert set(saved) == {*states, "recentred"}
+        for name, expected in states.items():
+            if expected.dtype == np.uint32:
+                assert np.array_equal(saved[name], expected), what
+            else:
+                close(saved[name], expected.reshape(saved[name].shape), precision_of(self.device),
+                      f"{what}: {name}")
 
 
 def stepped(exposures, view, image, grad, counts=None):
     """The gradient by the image, and a step by it."""
-    grad_image, partials = exposures.adjoint(view, image, grad)
-    exposures.step(view, partials, new_counts(exposures.device) if counts is None else counts)
+    device, (_, height, width) = exposures.device, image.shape
+    camera = pack_camera(device, camera_of(width, height), 0.01)
+    grad_image, partials = exposures.adjoint(view, camera, image, grad)
+    exposures.step(view, partials, new_counts(device) if counts is None else counts)
     return grad_image
 
 
@@ -59,12 +92,10 @@ def a_pair(width, height, seed=0):
 
 
 @pytest.mark.oclgrind
+@pytest.mark.parametrize("vignetting", [False, True])
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_value_gradient_and_steps(device, size):
-    run, (image, grad) = Run(device), a_pair(*size)
-    for view in range(VIEWS):
-        actual = run.exposures.apply(view, device.upload(image)).download()
-        close(actual, reference.apply(run.state[0][view], image), precision_of(device), "image")
+def test_gradient_and_steps(device, size, vignetting):
+    run, (image, grad) = Run(device, vignetting=vignetting), a_pair(*size)
     run.step(1, image, grad)
     run.check("a first step")
 
@@ -75,12 +106,14 @@ def test_sizes_stand_around_a_block():
     assert {1, *around} < set(pixels) and max(pixels) > 4 * EXPOSURE_BLOCK
 
 
-def test_views_step_by_their_own_count(device):
-    run = Run(device)
-    for seed, view in enumerate((2, 0, 2, 2, 0, 2)):
+@pytest.mark.parametrize("vignetting", [False, True])
+def test_views_and_lenses_step_by_their_own_count(device, vignetting):
+    run = Run(device, vignetting=vignetting)
+    for seed, view in enumerate((2, 0, 2, 1, 0, 2)):
         run.step(view, *a_pair(33, 17, seed))
     run.check("six steps")
-    assert run.state[3].tolist() == [2, 0, 4]
+    assert run.state[3].tolist() == [2, 1, 3]
+    assert not vignetting or run.lens_state[3].tolist() == [5, 1]
 
 
 def test_first_and_late_steps_are_corrected(device):
@@ -105,11 +138,10 @@ def test_without_a_gradient_the_pull_leads_towards_the_identity(device):
 def test_at_the_start_nothing_changes(device):
     image, _ = a_pair(33, 17)
     exposures = Exposures(device, 2)
-    assert np.array_equal(exposures.apply(1, device.upload(image)).download(),
-                          image.astype(device.real))
     grad = device.upload(np.zeros(image.shape))
     before = exposures.download()
-    grad_image, _ = exposures.adjoint(1, device.upload(image), grad)
+    camera = pack_camera(device, camera_of(33, 17), 0.01)
+    grad_image, _ = exposures.adjoint(1, camera, device.upload(image), grad)
     assert not grad_image.download().any()
     after = exposures.download()  # the adjoint alone changes nothing
     assert all(np.array_equal(after[name], before[name]) for name in before)
@@ -126,25 +158,29 @@ def test_sums_over_a_million_pixels_keep_their_digits(device):
     close(10 * run.exposures.download()["m"][0], sums.ravel(), precision_of(device), "sums")
 
 
+@pytest.mark.parametrize("vignetting", [False, True])
 @pytest.mark.parametrize("slot", ["image", "grad"])
-def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot):
+def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot, vignetting):
     clean = dict(zip(("image", "grad"), a_pair(61, 37)))
     for label, value in cases.POISON.items():
         arrays = cases.poisoned(clean, slot, (1, 20, 30), value)
-        run = Run(float_device)
+        run = Run(float_device, vignetting=vignetting)
+        row = run.lens_state[0][0] if vignetting else np.zeros(4)
         before = run.exposures.download()
         with np.errstate(all="ignore"):
             actual = stepped(run.exposures, 0, *(
                 float_device.upload(arrays[name]) for name in ("image", "grad"))).download()
-            expected, sums = reference.apply_adjoint(
-                run.state[0][0], arrays["image"], arrays["grad"])
-            usable = np.isfinite(np.float32(sums)**2).all()
+            expected, *sums = reference.apply_adjoint(
+                run.state[0][0], arrays["image"], arrays["grad"], row,
+                reference.radius(camera_of(61, 37), row))
+            usable = all(np.isfinite(np.float32(values)**2).all() for values in sums)
         after = run.exposures.download()
         assert all(np.isfinite(values).all() for values in after.values()), label
         assert after["steps"].tolist() == [int(usable), 0, 0], label
+        assert not vignetting or after["lens_steps"].tolist() == [int(usable), 0], label
         assert run.exposures.skipped.last() == (not usable), label
         unchanged = [np.array_equal(after[name], before[name]) for name in before
-                     if name != "recentred"]
+                     if name not in ("recentred", "lenses")]
         assert any(unchanged) != usable, label
         actual[:, 20, 30] = expected[:, 20, 30] = 0
         close(actual, expected, "float", label)
@@ -186,6 +222,22 @@ def test_recentring_makes_the_mean_the_identity_and_keeps_differences(device):
     assert all(np.array_equal(after[name], before[name]) for name in after)
 
 
+def test_the_mean_at_the_start_is_kept(device):
+    """As blocks of a city need it, whose views are not all of the city's."""
+    initial = np.eye(3, 4) + cases.single(np.random.default_rng(0).normal(0, 0.1, (3, 3, 4)))
+    exposures = Exposures(device, 3, RATE, initial=initial)
+    image, grad = (device.upload(values) for values in a_pair(20, 10))
+    for _ in range(3):
+        stepped(exposures, 1, image, grad)
+    exposures.recentre()
+    rows = exposures.download()["transforms"].reshape(3, 3, 4)
+    assert np.abs(rows[1] - initial[1]).max() > 0.05
+    assert np.allclose(rows.mean(axis=0), initial.mean(axis=0), atol=1e-6)
+    rest = exposures.between([(0, 1)]).download()
+    again = Exposures(device, 3, initial=rows.astype(float)).between([(0, 1)]).download()
+    assert np.allclose(rest, again, atol=1e-5)
+
+
 def test_between_goes_by_the_last_recentring(device):
     run, (image, grad) = Run(device), a_pair(20, 10)
     before = run.exposures.between([(0, 1)]).download()
@@ -197,7 +249,7 @@ def test_between_goes_by_the_last_recentring(device):
 
 def test_between_takes_one_photos_colours_to_anothers(device):
     run, image = Run(device), cases.images(20, 10)[0]
-    seen = [run.exposures.apply(view, device.upload(image)).download() for view in range(VIEWS)]
+    seen = [reference.apply(transform, image) for transform in run.state[0]]
     for i, j in ((0, 1), (2, 0), (1, 1)):
         rows = run.exposures.between([(2, 2), (i, j)])
         assert rows.shape == (2, 12) and rows.dtype == device.real
@@ -229,11 +281,12 @@ def test_what_is_saved_is_taken_over_and_goes_on_the_same(device):
     assert saved["steps"].tolist() == [0, 2, 0]
 
 
-def test_the_same_bytes_every_time(device):
+@pytest.mark.parametrize("vignetting", [False, True])
+def test_the_same_bytes_every_time(device, vignetting):
     image, grad = (device.upload(values) for values in a_pair(173, 151))
     results = []
     for _ in range(2):
-        exposures = Run(device).exposures
+        exposures = Run(device, vignetting=vignetting).exposures
         results.append([stepped(exposures, 0, image, grad).download(),
                         *exposures.download().values()])
     assert all(a.tobytes() == b.tobytes() for a, b in zip(*results))
@@ -245,8 +298,22 @@ def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
     results = []
     for group in (device.scan_group, 32, 128):
         monkeypatch.setattr(device, "scan_group", group)
-        exposures = Run(device).exposures
+        exposures = Run(device, vignetting=True).exposures
         results.append([stepped(exposures, 0, image, grad).download(),
                         *exposures.download().values()])
     for other in results[1:]:
         assert all(a.tobytes() == b.tobytes() for a, b in zip(results[0], other))
+
+
+def test_responses_are_what_the_kernels_apply(device):
+    """By the host and by the reference: what an evaluation shows is what was learned."""
+    run = Run(device, vignetting=True)
+    camera, image = camera_of(40, 30), cases.images(40, 30)[0]
+    for view, response in enumerate(run.exposures.responses()):
+        row = run.lens_state[0][LENS_OF[view]]
+        expected = reference.apply(run.state[0][view], image, row, reference.radius(camera, row))
+        actual = response.applied(image.transpose(1, 2, 0), camera).transpose(2, 0, 1)
+        close(actual, expected, "float", "response")
+        assert response.has_vignetting
+    without = Run(device).exposures.responses()[0]
+    assert isinstance(without, Response) and not without.has_vignetting

@@ -29,10 +29,16 @@ def a_pair(width, height, seed=0):
     return render, np.round(photo * 255).astype(np.uint8)
 
 
-def check(device, render, photo, what, weight=WEIGHT):
+def masked(photo, valid):
+    """A photo with a mask, uint8[4, H, W]."""
+    return np.concatenate([photo, valid[None] * np.uint8(255)])
+
+
+def check(device, render, photo, what, weight=WEIGHT, valid=True):
     precision = precision_of(device)
-    sums, grad = image_loss(device, device.upload(render), device.upload(photo), weight)
-    expected, expected_grad, l1, ssim = reference(render, photo / 255, weight)
+    given = photo if valid is True else masked(photo, valid)
+    sums, grad = image_loss(device, device.upload(render), device.upload(given), weight)
+    expected, expected_grad, l1, ssim = reference(render, photo / 255, weight, valid)
     # |x - y| has a kink: where the two are as good as equal, its sign is a matter of rounding
     undecided = np.abs(render - photo / 255) < 1e-6
     close(np.array(loss_value(sums, render.size, weight)), [expected, l1, ssim], precision, what)
@@ -44,6 +50,36 @@ def check(device, render, photo, what, weight=WEIGHT):
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_value_and_gradient(device, size):
     check(device, *a_pair(*size), f"{size}")
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_value_and_gradient_with_a_mask(device, size):
+    check(device, *a_pair(*size, 8), f"{size} with a mask", valid=cases.mask(*size))
+
+
+def test_masks_of_all_and_of_none(device):
+    render, photo = a_pair(70, 30, 9)
+    plain = [r.download() for r in image_loss(device, device.upload(render), device.upload(photo),
+                                              WEIGHT)]
+    full, empty = (image_loss(device, device.upload(render), device.upload(masked(
+        photo, np.full((30, 70), value))), WEIGHT) for value in (True, False))
+    assert all(np.array_equal(r.download(), p) for r, p in zip(full, plain))
+    assert not empty[1].download().any()
+    assert loss_value(empty[0], render.size, WEIGHT) == pytest.approx((0, 0, 1))
+
+
+def test_nothing_under_a_mask_matters(device):
+    """Neither the photo nor the render, not even if it is not finite."""
+    render, photo = a_pair(70, 45, 10)
+    valid = cases.mask(70, 45)
+    results = []
+    for spoilt in (False, True):
+        if spoilt:
+            render[:, ~valid], photo[:, ~valid] = np.nan, 255 - photo[:, ~valid]
+        results.append([r.download() for r in image_loss(
+            device, device.upload(render), device.upload(masked(photo, valid)), WEIGHT)])
+    assert all(np.array_equal(*values) for values in zip(*results))
 
 
 @pytest.mark.parametrize("weight", [0.0, 1.0])

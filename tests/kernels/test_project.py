@@ -6,6 +6,7 @@ import pytest
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
 from clsplat.rendering.bin import bin_splats
+from clsplat.rendering.blend import SplatGrads
 from clsplat.rendering.cull import cull
 from clsplat.rendering.project import pack_camera, project, project_adjoint
 from tests import cases
@@ -23,6 +24,13 @@ from tests.reference import project as reference
 
 ANTIALIASED = ("degree_0", "plain", "needles", "opacities", "specks")
 CASES = [(name, False) for name in cases.SCENES] + [(name, True) for name in ANTIALIASED]
+
+
+def one_pair_each(device, sums):
+    """SplatGrads of splats with one pair."""
+    numbers = np.arange(len(sums), dtype=np.uint32)
+    return SplatGrads(device.upload(sums), device.upload(np.ones_like(numbers)),
+                      device.upload(numbers))
 
 
 class Projected:
@@ -43,7 +51,7 @@ class Projected:
         self.skipped = device.zeros(1, np.uint32)
         gradients, self.grad_means, active = project_adjoint(
             device, rows, seen, counts, camera, case["degree"], defines,
-            device.upload(self.sums), self.skipped)
+            one_pair_each(device, self.sums), self.skipped)
         self.active = active.download()
         self.grad_means = self.grad_means.download()
         self.gradients = {}
@@ -149,7 +157,7 @@ def test_slots_past_the_visible_gaussians_are_not_touched(device):
     splats, keys = project(device, rows, seen, counts, camera, case["degree"], defines)
     assert np.array_equal(splats.download()[:number], exact.splats)
     assert np.array_equal(keys.download()[:number], exact.keys)
-    sums = device.upload(np.resize(exact.sums, (room, exact.sums.shape[1])))
+    sums = one_pair_each(device, np.resize(exact.sums, (room, exact.sums.shape[1])))
     skipped, empty, made = device.zeros(1, np.uint32), device.empty, []
 
     def noted(shape, dtype=None):

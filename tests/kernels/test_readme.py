@@ -1,5 +1,5 @@
 """cl/README.md lists every kernel as it is declared; `python -m tests.kernels.test_readme` prints
-its table."""
+its table. Lines of kernels are short."""
 
 import importlib
 
@@ -28,6 +28,12 @@ def table():
 
 def test_the_page_lists_every_kernel():
     assert (ROOT / "cl/README.md").read_text("utf-8").endswith("\n" + table())
+
+
+def test_lines_are_as_short_as_those_that_ruff_measures():
+    assert not [f"{path.name}: {line}" for path in (ROOT / "cl").rglob("*")
+                if path.suffix in (".cl", ".h")
+                for line in path.read_text("utf-8").splitlines() if len(line) > 100]
 
 
 if __name__ == "__main__":

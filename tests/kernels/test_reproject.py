@@ -71,6 +71,32 @@ def check(device, values, what):
     return valid.sum()
 
 
+def masked(photo, valid):
+    return np.concatenate([photo, valid[None] * np.uint8(255)])
+
+
+def test_masked_pixels_and_samples_are_not_valid(device):
+    values = an_input((61, 37), (48, 40), move=(0.1, -0.05, 0.1))
+    sums, *grads = run(device, values)
+    valid = cases.mask(61, 37, 1)
+    some, *some_grads = run(device, values | {"photo": masked(values["photo"], valid)})
+    assert 0 < some[1] < sums[1]
+    for grad, some_grad in zip(grads, some_grads):
+        assert not some_grad[~valid].any()
+        close(some_grad * some[1], np.where(valid, grad, 0) * sums[1], precision_of(device), "mask")
+    other = np.ones((40, 48), bool)
+    none, *_ = run(device, values | {"neighbour": masked(values["neighbour"], other)})
+    assert np.array_equal(none, sums)
+    other[20, 24] = False  # a texel has a share in samples of a square of two pixels
+    fewer, *_ = run(device, values | {"neighbour": masked(values["neighbour"], other)})
+    assert sums[1] - 12 < fewer[1] < sums[1]
+    other = cases.mask(48, 40, 2)
+    neighbours = values["neighbour"], np.where(other, values["neighbour"], 0)
+    first, second = (run(device, values | {"neighbour": masked(each, other)})
+                     for each in neighbours)
+    assert 0 < first[0][1] < sums[1] and all(map(np.array_equal, first, second))
+
+
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("size, other_size", SIZES, ids=str)
 def test_value_and_gradients(device, size, other_size):

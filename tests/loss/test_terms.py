@@ -59,6 +59,7 @@ class Never(Darkness):
         return False
 
 
+@pytest.mark.slow
 def test_a_new_term_takes_part_in_a_training(item_device, tmp_path, monkeypatch):
     """The image becomes dark only because of the term, and the record says so."""
     city, lights = read_scene(CITY), {}

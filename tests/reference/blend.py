@@ -11,10 +11,11 @@ ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 1e-4
 
 
-def blend(splats, order, width, height, background, smooth=False, with_depth=False):
+def blend(splats, order, width, height, background, smooth=False, with_depth=False, median=False):
     """image[3, H, W], transmittance[H, W], depth[H, W] (zero unless with_depth).
 
-    depth is sum(alpha T z), without background. smooth: fade alpha in from 1/255 to 2/255 instead
+    depth is sum(alpha T z), without background; median: z of the last splat that is blended while
+    T > 1/2. smooth: fade alpha in from 1/255 to 2/255 instead
     of switching it on, so that the image is continuously differentiable; for gradient tests.
     """
     pixels = height * width
@@ -22,7 +23,10 @@ def blend(splats, order, width, height, background, smooth=False, with_depth=Fal
     for touch in _touches(splats, order, width, height, smooth):
         weight = touch["alpha"] * touch["before"]
         image[:, touch["pixels"]] += splats["colours"][touch["splat"]][:, None] * weight
-        depth[touch["pixels"]] += splats["depths"][touch["splat"]] * weight * with_depth
+        if median:
+            depth[touch["pixels"][touch["before"] > 0.5]] = splats["depths"][touch["splat"]]
+        else:
+            depth[touch["pixels"]] += splats["depths"][touch["splat"]] * weight * with_depth
         transmittance[touch["pixels"]] = touch["before"] * (1 - touch["alpha"])
     image += np.asarray(background, float)[:, None] * transmittance
     shape = height, width

@@ -8,19 +8,22 @@ C1 = 0.01**2
 C2 = 0.03**2
 
 
-def image_loss(x, y, ssim_weight):
+def image_loss(x, y, ssim_weight, valid=True):
     """loss, its gradient by x [3, H, W], mean |x - y|, mean SSIM.
 
     11-tap Gaussian window of sigma 1.5, zeros outside the image; means over pixels and channels.
+    Pixels that are not valid [H, W] are as if outside: no window has its centre there; they have no
+    difference and an SSIM of 1.
     """
+    x, y = np.where(valid, x, 0), np.where(valid, y, 0)
     l1 = np.abs(x - y).mean()
-    ssim, grad_ssim = mean_ssim(x, y)
+    ssim, grad_ssim = mean_ssim(x, y, valid)
     loss = (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim)
     grad = (1 - ssim_weight) * np.sign(x - y) / x.size - ssim_weight * grad_ssim
     return loss, grad, l1, ssim
 
 
-def mean_ssim(x, y):
+def mean_ssim(x, y, valid=True):
     """Mean SSIM and its gradient by x."""
     mu_x, mu_y = window(x), window(y)
     contrast = window(x * x) + window(y * y) - mu_x**2 - mu_y**2
@@ -33,9 +36,12 @@ def mean_ssim(x, y):
     by_structure = 2 * a1 / (b1 * b2)
     by_mu = 2 * mu_y * a2 / (b1 * b2) - 2 * mu_x * ssim / b1
     by_mu -= 2 * mu_x * by_contrast + mu_y * by_structure
+    ssim = np.where(valid, ssim, 1)
+    by_mu, by_contrast, by_structure = (
+        np.where(valid, by, 0) for by in (by_mu, by_contrast, by_structure))
     # the window is symmetric, so it is its own adjoint
     grad = window(by_mu) + 2 * x * window(by_contrast) + y * window(by_structure)
-    return ssim.mean(), grad / x.size
+    return ssim.mean(), np.where(valid, grad, 0) / x.size
 
 
 def window(image):

@@ -1,8 +1,9 @@
 """Gaussians to splats, and the adjoint: float64 numpy, one array operation a formula.
 
 A camera is a dict: width, height, fx, fy, cx, cy (pixels), rotation[3, 3] and translation[3]
-(world to camera). Rows are a dict: positions[N, 3], log_scales[N, 3], quaternions[N, 4] (wxyz, any
-length), opacity_logits[N], sh_constant[N, 3], sh_rest[N, K, 3].
+(world to camera); with orthographic: True, fx and fy are pixels a unit, and rays are parallel to
+the axis. Rows are a dict: positions[N, 3], log_scales[N, 3], quaternions[N, 4] (wxyz, any length),
+opacity_logits[N], sh_constant[N, 3], sh_rest[N, K, 3].
 """
 
 import numpy as np
@@ -116,15 +117,16 @@ def _forward(rows, camera, degree, low_pass, antialiased):
     turn = camera["rotation"]
     p = rows["positions"] @ turn.T + camera["translation"]
     z = p[:, 2]
-    ratio = p[:, :2] / z[:, None]
+    flat = camera.get("orthographic", False)
+    ratio = p[:, :2] / (1 if flat else z[:, None])
     margin = 0.3 * 0.5 * size / focal
     low, high = -(centre / focal + margin), (size - centre) / focal + margin
     clamped = np.clip(ratio, low, high)
 
     jacobian = np.zeros((len(p), 2, 3))
     for axis in (0, 1):
-        jacobian[:, axis, axis] = focal[axis] / z
-        jacobian[:, axis, 2] = -focal[axis] * clamped[:, axis] / z
+        jacobian[:, axis, axis] = focal[axis] / (1 if flat else z)
+        jacobian[:, axis, 2] = 0 if flat else -focal[axis] * clamped[:, axis] / z
     body, unit, length = rotations(rows["quaternions"])
     scales = np.exp(rows["log_scales"])
     b = jacobian @ turn @ body
@@ -140,7 +142,7 @@ def _forward(rows, camera, degree, low_pass, antialiased):
     position = -turn.T @ camera["translation"]
     offset = rows["positions"] - position
     distance = np.linalg.norm(offset, axis=1, keepdims=True)
-    direction = offset / distance
+    direction = np.broadcast_to(turn[2], p.shape) if flat else offset / distance
     basis, basis_by_direction = harmonics(direction, degree)
     coefficients = np.concatenate(
         [rows["sh_constant"][:, None], rows["sh_rest"]], axis=1)[:, :SH_BANDS[degree]]

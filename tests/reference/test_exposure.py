@@ -5,7 +5,18 @@ import pytest
 
 from tests import cases
 from tests.checks import adjoint_agrees
-from tests.reference.exposure import apply, apply_adjoint, between, penalty, step
+from tests.reference.exposure import (
+    apply,
+    apply_adjoint,
+    between,
+    gain,
+    lens_penalty,
+    lens_step,
+    penalty,
+    step,
+)
+
+LENS = np.array([-0.2, 0.1, -0.15, 0.8])
 
 
 def a_transform(seed):
@@ -14,12 +25,40 @@ def a_transform(seed):
 
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
 def test_adjoint_agrees_with_differences(size):
-    def adjoint(point, grads):
-        by_image, by_transform = apply_adjoint(point["transform"], point["image"], grads["result"])
-        return {"image": by_image, "transform": by_transform}
+    u = np.random.default_rng(1).uniform(0, 1, size[::-1])
 
-    adjoint_agrees(lambda point: {"result": apply(point["transform"], point["image"])}, adjoint,
-                   {"transform": a_transform(0), "image": cases.images(*size)[0]}, what=f"{size}")
+    def forward(point):
+        return {"result": apply(point["transform"], point["image"], [*point["terms"], 1], u)}
+
+    def adjoint(point, grads):
+        return dict(zip(("image", "transform", "terms"), apply_adjoint(
+            point["transform"], point["image"], grads["result"], [*point["terms"], 1], u)))
+
+    adjoint_agrees(forward, adjoint, {
+        "transform": a_transform(0), "image": cases.images(*size)[0], "terms": LENS[:3]},
+        what=f"{size}")
+
+
+def test_gain_is_one_on_the_axis_and_the_sum_of_its_terms_in_the_corner():
+    assert gain(LENS, np.zeros((1, 1))) == 1
+    assert gain(LENS, np.ones((1, 1))) == pytest.approx(0.75)
+
+
+def test_a_lens_steps_as_a_transform_does_and_keeps_its_scale():
+    lenses, zero = np.stack([LENS, 2 * LENS]), np.zeros((2, 3))
+    moved, first, _, counts = lens_step(lenses, zero, zero, np.zeros(2, int), 1,
+                                        np.array([1.0, -2, 3]), 0.01, 0)
+    np.testing.assert_allclose(moved[1] - lenses[1], [-0.01, 0.01, -0.01, 0])
+    np.testing.assert_array_equal(moved[0], lenses[0])
+    np.testing.assert_allclose(first[1], [0.1, -0.2, 0.3])
+    assert counts.tolist() == [0, 1]
+
+
+def test_lens_penalty_agrees_with_differences():
+    adjoint_agrees(lambda point: {"penalty": np.array(lens_penalty(point["lens"], 0.3)[0])},
+                   lambda point, grads: {"lens": np.append(
+                       lens_penalty(point["lens"], 0.3)[1] * grads["penalty"], 0)},
+                   {"lens": LENS}, what="penalty")
 
 
 def test_penalty_agrees_with_differences():

@@ -24,6 +24,30 @@ def test_gradient_agrees_with_differences(size, weight):
         {"x": x}, what=f"image loss {size}")
 
 
+@pytest.mark.parametrize("size", cases.IMAGE_SIZES)
+def test_gradient_with_a_mask_agrees_with_differences(size):
+    x, y = cases.images(*size)
+    valid = cases.mask(*size)
+    adjoint_agrees(
+        lambda point: {"loss": np.array(image_loss(point["x"], y, 0.4, valid)[0])},
+        lambda point, grads: {"x": image_loss(point["x"], y, 0.4, valid)[1] * grads["loss"]},
+        {"x": x}, what=f"image loss with a mask {size}")
+
+
+def test_masked_pixels_are_like_those_beyond_the_border():
+    """A frame of masked pixels around images changes nothing but the number of values."""
+    x, y = cases.images(30, 20)
+    inner = (slice(None), slice(4, 15), slice(6, 27))
+    valid = np.zeros((20, 30), bool)
+    valid[inner[1:]] = True
+    loss, grad, *_ = image_loss(x[inner], y[inner], 0.2)
+    framed_loss, framed_grad, *_ = image_loss(x, y, 0.2, valid)
+    share = x[inner].size / x.size
+    assert framed_loss == pytest.approx(loss * share)
+    np.testing.assert_allclose(framed_grad[inner], grad * share, atol=1e-15)
+    assert not framed_grad[:, ~valid].any()
+
+
 def test_ssim_is_skimages_away_from_the_border():
     """Where the border's treatment cannot reach: equal images outside make SSIM 1 there, so the
     sums over the differing middle can be compared."""

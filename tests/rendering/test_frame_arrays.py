@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.constants import FRAME_COUNTS
-from clsplat.rendering.frame_arrays import (
-    STAGES,
-    FrameArray,
-    FrameSize,
-    by_stage,
-    frame_arrays,
-)
+from clsplat.rendering.frame_arrays import STAGES, FrameArray, FrameSize, frame_arrays
 from clsplat.rendering.pipeline import Room
 from tests import cases
 from tests.kernels.chain import camera_of, render, size_of, stored_degree
@@ -57,5 +51,4 @@ def test_without_a_room_the_visible_gaussians_are_listed_in_a_slot_each(device, 
 def test_arrays_live_from_their_first_stage_to_their_last():
     arrays = [FrameArray("a", (1000,), np.uint32, "cull", "compact"),
               FrameArray("b", (2, 500), None, "compact", "adam")]
-    assert [array.name for array in by_stage(arrays)[1]] == ["a", "b"]
     assert live_bytes(arrays, np.dtype(np.float64)) == [4000, 12000, *11 * [8000]]

@@ -27,10 +27,10 @@ from tests.kernels.chain import (
 STOP = 1e-2
 
 
-def in_slabs(device, case, limit, rows=None, part=16, with_depth=True):
+def in_slabs(device, case, limit, rows=None, part=16, with_depth=True, **options):
     """(image, depth, transmittance, number of slabs)."""
     renderer = SlabRenderer(device, stored_degree(case), case["near"],
-                            background=case["background"], limit=limit)
+                            background=case["background"], limit=limit, **options)
     parts = Parts.of(case["rows"] if rows is None else rows, part)
     frame = renderer.render(parts, renderer.pack(camera_of(case)), *size_of(case), case["degree"],
                             with_depth)
@@ -140,15 +140,15 @@ def test_nothing_in_sight_is_background(float_device, background):
 
 
 @pytest.mark.parametrize("name", sorted(set(cases.SCENES) - {"empty"}))
-def test_what_is_drawn_is_in_a_part_that_is_seen(float_device, name):
+def test_what_is_drawn_is_in_a_part_that_is_seen(item_device, name):
     """Each gaussian has its own box, so the bound is tried where it is tightest."""
     for seed in range(4):
         case = cases.gaussians(name, seed=seed, count=min(300, 4 * cases.SCENES[name][0]))
         rows = case["rows"]
         rows["positions"] = rows["positions"] * np.float32(1.7)  # many just outside
-        renderer = renderer_of(float_device, case)
+        renderer = renderer_of(item_device, case)
         camera = camera_of(case)
-        frame = renderer.render(upload_rows(float_device, rows), renderer.pack(camera),
+        frame = renderer.render(upload_rows(item_device, rows), renderer.pack(camera),
                                 *size_of(case), 0)
         seen = {piece.start for piece in Parts.of(rows, 1).seen(camera, case["near"])}
         assert set(frame.visible.download()) <= seen

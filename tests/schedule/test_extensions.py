@@ -60,12 +60,12 @@ def test_a_schedule_in_one_file(clsplat, tmp_path):
         "halves\n")
     (tmp_path / "others-1.dist-info" / "entry_points.txt").write_text("")
     gone = clsplat("eval", "run", "--no-images")
-    assert gone.returncode == 2 and "one of sig, constant, dash, taming" in gone.stderr
+    assert gone.returncode == 2 and "one of sig, constant, dash, taming, mcmc" in gone.stderr
 
 
 @pytest.mark.parametrize("name, words", [
     ("wrong", "not a subclass of clsplat.Schedule"), ("broken", "RuntimeError: no such thing"),
-    ("nothing", "expects one of sig, constant, dash, taming, broken, halves, wrong")])
+    ("nothing", "expects one of sig, constant, dash, taming, mcmc, broken, halves, wrong")])
 def test_what_is_no_schedule_is_one_line(clsplat, name, words):
     done = clsplat("train", CITY, "--schedule", name, "-n", "4", "-r", "8", "-o", "run")
     assert done.returncode == 2 and words in done.stderr, done.stderr

@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 
-from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 from clsplat.schedule import scaled_steps, schedule_of
 from clsplat.schedule.sig import (
@@ -14,10 +13,7 @@ from clsplat.schedule.sig import (
     LEVELS,
     OBSERVE_STEPS,
     ROUND_STEPS,
-    SMALLEST_SIDE,
-    TILE,
     Sig,
-    chosen_levels,
 )
 from tests.schedule.driven_sig import (
     FACTS,
@@ -37,28 +33,6 @@ RECORD = {"level", "reason", "since", "rounds", "frequency", "slope", "threshold
 
 def test_it_is_known_by_name():
     assert schedule_of("sig") is Sig
-
-
-# --- which levels there are
-
-@pytest.mark.parametrize("side, expected", [
-    (SMALLEST_SIDE * LEVELS[0], LEVELS), (SMALLEST_SIDE * LEVELS[0] - 1, LEVELS[1:]),
-    (SMALLEST_SIDE * 2, (2.0, 1.0)), (SMALLEST_SIDE * 2 - 1, (1.0,)), (1, (1.0,))])
-def test_levels_too_small_to_matter_are_left_out(side, expected):
-    assert chosen_levels((), (side, side + 100)) == expected
-    assert chosen_levels((), (side + 100, side)) == expected
-
-
-def test_given_levels_are_taken_as_they_are():
-    levels = (7.5, 2.5, 1.0)
-    assert chosen_levels(levels, (int(7.5 * TILE), 500)) == levels
-    assert sig(levels=levels).levels == levels
-    assert chosen_levels((1.0,), (3, 3)) == (1.0,)
-
-
-def test_a_given_level_below_a_tile_is_refused():
-    with pytest.raises(InputError, match=r"^--levels 8: .* 80 x 15 pixels, .* tile of 16; use "):
-        chosen_levels((8.0, 1.0), (640, 8 * TILE - 1))
 
 
 def test_one_level_is_all_there_is():
@@ -86,7 +60,7 @@ def test_each_level_ends_once_it_has_grown_and_converged():
     assert taken[found[0][0]][1].level == 2.0, "the very next step"
 
 
-@pytest.mark.parametrize("iterations", [40, 300, 6000, 30000])
+@pytest.mark.parametrize("iterations", [40, 300, 6000])
 @pytest.mark.parametrize("levels", [(4.0, 2.0, 1.0), LEVELS, (2.0, 1.0)])
 @pytest.mark.parametrize("frequency", [rising, wild, flat])
 def test_the_finest_level_always_gets_its_share(iterations, levels, frequency):
@@ -96,8 +70,9 @@ def test_the_finest_level_always_gets_its_share(iterations, levels, frequency):
     steps = lengths(taken)
     assert list(steps) == list(levels)
     for level in levels[:-1]:
-        assert steps[level] <= max(share / (len(levels) - 1), schedule.observe_every)
-    assert steps[1.0] >= iterations - share
+        own = share / level / sum(1 / each for each in levels[:-1])
+        assert steps[level] <= max(own, schedule.observe_every)
+    assert steps[1.0] >= iterations - max(share, len(levels) * schedule.observe_every)
     if frequency is rising:
         assert {d["reason"] for _, d in decisions(taken)} == {"deadline"}
         for _, decision in decisions(taken):
@@ -161,7 +136,7 @@ def test_the_guard_waits_out_growth_at_fixed_intervals_too():
     schedule = sig(rounds=0, densify_every=100, densify_until=6000, level_share=0.8)
     found = decisions(drive(schedule))
     assert all(d["reason"] == "converged" for _, d in found)
-    assert found[0][1]["since"] >= GROWS_SHARE * 0.8 * 6000 / 2
+    assert found[0][1]["since"] >= GROWS_SHARE * 0.8 * 6000 / 3
 
 
 @pytest.mark.parametrize("preset", ["paper", "release"])
@@ -193,7 +168,7 @@ def test_looks_are_closer_where_levels_are_short():
 
 # --- growth
 
-@pytest.mark.parametrize("iterations", [1000, 6000, 30000])
+@pytest.mark.parametrize("iterations", [1000, 12000])
 @pytest.mark.parametrize("count", [1, 5, 12])
 @pytest.mark.parametrize("frequency", [flat, rising])
 def test_growth_comes_in_rounds(iterations, count, frequency):
@@ -205,7 +180,8 @@ def test_growth_comes_in_rounds(iterations, count, frequency):
         assert len(of_level) <= count
         spacings = set(np.diff(of_level))
         assert len(spacings) <= 1 and max(spacings, default=1) <= ROUND_STEPS[1]
-        allotment = steps if level == 1 else schedule.options.level_share * iterations / 2
+        shares = dict(zip(schedule.levels, schedule.shares))
+        allotment = shares[level] * iterations if level in shares else steps
         assert all(first < i <= first + GROWS_SHARE * allotment for i in of_level)
         last = [i for i, plan, _ in taken if plan.level == level and plan.gathers][-1]
         if len(of_level) == count:
@@ -244,7 +220,7 @@ def test_a_model_grows_no_larger_than_its_pixels_can_tell_apart():
 def test_a_level_fills_up_and_pruning_makes_room_again():
     schedule = sig(pixels_per_gaussian=50.0)
     schedule.target(1, int(schedule.ceiling), 0)
-    assert not schedule.plan(2).gathers and schedule.plan(900).grows, "rounds go on, to prune"
+    assert not schedule.plan(2).gathers and schedule.plan(600).grows, "rounds go on, to prune"
     schedule.target(2, int(schedule.ceiling) - 1, 0)
     assert schedule.plan(3).gathers
 
@@ -365,8 +341,9 @@ def test_what_is_ahead(frequency):
         assert [level for level, _ in ahead] == list(schedule.levels[schedule.index:])
         assert sum(steps for _, steps in ahead) == pytest.approx(5900 - step)
         if schedule.index == 0:
-            assert ahead[0][1] == max(0, 1475 - step) and ahead[1][1] == 1475
-    assert dict(sig().ahead(0)) == pytest.approx({4.0: 1500, 2.0: 1500, 1.0: 3000})
+            assert ahead[0][1] == pytest.approx(max(0, 5900 / 6 - step))
+            assert ahead[1][1] == pytest.approx(5900 / 3)
+    assert dict(sig().ahead(0)) == pytest.approx({4.0: 1000, 2.0: 2000, 1.0: 3000})
 
 
 @pytest.mark.slow

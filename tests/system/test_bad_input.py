@@ -78,7 +78,7 @@ def noise_cut(name):
 
 # name -> (spoils a scene folder, words of the line)
 SCENES = {
-    "no model": (lambda f: shutil.rmtree(f / "sparse"),
+    "no model": (lambda f: (shutil.rmtree(f / "sparse"), (f / "sparse").mkdir()),
                  ("town", "no COLMAP model", "docs/guide/photos.md")),
     "no photos": (lambda f: shutil.rmtree(f / "images"), ("photo_0.png", "4 of 4")),
     "single photo": (single_photo, ("town", "single photo", "at least two")),
@@ -103,8 +103,8 @@ SCENES = {
     "points not a number": (rewrite(lambda: moved(reconstruction(), lambda x: x * np.nan)),
                             ("sparse/0", "30 of 30 points are not finite")),
     "pose not a number": (lost_pose, ("sparse/0", "pose of image photo_2.png is not finite")),
-    "distorted camera": (rewrite(lambda: reconstruction("SIMPLE_RADIAL", (50.0, 24.0, 18.0, 0.1))),
-                         ("sparse/0", "SIMPLE_RADIAL", "image_undistorter")),
+    "distorted camera": (rewrite(lambda: reconstruction("SIMPLE_RADIAL", (50.0, 24.0, 18.0, 1e9))),
+                         ("sparse/0", "cannot be undistorted", "SIMPLE_RADIAL")),
 }
 
 
@@ -199,6 +199,10 @@ def test_overwriting_waits_until_all_is_in_order(healthy, finished):
     (("--init", "nowhere.ply"), ("nowhere.ply", "no such file")),
     (("--max-gaussians", "5"), ("--max-gaussians 5", "30", "allow")),
     (("--test-every", "1"), ("--test-every 1", "use a larger number")),
+    (("--test-offset", "4"), ("--test-offset 4", "must be less than --test-every, which is 4")),
+    (("--test-every", "none", "--test-offset", "1"), ("--test-offset 1", "which is none")),
+    (("--test-every", "900", "--test-offset", "800"),
+     ("--test-offset 800", "holds out none of its", "use a smaller number")),
     (("--device", "warp drive"), ("warp drive", "clsplat devices")),
     (("--sh-degree", "4"), ("sh-degree", "from 0 to 3")),
     (("--levels", "4", "--levels", "1"),
@@ -243,7 +247,7 @@ def test_no_working_device(tmp_path, healthy):
     done = subprocess.run(
         [sys.executable, "-m", "clsplat", "train", str(healthy), "-o", str(tmp_path / "run"),
          *TRAIN], env={**os.environ, "OCL_ICD_VENDORS": str(tmp_path / "vendors")},
-        capture_output=True, text=True, timeout=60, check=False)
+        capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 2 and done.stdout == ""
     line, = done.stderr.splitlines()
     assert line.startswith("error: no working OpenCL device; install")

@@ -47,8 +47,9 @@ def test_a_report_that_finds_the_disk_full_is_an_error_and_the_model_is_there(
     assert model_digest(RunFolder(tmp_path / "run")) == model_digest(whole)
 
 
-@pytest.mark.parametrize("moment", ["evaluate_views", "draw_report", "save_model"])
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("a photo is gone")], ids=repr)
+@pytest.mark.parametrize("moment, error", [
+    ("evaluate_views", KeyboardInterrupt()), ("evaluate_views", InputError("a photo is gone")),
+    ("draw_report", KeyboardInterrupt()), ("save_model", KeyboardInterrupt())], ids=repr)
 def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monkeypatch, moment,
                                        error):
     """Fault C6: Ctrl-C in the final evaluation came before the final checkpoint."""

@@ -167,7 +167,7 @@ def test_the_finest_level_gets_its_share_of_the_steps():
     training = Simulated(240, Clock(by_pixels))
     training.run()
     share = training.steps_at[1.0] / training.session.iteration
-    assert share > 0.9 * (1 - training.session.options.level_share)
+    assert share > 0.9 * (1 - sum(training.session.schedule.shares))
 
 
 def test_a_resumed_run_keeps_to_the_budget():

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from clsplat.covisibility.exposure_drift import DRIFTS
+from clsplat.covisibility.vignetting import DARKENS
 from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import scaled_steps
-from clsplat.training import decisions
+from clsplat.training import decisions, facts
 from clsplat.training.decisions import (
     SAMPLED_PHOTOS,
     SHINE,
@@ -19,8 +20,8 @@ from clsplat.training.decisions import (
     VISIBLE,
     find_decisions,
     needed_degree,
-    smallest_size,
 )
+from clsplat.training.facts import smallest_size
 from tests.covisibility.test_source_views import circle
 from tests.data.tiny_training import CITY
 
@@ -53,7 +54,8 @@ def test_nothing_is_left_open(city, drift):
     for schedule in ("sig", "constant", "dash"):
         options = found(city, schedule=schedule).options
         assert options.exposure in ("on", "off") and options.reproject in ("on", "off")
-        unchanged = {"exposure": "off", "reproject": "off"}
+        assert options.vignetting in ("on", "off")
+        unchanged = {"exposure": "off", "vignetting": "off", "reproject": "off"}
         assert replace(options, **unchanged) == replace(resolve({}, {"schedule": schedule}),
                                                         **unchanged)
 
@@ -84,6 +86,23 @@ def test_what_is_asked_for_is_not_measured(city, drift, answer):
     assert result.reasons["exposure"] == f"{answer}: requested"
 
 
+@pytest.mark.parametrize("measured, answer",
+                         [(DARKENS, "on"), (0.99 * DARKENS, "off"), (-1, "off")])
+def test_vignetting_is_learned_with_exposures_where_corners_are_darker(city, monkeypatch, measured,
+                                                                       answer):
+    monkeypatch.setattr(decisions, "corner_darkening", lambda *_: measured)
+    result = found(city, exposure="on", vignetting="auto")
+    assert result.options.vignetting == answer
+    assert result.reasons["vignetting"].startswith(f"{answer}: the corners of 32 photos are ")
+    assert found(city, exposure="on").options.vignetting == "off"
+    without = found(city, exposure="off", vignetting="auto")
+    assert without.options.vignetting == "off" and "not learned" in without.reasons["vignetting"]
+    for asked in ("on", "off"):
+        assert found(city, exposure="on", vignetting=asked).options.vignetting == asked
+    with pytest.raises(InputError, match="--exposure on"):
+        found(city, exposure="off", vignetting="on")
+
+
 def test_few_small_photos_stand_for_all(city, drift):
     seen = drift(0.0)
     large = replace(city.views[0], camera=city.views[0].camera.resized(4 * SMALL_SIDE, 100))
@@ -105,7 +124,8 @@ def test_adjacent_photos_are_found(city, drift, asked):
 
 
 @pytest.mark.parametrize("options", [
-    {}, {"reproject": "auto", "reproject_weight": 0.0}, {"schedule": "taming"}], ids=str)
+    {}, {"reproject": "auto", "reproject_weight": 0.0}, {"schedule": "taming"},
+    {"schedule": "mcmc"}], ids=str)
 def test_adjacent_photos_are_not_looked_for(city, drift, monkeypatch, options):
     drift(0.0)
     monkeypatch.delattr(decisions, "choose_source_views")
@@ -229,16 +249,17 @@ def test_levels_are_named(city, drift):
     drift(0.0)
     large = replace(city, views=tuple(
         replace(view, camera=view.camera.resized(320, 240)) for view in city.views))
-    result = found(large)
+    result = found(large, iterations=3000)
     assert result.values["levels"] == (3.0, 2.0, 1.0)
     assert result.reasons["levels"] == (
-        "3 2 1: 106 x 80 to 320 x 240 pixels; sides below 64 are left out")
+        "3 2 1: 106 x 80 to 320 x 240 pixels; sides below 64, and levels shorter than 200 steps, "
+        "are left out")
     assert found(large, levels=(4.0, 1.0)).reasons["levels"] == (
         "4 1: requested; 80 x 60 to 320 x 240 pixels")
     assert found(large, schedule="constant").values["levels"] == (1.0,)
 
 
-def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift):
+def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatch):
     drift(0.0)
     options = scaled_steps(resolve({}, {"schedule": "taming", "iterations": 7000}))
     needed = 3 * 59 * 1.5 * 15 * 4400 * 4  # bytes, at the end
@@ -255,3 +276,6 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift):
     assert engine(1.98 * needed, sh_degree=2).options.engine == "device"
     assert engine(1.0, engine="device").reasons["engine"] == "device: requested"
     assert find_decisions(city, city.views, options).options.engine == "auto"
+    # dash, which looks at every photo when training begins, does not for this
+    monkeypatch.setattr(facts, "decoded", None)
+    assert engine(1e9, schedule="dash").options.engine == "device"

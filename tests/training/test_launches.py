@@ -12,10 +12,11 @@ from clsplat.training.loop import Training
 from clsplat.training.step import Step
 from tests.data.tiny_training import CITY, LEVELLED, STILL, options_of
 
-STEPS = 40
+STEPS = 30
 MOST = 20  # launches and fills of a step of the group form
-# exposures, statistics for growth and harmonics of degree 3 from the first step on
-ALL_ON = {"iterations": STEPS, "exposure": "on", "sh_degree": 3, "sh_every": 1,
+# exposures with vignetting, statistics for growth and harmonics from the second step on; each
+# further degree would be other programs with the same launches
+ALL_ON = {"iterations": STEPS, "exposure": "on", "vignetting": "on", "sh_degree": 1, "sh_every": 1,
           "densify_until": 10**6, **STILL}
 
 
@@ -59,27 +60,29 @@ def of_a_replay(found):
     return common[0]
 
 
-@pytest.mark.parametrize("schedule", OURS)
-@pytest.mark.parametrize("batch, item, group", [(1, 23, 20), (2, 69, 63)])
+@pytest.mark.parametrize("schedule, batch, item, group", [
+    *((schedule, 1, 20, 16) for schedule in OURS), ("taming", 2, 64, 56)])
 def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedule, batch, item,
                                   group):
     options = {"levels": (1.0,), "reproject": "off"} if schedule == "sig" else {}
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule=schedule, batch=batch,
                                    **options))
-    assert launches == (item if float_device.form == "item" else group)
+    # mcmc regularises the gradients of each view, and its positions take random steps
+    more = 1 + batch if schedule == "mcmc" else 0
+    assert launches == (item if float_device.form == "item" else group) + more
     assert batch > 1 or float_device.form == "item" or launches <= MOST
 
 
 def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
     """Its weight is another one in each step."""
     launches = of_a_replay(counted(float_device, city, tmp_path, **{
-        **LEVELLED, "levels": (1.0,), "rounds": 0, "iterations": STEPS, "sh_every": 1,
-        "reproject": "on", "densify_from": 1000, "densify_until": 10**6}))
-    assert launches == (26 if float_device.form == "item" else 23)
+        **LEVELLED, "levels": (1.0,), "rounds": 0, "iterations": STEPS, "sh_degree": 1,
+        "sh_every": 1, "reproject": "on", "densify_from": 1000, "densify_until": 10**6}))
+    assert launches == (23 if float_device.form == "item" else 19)
 
 
 def test_without_what_is_optional(float_device, city, tmp_path, counted):
     """Neither exposures nor lazy rows that catch up."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant",
-                                   exposure="off", optimizer="sparse"))
-    assert launches == (19 if float_device.form == "item" else 16)
+                                   exposure="off", vignetting="off", optimizer="sparse"))
+    assert launches == (17 if float_device.form == "item" else 13)

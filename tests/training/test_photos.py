@@ -8,7 +8,8 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.images import read_image, read_photo, write_image
+from clsplat.io.images import read_image, write_image
+from clsplat.io.views import read_photo
 from clsplat.scene import View
 from clsplat.training import photos as module
 from clsplat.training.photos import Photos, decoded
@@ -52,7 +53,7 @@ def bytes_at(level):
 
 def idle(photos):
     """Wait until the one thread has done what was asked before."""
-    photos._threads.submit(int).result(timeout=30)
+    photos._threads.submit(int).result(timeout=120)
 
 
 def is_at(photos, views, level):
@@ -65,8 +66,8 @@ def is_at(photos, views, level):
                for i, view in enumerate(views))
 
 
-def test_resident_and_streaming_give_the_same_planes(float_device, views):
-    resident, streaming = Photos(float_device, views), Photos(float_device, views, budget_bytes=10)
+def test_resident_and_streaming_give_the_same_planes(item_device, views):
+    resident, streaming = Photos(item_device, views), Photos(item_device, views, budget_bytes=10)
     assert resident.resident and not streaming.resident
     for i in (2, 0, 2, 3, 1):
         expected = read_image(views[i].source, (WIDTH, HEIGHT)).transpose(2, 0, 1)
@@ -78,29 +79,29 @@ def test_resident_and_streaming_give_the_same_planes(float_device, views):
     streaming.close()
 
 
-def test_the_budget_is_that_of_the_images_trained_on(float_device, views):
+def test_the_budget_is_that_of_the_images_trained_on(item_device, views):
     for level in (1, 2):
         size = bytes_at(level)
-        assert Photos(float_device, views, (level,), size).resident
-        assert not Photos(float_device, views, (level,), size - 1).resident
+        assert Photos(item_device, views, (level,), size).resident
+        assert not Photos(item_device, views, (level,), size - 1).resident
 
 
-def test_the_budget_is_a_quarter_of_the_device_unless_told(float_device, views, monkeypatch):
-    assert Photos(float_device, views)._budget == 0.25 * float_device.handle.global_mem_size
+def test_the_budget_is_a_quarter_of_the_device_unless_told(item_device, views, monkeypatch):
+    assert Photos(item_device, views)._budget == 0.25 * item_device.handle.global_mem_size
     monkeypatch.setattr(module, "DEVICE_SHARE", 0)
-    assert not Photos(float_device, views).resident
+    assert not Photos(item_device, views).resident
 
 
-def test_resident_photos_are_decoded_once(float_device, views, reads):
-    photos = Photos(float_device, views)
+def test_resident_photos_are_decoded_once(item_device, views, reads):
+    photos = Photos(item_device, views)
     for i in (0, 1, 0, 3):
         photos.expect(i)
         photos[i]
     assert sorted(reads) == all_at(WIDTH)
 
 
-def test_what_is_expected_is_read_ahead_once(float_device, views, reads):
-    photos = Photos(float_device, views, budget_bytes=0)
+def test_what_is_expected_is_read_ahead_once(item_device, views, reads):
+    photos = Photos(item_device, views, budget_bytes=0)
     assert sorted(reads) == all_at(WIDTH)  # at the start, for damage
     reads.clear()
     photos.expect(2)
@@ -116,17 +117,17 @@ def test_what_is_expected_is_read_ahead_once(float_device, views, reads):
 
 @pytest.mark.parametrize("levels", [(1.0,), (2.0, 1.0)])
 @pytest.mark.parametrize("budget", [None, 0])
-def test_a_damaged_photo_is_refused_at_the_start(float_device, views, levels, budget):
+def test_a_damaged_photo_is_refused_at_the_start(item_device, views, levels, budget):
     data = views[3].source.read_bytes()
     views[3].source.write_bytes(data[:len(data) * 2 // 3])
     with pytest.raises(InputError, match="3.png.*damaged or cut short"):
-        Photos(float_device, views, levels, budget)
+        Photos(item_device, views, levels, budget)
     with pytest.raises(InputError, match="3.png"):
         list(decoded(views))
 
 
-def test_a_damaged_photo_read_ahead_is_reported_where_it_is_used(float_device, views):
-    photos = Photos(float_device, views, budget_bytes=0)
+def test_a_damaged_photo_read_ahead_is_reported_where_it_is_used(item_device, views):
+    photos = Photos(item_device, views, budget_bytes=0)
     views[1].source.unlink()
     photos.expect(1)
     with pytest.raises(InputError, match="1.png"):
@@ -137,8 +138,8 @@ def test_a_damaged_photo_read_ahead_is_reported_where_it_is_used(float_device, v
 # --- levels
 
 
-def test_each_level_is_read_once_and_ahead_of_its_use(float_device, views, reads):
-    photos = Photos(float_device, views, (4.0, 2.0, 1.0))
+def test_each_level_is_read_once_and_ahead_of_its_use(item_device, views, reads):
+    photos = Photos(item_device, views, (4.0, 2.0, 1.0))
     for level, following in ((4, 2), (2, 1), (1, None)):
         photos.use(level)
         idle(photos)
@@ -152,18 +153,18 @@ def test_each_level_is_read_once_and_ahead_of_its_use(float_device, views, reads
     photos.close()
 
 
-def test_a_level_trains_while_the_next_is_read(float_device, views, monkeypatch):
+def test_a_level_trains_while_the_next_is_read(item_device, views, monkeypatch):
     """Its photos are there though no photo of the next level can be read yet."""
     may_read, readers = threading.Event(), set()
 
     def held(view):
         if view.camera.width == WIDTH:
             readers.add(threading.get_ident())
-            assert may_read.wait(30)
+            assert may_read.wait(120)
         return read_photo(view)
 
     monkeypatch.setattr(module, "read_photo", held)
-    photos = Photos(float_device, views, (2.0, 1.0))
+    photos = Photos(item_device, views, (2.0, 1.0))
     assert is_at(photos, views, 2)
     may_read.set()
     photos.use(1.0)
@@ -174,8 +175,8 @@ def test_a_level_trains_while_the_next_is_read(float_device, views, monkeypatch)
 
 @pytest.mark.parametrize("budget, resident", [
     (bytes_at(2), True), (bytes_at(1) - 1, True), (bytes_at(2) - 1, False), (0, False)])
-def test_a_level_beyond_the_budget_is_streamed(float_device, views, reads, budget, resident):
-    photos = Photos(float_device, views, (2.0, 1.0), budget)
+def test_a_level_beyond_the_budget_is_streamed(item_device, views, reads, budget, resident):
+    photos = Photos(item_device, views, (2.0, 1.0), budget)
     idle(photos)
     start = all_at(WIDTH // 2) if resident else all_at(WIDTH)  # all of them once, for damage
     assert sorted(reads) == start  # nothing of the next level
@@ -194,15 +195,15 @@ def test_a_level_beyond_the_budget_is_streamed(float_device, views, reads, budge
     photos.close()
 
 
-def test_levels_may_be_left_out(float_device, views):
+def test_levels_may_be_left_out(item_device, views):
     """As a resumed run does, which begins where it was."""
-    photos = Photos(float_device, views, (4.0, 2.0, 1.0))
+    photos = Photos(item_device, views, (4.0, 2.0, 1.0))
     photos.use(1.0)
     assert is_at(photos, views, 1)
     photos.close()
 
 
-def test_a_photo_that_is_gone_when_its_level_comes_is_named(float_device, views, monkeypatch):
+def test_a_photo_that_is_gone_when_its_level_comes_is_named(item_device, views, monkeypatch):
     gone = []
 
     def sometimes(view):
@@ -212,7 +213,7 @@ def test_a_photo_that_is_gone_when_its_level_comes_is_named(float_device, views,
         return read_photo(view)
 
     monkeypatch.setattr(module, "read_photo", sometimes)
-    photos = Photos(float_device, views, (2.0, 1.0))
+    photos = Photos(item_device, views, (2.0, 1.0))
     idle(photos)
     assert gone and is_at(photos, views, 2)  # it is no error before it is needed
     with pytest.raises(InputError, match="2.png: no such file"):

@@ -1,24 +1,28 @@
 """Units of work that lack room are repeated, and the training ends in the same bytes."""
 
+import weakref
+
 import numpy as np
 import pytest
 
 from clsplat.constants import COUNT_DONE, COUNT_FAILED, COUNT_NEEDED_PAIRS
 from clsplat.io.scenes import read_scene
-from clsplat.training import rooms
+from clsplat.training import growth, photos, rooms
+from clsplat.training.model import Model
 from clsplat.training.step import Step
-from clsplat.training.units import Units
+from clsplat.training.units import Unit, Units
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, trained
 from tests.training.test_block import block_of
 
-STEPS = {"iterations": 60, "densify_from": 10, "densify_every": 10, "densify_until": 60,
-         "reset_every": 25, "sh_every": 15, "exposure": "on"}
+STEPS = {"iterations": 40, "densify_from": 10, "densify_every": 10, "densify_until": 40,
+         "reset_every": 25, "sh_degree": 1, "sh_every": 15, "exposure": "on"}
 LEVELS = {**LEVELLED, "iterations": 60}
 TRAININGS = {
     "constant": {**STEPS, "schedule": "constant"},
-    "batch": {**STEPS, "schedule": "constant", "batch": 2},
     "taming": {**STEPS, "schedule": "taming"},
     "dash": {**STEPS, "schedule": "dash"},
+    "mcmc": {**STEPS, "schedule": "mcmc"},
+    "mcmc batch": {**STEPS, "schedule": "mcmc", "batch": 2},
     "sig": LEVELS,
     "sig batch": {**LEVELS, "batch": 2},
     "block": {**STEPS, "schedule": "constant", "test_every": 0},
@@ -35,9 +39,9 @@ def repeated(monkeypatch):
     """A list of the units for which room was made."""
     units, make_room = [], Step._make_room
 
-    def noted(step, unit):
-        units.append(unit)
-        make_room(step, unit)
+    def noted(step, plan, sample):
+        units.append(sample)
+        make_room(step, plan, sample)
     monkeypatch.setattr(Step, "_make_room", noted)
     return units
 
@@ -61,7 +65,7 @@ def test_a_training_that_lacks_room_ends_in_the_same_bytes(item_device, city, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", TRAININGS)
+@pytest.mark.parametrize("name", ["taming", "sig batch"])  # between them, every kernel of a step
 def test_so_it_does_in_the_group_form(group_device, city, tmp_path, monkeypatch, repeated, name):
     if group_device.real == np.float32:
         same_bytes(group_device, city, tmp_path, monkeypatch, repeated, name)
@@ -88,7 +92,7 @@ class Counted:
     """Units on the host: each takes a room, and is done if there is enough."""
 
     def __init__(self, device):
-        self.units, self.room, self.log, self.rooms_made = Units(device, self.make_room), 1, [], []
+        self.units, self.room, self.log, self.rooms_made = Units(device), 1, [], []
 
     def unit(self, number, needed):
         def run():
@@ -100,14 +104,13 @@ class Counted:
                 self.log.append(number)
                 counts[COUNT_DONE] += 1
             self.units.counts.write(counts)
-        run.needed = needed
-        return run
 
-    def make_room(self, unit):
-        counts = self.units.counts.download()
-        assert not counts[COUNT_FAILED] and not counts[COUNT_NEEDED_PAIRS]
-        self.rooms_made.append(unit.needed)
-        self.room = unit.needed
+        def make_room():
+            counts = self.units.counts.download()
+            assert not counts[COUNT_FAILED] and not counts[COUNT_NEEDED_PAIRS]
+            self.rooms_made.append(needed)
+            self.room = needed
+        return Unit(run, make_room)
 
 
 @pytest.mark.parametrize("pending", [1, 3, 50])
@@ -135,3 +138,59 @@ def test_the_number_of_units_may_pass_32_bits(item_device):
             counted.units.submit(counted.unit(number, 1 + number % 2))
         assert counted.units.confirm()[COUNT_DONE] == 3
     assert counted.log == list(range(5))
+
+
+def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path, monkeypatch):
+    """Adam leaves rows behind that no view sees."""
+    current, behind = [], []
+    candidates, densify = growth.Candidates, Step.densify
+
+    def noted(*arguments):
+        current.append(models[-1].adam.is_current)
+        return candidates(*arguments)
+
+    def before(own, *arguments):
+        models.append(own._model)
+        behind.append(not own._model.adam.is_current)
+        return densify(own, *arguments)
+
+    models = []
+    monkeypatch.setattr(growth, "Candidates", noted)
+    monkeypatch.setattr(Step, "densify", before)
+    trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 35})
+    assert len(current) > 1 and all(current) and any(behind)
+
+
+def test_recordings_do_not_keep_the_memory_of_frames_while_rows_are_copied(
+        item_device, city, tmp_path, monkeypatch):
+    grow, regrow, recordings = Step._grow, Model.regrow, []
+
+    def growing(own, *arguments):
+        def noted(*growth):
+            recordings.append((before, len(own._graphs)))
+            regrow(*growth)
+
+        before = len(own._graphs)
+        monkeypatch.setattr(Model, "regrow", noted)
+        return grow(own, *arguments)
+
+    monkeypatch.setattr(Step, "_grow", growing)
+    trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 25})
+    assert recordings and all(before > 0 and then == 0 for before, then in recordings)
+
+
+def test_steps_that_are_pending_keep_few_photos(item_device, city, tmp_path, monkeypatch):
+    """Where photos do not stay on the device, as there is no memory for them."""
+    read, made, alive = photos.Photos.__getitem__, [], []
+
+    def noted(own, index):
+        photo = read(own, index)
+        made.append(weakref.ref(photo))
+        alive.append(sum(each() is not None for each in made))
+        return photo
+
+    monkeypatch.setattr(photos, "DEVICE_SHARE", 0.0)
+    monkeypatch.setattr(photos.Photos, "__getitem__", noted)
+    trained(tmp_path, city, item_device, **{**STEPS, "schedule": "constant", "iterations": 60,
+                                            "densify_from": 1000})
+    assert len(alive) > 50 and max(alive) < 12

@@ -10,9 +10,10 @@ from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
-from clsplat.io.images import read_image, read_photo, write_image
+from clsplat.io.images import read_image, write_image
 from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.views import read_photo
 from clsplat.partition.blocks import find_windows, seen_pixels
 from clsplat.partition.region import Region, Space
 from clsplat.rendering.slabs import Parts, SlabRenderer

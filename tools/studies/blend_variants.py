@@ -18,8 +18,9 @@ from clsplat.bench.workloads import city
 from clsplat.device import choose_device
 from clsplat.rendering.blend import blend, blend_adjoint, blend_defines
 from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.project import project_defines, sum_pairs
 
-KERNELS = "blend", "blend_adjoint", "sum_pairs"
+KERNELS = "blend", "blend_adjoint"
 
 
 @dataclass
@@ -72,9 +73,10 @@ class Case:
         frame, background = self.frame, self.renderer.background
         blended = blend(self.device, frame.splats, frame.pairs, *frame.size, background,
                         self.defines)
-        sums = blend_adjoint(self.device, frame.splats, frame.pairs, blended, background,
-                             self.grad, blended.depth, blended.depth, self.defines)
-        return blended.image, sums
+        splat_grads = blend_adjoint(self.device, frame.splats, frame.pairs, blended, background,
+                                    self.grad, blended.depth, blended.depth, self.defines)
+        return blended.image, sum_pairs(self.device, splat_grads, frame.counts,
+                                        project_defines(0, False))
 
 
 DEFAULT_SIZES: dict[str, int] = {}

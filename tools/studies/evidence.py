@@ -9,16 +9,8 @@ import numpy as np
 from clsplat.cli.main import verdict
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.report.curves import spread
 from clsplat.report.groups import warnings
 from tools.studies.runs import Scene
-
-# of an evaluation: title, key, digits
-SCORES = (("PSNR cc, dB", "psnr_cc", 2), ("PSNR, dB", "psnr", 2), ("SSIM cc", "ssim_cc", 4),
-          ("SSIM", "ssim", 4), ("gaussians", "gaussians", 0), ("training, s", "train_seconds", 1))
-TITLES = tuple(title for title, _, _ in SCORES)
-NOTE = ("Held-out views; cc: after a quadratic fit of each render's colours to its photo. ± is the "
-        "standard deviation over seeds.")
 
 
 def parser(doc, steps):
@@ -38,28 +30,16 @@ def parser(doc, steps):
 
 def parsed(parser, argv):
     """The arguments; those that follow -- are `flags`."""
-    cut = argv.index("--") if "--" in argv else len(argv)
-    arguments = parser.parse_args(argv[:cut], argparse.Namespace(flags=argv[cut + 1:]))
+    words, flags = flags_after(argv)
+    arguments = parser.parse_args(words, argparse.Namespace(flags=flags))
     arguments.jobs = arguments.jobs or max(1, arguments.gpus)
     return arguments
 
 
-def measured(runs, key, iteration=None):
-    """The values of `key` at the last evaluation of each run, or at the one after a given step.
-
-    Runs without such a value are left out.
-    """
-    last = []
-    for run in runs:
-        values = [record[key] for record in run.records if record.get("event") == "eval"
-                  and iteration in (None, record["iteration"]) and record.get(key) is not None]
-        last += values[-1:]
-    return last
-
-
-def mean(runs, key):
-    """The mean over seeds; nan where nothing was measured."""
-    return float(np.mean(measured(runs, key) or [np.nan]))
+def flags_after(argv):
+    """The words of a command before --, and those after it, flags of `clsplat train`."""
+    cut = argv.index("--") if "--" in argv else len(argv)
+    return argv[:cut], argv[cut + 1:]
 
 
 def cell(value, deviation, digits, sign=""):
@@ -68,16 +48,6 @@ def cell(value, deviation, digits, sign=""):
         return "-"
     more = "" if deviation is None or np.isnan(deviation) else f" ± {deviation:,.{digits}f}"
     return f"{value:{sign},.{digits}f}{more}"
-
-
-def score_cells(runs, iteration=None):
-    """Cells for TITLES: means over seeds, after the last step or a given one."""
-    return [cell(*spread(measured(runs, key, iteration)), digits) for _, key, digits in SCORES]
-
-
-def complete(groups):
-    """The scenes in which every group has a run, over which means can be taken."""
-    return [scene for scene in groups.values() if all(scene.values())]
 
 
 def markdown(table):

@@ -66,7 +66,7 @@ def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0):
     gaussians, scene, options = to_render(path, scene_path)
     scene = scene.reduced(downscale)
     detail, full = Detail(run, scene, device, bias), opened(device, gaussians, scene, options)
-    for view in scene.split(options.test_every)[1] or scene.views:
+    for view in scene.split(options.test_every, options.test_offset)[1] or scene.views:
         camera, part = view.camera, np.s_[:, :]
         if away:
             camera, part = moved_away(camera, scene.points, away)

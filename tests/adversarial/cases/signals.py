@@ -81,7 +81,7 @@ CASES = [
          ("sy", "city"), ("city",)),
         ("render", "clsplat render run -o out", "out", (), ("sy", "run"), ("out",)),
         ("compare", "clsplat compare run -o out", "out", (), ("run",), ("out",)),
-        ("export", "clsplat export run -o out.ply", "out.ply.part", (model("out.ply"),),
+        ("export", "clsplat export run -o out.ply --overwrite", "out.ply.part", (model("out.ply"),),
          ("sy", "run"), ("out.ply", "out.ply.part")),
         ("block", "clsplat block parted/blocks/000 -q", "parted/blocks/000/run/metrics.jsonl",
          (same_model("parted/blocks/000/run", "city/blocks/000/run"),), ("sy", "parted"),

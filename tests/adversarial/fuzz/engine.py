@@ -26,7 +26,7 @@ from clsplat.errors import InputError
 from clsplat.io.checks import CONTROL
 from tests.adversarial.fuzz.mutate import mutated
 
-SECONDS = 10  # a case that takes longer hangs
+SECONDS = 60  # a case that takes longer hangs, also where other processes take most of the time
 MEMORY_BYTES = 512 << 20  # a reader may take so much more than its process had
 POLL_SECONDS = 0.02
 LONGEST = 1000  # characters of a message

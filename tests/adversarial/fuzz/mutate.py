@@ -5,6 +5,7 @@ format guards its content by checksums, the content is mutated too and the check
 fit: else nothing behind them would ever be reached.
 """
 
+import gzip
 import io
 import re
 import struct
@@ -24,6 +25,7 @@ WORDS = (b"", b"0", b"-1", b"nan", b"NaN", b"inf", b"-Infinity", b"2147483648", 
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 FIELD = re.compile(rb"[^\s,:=\[\]{}\"]+")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+GZIP_MAGIC, GLB_MAGIC = b"\x1f\x8b", b"glTF"
 DTYPES = ("<f2", "<f4", "<f8", ">f8", "<i1", "<i4", "<i8", "<u8", "?", "<c16", "<U3", "S3", "O",
           "<M8[s]")
 
@@ -35,6 +37,10 @@ def mutated(random, data, other, text=False):
             data = _inside_zip(random, data, other)
         elif data.startswith(PNG_SIGNATURE) and random.random() < 0.5:
             data = _inside_png(random, data)
+        elif data.startswith(GZIP_MAGIC) and random.random() < 0.8:
+            data = _inside_gzip(random, data)
+        elif data.startswith(GLB_MAGIC) and random.random() < 0.6:
+            data = _inside_glb(random, data)
         else:
             ways = LINES if text and random.random() < 0.75 else BYTES
             data = random.choice(ways)(random, data, other)
@@ -174,6 +180,27 @@ def _inside_png(random, data):
     return PNG_SIGNATURE + b"".join(
         len(content).to_bytes(4, "big") + kind + content + zlib.crc32(kind + content).to_bytes(
             4, "big") for kind, content in chunks)
+
+
+def _inside_gzip(random, data):
+    """The content of a gzip stream mutated, its length and checksum made to fit."""
+    try:
+        content = gzip.decompress(data)
+    except (OSError, EOFError, zlib.error):  # an earlier mutation hit it
+        return data
+    return gzip.compress(random.choice(BYTES)(random, content, content[::-1]), 1, mtime=0)
+
+
+def _inside_glb(random, data):
+    """The JSON of a binary glTF mutated as text, its lengths made to fit."""
+    if len(data) < 20:
+        return data
+    size = int.from_bytes(data[12:16], "little")
+    text = random.choice(LINES)(random, data[20:20 + size], b"{}")
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size:]
+    return (data[:8] + (20 + len(text) + len(rest)).to_bytes(4, "little")
+            + len(text).to_bytes(4, "little") + data[16:20] + text + rest)
 
 
 def _members(data):

@@ -6,22 +6,19 @@ is a fault as much as a traceback.
 """
 
 import json
-import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.cli.train import resumed_options
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import LEARNED
 from clsplat.io.images import image_size, read_image, write_image
 from clsplat.io.packed import write_packed
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.scenes import read_scene
 from clsplat.options import from_toml, resolve
 from clsplat.report.compare import compare, equality_tables, final_table, time_table
 from clsplat.report.groups import grouped, read_runs
@@ -30,44 +27,11 @@ from clsplat.scene import Scene, View
 from clsplat.synth import geometry
 from clsplat.synth.layout import city as plan_city
 from clsplat.training import checkpoint
+from tests.adversarial.fuzz import model_readers, place_readers, project_readers
+from tests.adversarial.fuzz.reader import Reader, check, gaussians_like, usable
 from tests.data import layouts
 from tests.data.made_runs import made_run
 from tests.data.tiny_model import reconstruction, write_scene
-
-
-@dataclass(frozen=True)
-class Reader:
-    """make: called with an empty folder, yields those below it that are seeds; read: called with a
-    seed's folder; text: whether its files are lines of fields; files: suffixes of those mutated."""
-
-    make: Callable
-    read: Callable
-    text: bool = False
-    files: tuple[str, ...] = ("",)
-
-    def seeds(self):
-        """List of {relative path: bytes}, the same whenever it is called."""
-        with tempfile.TemporaryDirectory(prefix="clsplat-fuzz-") as folder:
-            return [{file.relative_to(seed).as_posix(): file.read_bytes()
-                     for file in sorted(seed.rglob("*")) if file.is_file()}
-                    for seed in self.make(Path(folder))]
-
-
-def _usable(scene):
-    assert scene.views and len(scene.points) == len(scene.colours)
-    assert np.isfinite(scene.points).all() and np.isfinite(scene.offset).all()
-    assert 0 < scene.extent < np.inf and scene.near_plane > 0
-    for view in scene.views:
-        camera = view.camera
-        numbers = (camera.width, camera.height, *camera.focal, *camera.centre)
-        assert np.isfinite(numbers).all() and np.isfinite(camera.position).all()
-        camera.reduced(2)
-        pixels = read_image(view.source, (camera.width, camera.height))
-        assert pixels.shape == (camera.height, camera.width, 3)
-    assert len(fingerprint(scene)) == 64
-    if scene.observations is not None:
-        assert scene.observations.min() >= 0
-        assert (scene.observations.max(axis=0) < (len(scene.points), len(scene.views))).all()
 
 
 def _made_scenes(text):
@@ -87,28 +51,15 @@ def _made_scenes(text):
 
 
 def _scene(folder):
-    _usable(read_scene(folder))
-
-
-def _gaussians(count, degree, seed=0):
-    random = np.random.default_rng(seed)
-    made = Gaussians.from_points(random.normal(size=(count, 3)), random.integers(
-        0, 256, (count, 3), dtype=np.uint8), degree)
-    rows = {**made.rows, "anchors": made.positions + 1, "max_offsets": made.opacity_logits + 9}
-    return Gaussians(rows, degree)
-
-
-def _check(gaussians):
-    for values in gaussians.rows.values():
-        assert values.dtype in (np.float32, np.float64) and len(values) == gaussians.count
-        assert np.isfinite(values).all()
+    usable(read_scene(folder))
 
 
 def _made_plys(folder):
     for number, (count, degree, sphere) in enumerate(((5, 0, True), (3, 1, False), (2, 3, False))):
         seed = folder / str(number)
         seed.mkdir()
-        write_ply(seed / "model.ply", _gaussians(count, degree), (1.5, 2.0, 3e6), ("made",), sphere)
+        write_ply(seed / "model.ply", gaussians_like(count, degree), (1.5, 2.0, 3e6), ("made",),
+                  sphere)
         yield seed
     head, _, _ = (folder / "0/model.ply").read_bytes().partition(b"end_header\n")
     rows = b"".join(b" ".join([b"0.25"] * head.count(b"property")) + b"\n" for _ in range(5))
@@ -120,7 +71,7 @@ def _made_plys(folder):
 
 
 def _ply(folder):
-    _check(read_ply(folder / "model.ply"))
+    check(read_ply(folder / "model.ply"))
 
 
 def _made_images(folder):
@@ -159,7 +110,7 @@ def _made_packed(folder):
 
 
 def _packed(folder):
-    _usable(read_scene(folder / "town.npz"))
+    usable(read_scene(folder / "town.npz"))
 
 
 def _made_transforms(folder):
@@ -187,7 +138,7 @@ def _made_citygs(folder):
 def _made_checkpoints(folder):
     for degree in (0, 1):
         seed = folder / str(degree)
-        gaussians = _gaussians(4, degree)
+        gaussians = gaussians_like(4, degree)
         arrays = {f"row.{name}": values for name, values in gaussians.rows.items()}
         arrays |= {f"{kind}.{field.name}": 0 * gaussians.rows[field.name]
                    for kind in "mv" for field in LEARNED}
@@ -211,7 +162,7 @@ def _checkpoint(folder):
         gaussians = checkpoint.gaussians_of(arrays, run.read_options()["sh_degree"])
     except (KeyError, ValueError) as error:  # as `loop.resume` has it
         raise InputError(f"{folder}: {error}") from None
-    _check(gaussians)
+    check(gaussians)
     assert state["iteration"] >= 0 and state["level"] >= 1
 
 
@@ -286,4 +237,7 @@ READERS = {
     "options": Reader(_made_options, _options, text=True),
     "run": Reader(_made_run_folders, _run, text=True, files=("a/options.json", "a/metrics.jsonl")),
     "geometry": Reader(_made_geometry, _geometry, text=True),
+    **model_readers.READERS,
+    **place_readers.READERS,
+    **project_readers.READERS,
 }

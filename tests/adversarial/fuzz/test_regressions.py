@@ -1,5 +1,6 @@
 """The worst that fuzzing found, each made by hand: what it did once is said beside it."""
 
+import contextlib
 import io
 import json
 import struct
@@ -12,6 +13,7 @@ import pytest
 from clsplat.cli.train import resumed_options
 from clsplat.errors import InputError
 from clsplat.io.images import read_image, write_image
+from clsplat.io.models import read_model, write_model
 from clsplat.io.packed import write_packed
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
@@ -19,6 +21,7 @@ from clsplat.io.scenes import read_scene
 from clsplat.options import from_toml
 from clsplat.synth import geometry
 from clsplat.synth.layout import city
+from tests.adversarial.fuzz.reader import gaussians_like
 from tests.adversarial.fuzz.readers import READERS
 from tests.data.tiny_model import write_scene
 
@@ -97,6 +100,21 @@ def test_a_zip_that_claims_gigabytes(tmp_path, packed):
         read_scene(path)  # what matters is whole
     except InputError as error:  # later Pythons see themselves that members overlap
         assert "zip bomb" in str(error)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < MOST_BYTES
+
+
+def test_a_sog_that_claims_gigabytes(tmp_path):
+    """As `test_a_zip_that_claims_gigabytes`: it is a zip, too."""
+    path = tmp_path / "model.sog"
+    write_model(path, gaussians_like(6, 0))
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<L", data, data.index(b"PK\1\2") + 20, 2**31 - 1)
+    path.write_bytes(data)
+    tracemalloc.start()
+    with contextlib.suppress(InputError):  # what matters is whole
+        read_model(path)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < MOST_BYTES

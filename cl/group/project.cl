@@ -1,0 +1,56 @@
+// Group form of project.cl (see there). The work-items of a group first load what its PROJECT_GROUP
+// gaussians have of many numbers together, so that neighbours read neighbouring numbers: a
+// work-item that reads a row by itself touches as many lines of the cache as its group has rows,
+// for each number.
+#define SH_COLUMNS (3 * SH_ACTIVE)
+#define SH_STRIDE (SH_COLUMNS | 1) // odd: work-items read from different banks
+#define GAUSSIANS_MEMORY                                                                           \
+    __local real sh_local[PROJECT_GROUP * SH_STRIDE], sums_local[PROJECT_GROUP * SUMS];
+// LOADED: of load_harmonics and load_sums, for the gaussians from `first` on.
+#define FOR_EACH_GAUSSIAN(v, count, LOADED)                                                        \
+    for (ulong first = get_group_id(0) * (ulong)PROJECT_GROUP;                                     \
+         first < (count) && meet() && (LOADED) && meet();                                          \
+         first += get_num_groups(0) * (ulong)PROJECT_GROUP)                                        \
+        for (ulong v = first + get_local_id(0), end = min(first + PROJECT_GROUP, (ulong)(count));  \
+             v < end; v += PROJECT_GROUP)
+#define HARMONIC(k) vload3(k, sh_local + get_local_id(0) * SH_STRIDE)
+#define SUMS_OF(v, sum) __local const real *sum = sums_local + get_local_id(0) * SUMS
+#define LOAD_HARMONICS(count) load_harmonics(rows + first, (count) - first, sh_rest, sh_local)
+#define LOAD_SUMS(count)                                                                           \
+    load_sums(first, (count) - first, splat_counts, offsets, pair_grads, earlier, sums_local)
+
+inline bool meet(void)
+{
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return true;
+}
+
+// The active harmonics of the first PROJECT_GROUP of `count` gaussians.
+inline bool load_harmonics(__global const uint *rows, ulong count, __global const real *sh_rest,
+                           __local real *sh_local)
+{
+#if DEGREE > 0
+    const uint number = min(count, (ulong)PROJECT_GROUP) * SH_COLUMNS;
+#pragma unroll 5
+    for (uint i = get_local_id(0); i < number; i += PROJECT_GROUP)
+        sh_local[i / SH_COLUMNS * SH_STRIDE + i % SH_COLUMNS] =
+            sh_rest[(ulong)rows[i / SH_COLUMNS] * (3 * SH_REST) + i % SH_COLUMNS];
+#endif
+    return true;
+}
+
+// The sums over the pairs of the first PROJECT_GROUP of `count` splats from `first` on.
+inline bool load_sums(ulong first, ulong count, __global const uint *splat_counts,
+                      __global const uint *offsets, __global const real *pair_grads,
+                      __global const real *earlier, __local real *sums_local)
+{
+    const uint number = min(count, (ulong)PROJECT_GROUP) * SUMS;
+    for (uint i = get_local_id(0); i < number; i += PROJECT_GROUP) {
+        const ulong v = first + i / SUMS, begin = offsets[v], end = begin + splat_counts[v];
+        real total = CARRIED ? earlier[first * SUMS + i] : 0;
+        for (ulong index = begin; index < end; index++)
+            total += pair_grads[index * SUMS + i % SUMS];
+        sums_local[i] = total;
+    }
+    return true;
+}

@@ -1,0 +1,24 @@
+// Item form of project.cl (see there): a work-item walks gaussians by itself.
+#define GAUSSIANS_MEMORY
+#define FOR_EACH_GAUSSIAN(v, count, LOADED) FOR_EACH(v, count)
+#define HARMONIC(k) vload3((ulong)rows[v] * SH_REST + (k), sh_rest)
+#define SUMS_OF(v, sum)                                                                            \
+    real sum[SUMS];                                                                                \
+    add_pairs(v, splat_counts, offsets, pair_grads, earlier, sum)
+
+// Eight columns are one vector, or Intel's compiler would sum every column over several pairs at a
+// time, in another order.
+inline void add_pairs(ulong v, __global const uint *splat_counts, __global const uint *offsets,
+                      __global const real *pair_grads, __global const real *earlier, real *sum)
+{
+    real8 total = CARRIED ? vload8(0, earlier + v * SUMS) : (real8)(0);
+    for (int j = 8; j < SUMS; j++)
+        sum[j] = CARRIED ? earlier[v * SUMS + j] : 0;
+    const ulong begin = (ulong)offsets[v] * SUMS, end = begin + (ulong)splat_counts[v] * SUMS;
+    for (ulong i = begin; i < end; i += SUMS) {
+        total += vload8(0, pair_grads + i);
+        for (int j = 8; j < SUMS; j++)
+            sum[j] += pair_grads[i + j];
+    }
+    vstore8(total, 0, sum);
+}

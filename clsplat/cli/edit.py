@@ -1,0 +1,174 @@
+"""`clsplat edit`: crop, clean, merge, decimate and transform finished models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from clsplat.cli.flags import FiniteRange, Parsed, check_free
+from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.errors import InputError
+
+if TYPE_CHECKING:
+    from clsplat.cli.progress import Progress
+    from clsplat.edit.source import Source
+
+CROP: dict[str, Any] = {"cls": SectionedOption, "section": "Crop"}
+CLEAN: dict[str, Any] = {"cls": SectionedOption, "section": "Remove gaussians"}
+MOVE: dict[str, Any] = {"cls": SectionedOption, "section": "Transform"}
+FINITE = FiniteRange()
+
+
+def amount_of(text: str) -> float:
+    """A share below 1, or a whole number of gaussians."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not (0 < number < 1 or number >= 1 and number.is_integer()):
+        raise ValueError("neither a share between 0 and 1, such as 0.5, nor a number of gaussians")
+    return number
+
+
+@click.command(cls=SectionedCommand)
+@click.argument("models", metavar="MODEL...", nargs=-1, required=True,
+                type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
+              help="File to write; its suffix selects the format.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--scene", type=click.Path(path_type=Path),
+              help="Scene whose views tell what is seen; default for a run: its own scene.")
+@click.option("--device", default="auto", show_default=True,
+              help="To render the training views: as for `clsplat eval`.")
+@click.option("--box", nargs=6, type=float, **CROP, metavar="X0 Y0 Z0 X1 Y1 Z1",
+              help="Keep what is in this box; inf and -inf leave a side open.")
+@click.option("--polygon", **CROP, metavar="FILE|CORNERS",
+              help="Keep what is above or below a polygon on the ground: a GeoJSON file, or "
+              "corners such as \"0,0 10,0 10,10\".")
+@click.option("--coordinates", type=click.Choice(("auto", "scene", "map", "lonlat")),
+              default="auto", show_default=True, **CROP,
+              help="Of box and polygon: scene: those of the model; map: of its CRS; lonlat: "
+              "longitude and latitude; auto: scene, but for GeoJSON the CRS that it names, or "
+              "lonlat where the model is georeferenced.")
+@click.option("--outside", is_flag=True, **CROP,
+              help="Keep what is outside of the box and the polygon instead.")
+@click.option("--min-opacity", type=FiniteRange(0, 1), default=0.0, **CLEAN,
+              help="Remove gaussians that are less opaque than this.")
+@click.option("--max-size", type=FiniteRange(min=0, min_open=True), **CLEAN,
+              help="Remove gaussians whose largest standard deviation, in units of the scene, is "
+              "more than this.")
+@click.option("--min-support", type=click.IntRange(min=0), default=0, **CLEAN,
+              help="Remove gaussians that fewer training views see. For files without --scene: "
+              "those that have fewer neighbours within 10 times the typical distance between "
+              "gaussians.")
+@click.option("--decimate", type=Parsed("SHARE|COUNT", amount_of), **CLEAN,
+              help="Merge neighbours until this share, such as 0.5, or this number of gaussians is "
+              "left.")
+@click.option("--scale", type=FiniteRange(min=0, min_open=True), default=1.0, **MOVE,
+              help="Multiply coordinates and sizes by this.")
+@click.option("--rotate", nargs=3, type=FINITE, **MOVE, metavar="X Y Z",
+              help="Then rotate by these angles, degrees, about the x, then the y, then the z axis "
+              "of the scene; a positive angle about z turns x towards y.")
+@click.option("--translate", nargs=3, type=FINITE, default=(0.0, 0.0, 0.0), **MOVE,
+              metavar="X Y Z", help="Then move by this, in units of the scene.")
+def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | None, device: str,
+         box: tuple[float, ...] | None, polygon: str | None, coordinates: str, outside: bool,
+         min_opacity: float, max_size: float | None, min_support: int, decimate: float | None,
+         scale: float, rotate: tuple[float, ...] | None, translate: tuple[float, ...]) -> None:
+    """Edit finished models, runs or files, and write one file.
+
+    Several models are merged. Each is cropped and cleaned first; then all are decimated and
+    transformed together. Coordinates are the original ones of the scene.
+    """
+    from functools import partial
+
+    from clsplat.cli.progress import Progress
+    from clsplat.device import choose_device
+    from clsplat.edit.harmonics import used_sh_degree
+    from clsplat.edit.source import Source, joined
+    from clsplat.edit.transform import turn
+    from clsplat.io.models import format_of, write_model
+    format_of(output)
+    check_free(output, overwrite)
+    if outside and not (box or polygon):
+        raise InputError("--outside: has no effect without --box or --polygon")
+    sources = []
+    with Progress() as progress:
+        for path in models:
+            progress.phase(f"reading {path}")
+            source = Source.open(path)
+            if output.exists() and path.is_file() and output.samefile(path):
+                raise InputError(f"{output}: is one of the models; name another file")
+            if min_support and (source.run is not None or scene is not None):
+                source = source.measured(choose_device(device), scene, partial(
+                    progress.count, "rendering view"))
+            if box or polygon:
+                source = _cropped(source, progress, box, polygon, coordinates, outside)
+            sources.append(_cleaned(source, progress, min_opacity, max_size, min_support))
+        source = joined(sources)
+        if decimate is not None:
+            source = _decimated(source, progress, decimate)
+        if scale != 1 or rotate or any(translate):
+            source = source.transformed(scale, turn(rotate) if rotate else None, translate)
+            if sources[0].georeference and not source.georeference:
+                progress.message("the georeference is left out: it does not hold after --scale or "
+                                 "--rotate")
+        progress.phase(f"writing {output}")
+        gaussians = source.gaussians.with_sh_degree(used_sh_degree(source.gaussians))
+        write_model(output, gaussians, source.comments(), source.up, source.georeference)
+    click.echo(f"{output}: {gaussians.count:,} gaussians, spherical harmonics to degree "
+               f"{gaussians.sh_degree}")
+
+
+def _cropped(source: Source, progress: Progress, box: tuple[float, ...] | None,
+             polygon: str | None, coordinates: str, outside: bool) -> Source:
+    import numpy as np
+
+    from clsplat.edit.crop import box_in_scene, inside, polygons_of
+    from clsplat.edit.select import in_box
+    keep = np.ones(source.gaussians.count, bool)
+    if box:
+        points = source.gaussians.positions.astype(np.float64) + source.gaussians.offset
+        keep &= in_box(points, *box_in_scene(box, coordinates, source.georeference))
+    if polygon:
+        keep &= inside(source, polygons_of(polygon, coordinates, source))
+    keep ^= outside
+    progress.message(f"{source.path}: {(~keep).sum():,} of {len(keep):,} gaussians are "
+                     f"{'inside' if outside else 'outside'}")
+    return source.kept(keep)
+
+
+def _cleaned(source: Source, progress: Progress, min_opacity: float, max_size: float | None,
+             min_support: int) -> Source:
+    """The source without floaters; one message for each reason."""
+    from clsplat.edit.select import neighbours, opaque, small
+
+    def without(source: Source, keep: Any, reason: str) -> Source:
+        progress.message(f"{source.path}: {(~keep).sum():,} gaussians {reason}")
+        return source.kept(keep)
+
+    if min_opacity:
+        source = without(source, opaque(source.gaussians, min_opacity),
+                         f"are less opaque than {min_opacity:g}")
+    if max_size is not None:
+        source = without(source, small(source.gaussians, max_size),
+                         f"are larger than {max_size:g}")
+    if min_support and source.support is not None:
+        source = without(source, source.support >= min_support,
+                         f"are seen by fewer than {min_support} training views")
+    elif min_support:
+        source = without(source, neighbours(source.gaussians, min_support) >= min_support,
+                         f"have fewer than {min_support} neighbours")
+    return source
+
+
+def _decimated(source: Source, progress: Progress, amount: float) -> Source:
+    from dataclasses import replace
+
+    from clsplat.edit.decimate import decimated
+    count = max(1, round(amount * source.gaussians.count)) if amount < 1 else int(amount)
+    return replace(source, gaussians=decimated(
+        source.gaussians, count,
+        lambda done, total: progress.count("merging gaussian", done, total)))

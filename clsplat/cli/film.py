@@ -1,0 +1,106 @@
+"""`clsplat film`: a flight through a run."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import click
+
+from clsplat.cli.flags import FiniteRange, Parsed, check_free, device_flag, moved_scene_flag
+from clsplat.errors import InputError
+
+LARGEST_SIDE = 8192  # pixels: the most that H.264 has a level for
+PHOTOS, TURNTABLE = "photos", "turntable"
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Width and height in pixels of a text such as 1280x720."""
+    sides = text.lower().split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) <= LARGEST_SIDE
+                                  for side in sides):
+        raise ValueError("not a size; give width and height in pixels, at most "
+                         f"{LARGEST_SIDE}, such as 1280x720")
+    return int(sides[0]), int(sides[1])
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
+              help="A file .mp4, .mov or .mkv, or a folder for frames as PNG.")
+@click.option("--path", "route", default=PHOTOS, show_default=True, metavar="PATH",
+              help="photos: along the photos; turntable: around the scene; or a JSON file with a "
+              "camera path.")
+@click.option("--seconds", type=FiniteRange(0.1, 36_000), default=20.0, show_default=True,
+              help="Length of the film.")
+@click.option("--fps", type=FiniteRange(1, 240), default=30.0, show_default=True,
+              help="Frames a second.")
+@click.option("--size", type=Parsed("WIDTHxHEIGHT", size_of), default="1280x720",
+              show_default=True, help="Pixels of a frame.")
+@click.option("--fov", type=FiniteRange(1, 170), help="Horizontal angle of view, degrees. Default: "
+              "that of the photos or of the camera path.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing film.")
+@moved_scene_flag
+@device_flag
+def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: tuple[int, int],
+         fov: float | None, overwrite: bool, scene: Path | None, device: str) -> None:
+    """Draw a flight through RUN as a film."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from clsplat.cli.progress import Progress
+    from clsplat.device import choose_device
+    from clsplat.evaluation.run import Run
+    from clsplat.export.camera_path import (
+        eased,
+        film_degrees,
+        flight,
+        interpolated,
+        read_camera_path,
+        turntable,
+    )
+    from clsplat.export.film import (
+        SUFFIXES,
+        check_codec,
+        frames,
+        frames_in,
+        write_film,
+        write_frames,
+    )
+    as_film = output.suffix.lower() in SUFFIXES
+    if not as_film and output.suffix:
+        raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: "
+                         f"{', '.join(SUFFIXES)}, or a folder for PNG files")
+    if as_film and (size[0] % 2 or size[1] % 2):
+        raise InputError(f"--size {size[0]}x{size[1]}: a film needs even numbers; give such, or a "
+                         "folder for PNG files")
+    if as_film or frames_in(output):
+        check_free(output, overwrite)
+    if as_film:
+        check_codec()
+    opened = Run.open(run)
+    data = opened.scene(scene).with_up(opened.up)
+    count = max(1, round(seconds * fps))
+    if route == PHOTOS:
+        keys, times = flight(data, seconds), eased(count)
+    elif route == TURNTABLE:  # the last frame is not the first once more
+        keys, times = turntable(data), np.arange(count) / count
+    else:
+        keys, times = read_camera_path(Path(route)), np.linspace(0, 1, count)
+    if fov is not None:
+        keys = replace(keys, degrees=None)
+    cameras = interpolated(keys, times, size, film_degrees(data) if fov is None else fov)
+    with Progress() as progress:
+        progress.phase("opening the device")
+        pictures = frames(opened, data, cameras, choose_device(device))
+
+        def shown(number: int) -> None:
+            progress.count("frame", number, count)
+
+        if as_film:
+            write_film(output, pictures, size, Fraction(fps).limit_denominator(1001), shown)
+        else:
+            write_frames(output, pictures, shown)
+    frame = "frame" if count == 1 else "frames"
+    click.echo(f"{output}: {count} {frame} of {size[0]} x {size[1]} pixels, {count / fps:.1f} s")

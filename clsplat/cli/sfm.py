@@ -1,0 +1,116 @@
+"""`clsplat sfm`: make a scene from a folder of photos, or from a video."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+MATCHING = ("auto", "gps", "sequence", "all")
+SHOWN = 5  # photos that were not registered
+
+
+@click.command()
+@click.argument("photos", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
+              help="Folder of the new scene. The same command continues one that was killed.")
+@click.option("--masks", type=click.Path(path_type=Path),
+              help="Folder of masks NAME.png, dark where a photo shall not be used. Default: "
+              "masks/ in PHOTOS.")
+@click.option("--matching", type=click.Choice(MATCHING), default="auto", show_default=True,
+              help="Which pairs of photos are matched: neighbours by GPS, photos that follow each "
+              "other by name, or all.")
+@click.option("--camera-model", default="", metavar="NAME",
+              help="Camera model of COLMAP, such as OPENCV_FISHEYE. Default: chosen for each "
+              "camera.")
+@click.option("--frames", type=click.IntRange(3), default=200, show_default=True,
+              help="Number of frames that are taken from a video.")
+@click.option("--crs", default="", help="Coordinate reference system of the scene, such as "
+              "EPSG:25832. Default: the UTM zone of the photos' GPS.")
+@click.option("--gcp", type=click.Path(path_type=Path),
+              help="File of ground control points, to which cameras and points are adjusted: "
+              "OpenDroneMap's gcp_list.txt, or CSV.")
+@click.option("--check-point", "check_points", multiple=True, metavar="NAME",
+              help="A point of --gcp that takes no part, but tells the error; may be repeated.")
+@click.option("--overwrite", is_flag=True, help="Replace a scene that this command has made.")
+@click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
+def sfm(photos: Path, output: Path, masks: Path | None, matching: str, camera_model: str,
+        frames: int, crs: str, gcp: Path | None, check_points: tuple[str, ...], overwrite: bool,
+        quiet: bool) -> None:
+    """Make a scene from PHOTOS: a folder, also with subfolders, or a video.
+
+    Poses and points are found by structure from motion (COLMAP's library, on the CPU), lens
+    distortion is removed, and GPS gives metres and the direction up. The scene is a COLMAP folder;
+    its sfm.json tells what was registered, what was not and why.
+    """
+    from clsplat.sfm.reconstruct import SfmOptions
+    options = SfmOptions(masks, matching, camera_model.upper(), frames, crs, gcp,
+                         check_points)
+    make_scene(photos, output, options, overwrite, quiet)
+    if not quiet:
+        click.echo(f"{output}: next, `clsplat train {output} -o RUN`")
+
+
+def trained_scene(source: Path, output: Path, quiet: bool, overwrite: bool | None) -> Path:
+    """The scene that a training reads: what the user gives or, if that is photos or a video, a
+    scene OUTPUT_scene beside the run, which is made unless an earlier command has done so.
+
+    Parameters
+    ----------
+    overwrite : whether the training may replace a run, which is checked before a scene is made,
+        since that takes long; None: it continues runs.
+    """
+    from clsplat.sfm.photos import has_photos, is_video
+    if not is_video(source):
+        if not has_photos(source):
+            return source
+        from clsplat.io.scenes import is_scene
+        if is_scene(source):
+            return source
+    from clsplat.io.run import RunFolder
+    from clsplat.sfm.reconstruct import SfmOptions, is_finished
+    scene = output.with_name(f"{output.name}_scene")
+    if is_finished(scene, source):
+        if not quiet:
+            click.echo(f"{source}: photos without poses; {scene} has been made of them")
+        return scene
+    if overwrite is not None:
+        RunFolder(output).check_free(overwrite)
+    if not quiet:
+        click.echo(f"{source}: photos without poses; makes a scene in {scene} first, as `clsplat "
+                   f"sfm {source} -o {scene}` does")
+    make_scene(source, scene, SfmOptions(), False, quiet)
+    return scene
+
+
+def make_scene(photos: Path, output: Path, options: Any, overwrite: bool, quiet: bool) -> None:
+    """Reconstruct a scene with a progress line, and say what came out.
+
+    Parameters
+    ----------
+    options : `clsplat.sfm.reconstruct.SfmOptions`.
+    """
+    from clsplat.cli.progress import Progress
+    from clsplat.sfm.progress import Silent
+    from clsplat.sfm.reconstruct import reconstruct
+    if quiet:
+        reconstruct(photos, output, options, Silent(), overwrite)
+        return
+    with Progress() as progress:
+        record = reconstruct(photos, output, options, progress, overwrite)
+    for line in summary(output, record):
+        click.echo(line)
+
+
+def summary(output: Path, record: dict[str, Any]) -> list[str]:
+    """Lines that say what was reconstructed."""
+    seconds = sum(record["seconds"].values())
+    lines = [f"{output}: {record['registered']} of {record['photos']} photos, "
+             f"{record['points']:,} points, reprojection error "
+             f"{record['reprojection_error_pixels']:.2f} pixels, {seconds:.0f} s"]
+    missing = list(record["not_registered"].items())
+    lines += [f"  {name}: {why}" for name, why in missing[:SHOWN]]
+    if len(missing) > SHOWN:
+        lines.append(f"  and {len(missing) - SHOWN} more, see {output / 'sfm.json'}")
+    return lines + [f"  {note}" for note in record["notes"]]

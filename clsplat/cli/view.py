@@ -1,0 +1,35 @@
+"""`clsplat view`: look at a run's model in the browser, drawn by clsplat."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from clsplat.cli.flags import device_flag
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--port", type=click.IntRange(0, 65535), default=0,
+              help="Port of the page; default: 8642 if it is free, else any.")
+@device_flag
+def view(run: Path, port: int, device: str) -> None:
+    """Show the model of RUN on a page for the browser, until Ctrl-C.
+
+    clsplat draws every frame itself, so the page works in any browser. It can only be opened on
+    this machine, by the address that is printed. For a page that can be sent, see `clsplat export`.
+    """
+    from clsplat.device import choose_device
+    from clsplat.evaluation.run import Run
+    from clsplat.view.live import show_run
+    opened = Run.open(run)
+    try:
+        show_run(opened, choose_device(device), announce, port)
+    except KeyboardInterrupt:
+        click.echo("closed")
+
+
+def announce(address: str) -> None:
+    """Tell the address of a page."""
+    click.echo(f"open in a browser on this machine: {address}")

@@ -1,0 +1,1 @@
+"""Edits of finished models: crop, remove floaters, merge, decimate and transform."""

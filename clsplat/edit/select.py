@@ -1,0 +1,95 @@
+"""Which gaussians of a model to keep: those in a box or in polygons, without floaters."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from clsplat.errors import InputError
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.model_values import opacities
+
+NEAR = 10.0  # times the median distance of a gaussian to the nearest other: who is a neighbour
+Polygon = Sequence[NDArray[np.float64]]  # its outline and its holes, [K, 2] each
+
+
+def selected(gaussians: Gaussians, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Gaussians:
+    """Some gaussians of a model, without the fields of SPHERE.
+
+    Parameters
+    ----------
+    keep : bool[N], or the rows in their new order.
+    """
+    return Gaussians({field.name: gaussians.rows[field.name][keep] for field in LEARNED},
+                     gaussians.sh_degree, gaussians.offset)
+
+
+def in_box(points: NDArray[np.float64], low: ArrayLike, high: ArrayLike) -> NDArray[np.bool_]:
+    """bool[N]: whether points [N, 3] lie in a box; -inf and inf leave a side open."""
+    inside = (points >= np.asarray(low, np.float64)) & (points <= np.asarray(high, np.float64))
+    return np.asarray(inside.all(axis=1))
+
+
+def in_polygons(points: NDArray[np.float64], polygons: Sequence[Polygon]) -> NDArray[np.bool_]:
+    """bool[N]: whether points [N, 2] lie in one of some polygons, but not in its holes."""
+    inside = np.zeros(len(points), bool)
+    x, y = points.T
+    for rings in polygons:
+        odd = np.zeros(len(points), bool)
+        for ring in rings:
+            for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0)):
+                if y0 == y1:
+                    continue
+                # a ray to the right crosses the edge
+                crossed = (y0 <= y) != (y1 <= y)
+                odd ^= crossed & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
+        inside |= odd
+    return inside
+
+
+def opaque(gaussians: Gaussians, opacity: float) -> NDArray[np.bool_]:
+    """bool[N]: whether gaussians have at least an opacity, 0 to 1."""
+    return opacities(gaussians) >= opacity
+
+
+def small(gaussians: Gaussians, sigma: float) -> NDArray[np.bool_]:
+    """bool[N]: whether the largest standard deviation of gaussians is at most this, world units."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.exp(gaussians.log_scales.astype(np.float64)).max(axis=1) <= sigma)
+
+
+def neighbours(gaussians: Gaussians, most: int) -> NDArray[np.intp]:
+    """int[N]: how many other gaussians are near each, at most `most`.
+
+    Near is within NEAR times the median distance of a gaussian to the nearest other one, so that it
+    does not depend on the units.
+    """
+    if gaussians.count < 2:
+        return np.zeros(gaussians.count, np.intp)
+    positions = gaussians.positions.astype(np.float64)
+    tree = cKDTree(positions)
+    spacing = np.median(tree.query(positions, k=2)[0][:, 1])
+    within = tree.query(positions, k=min(most, gaussians.count - 1) + 1,
+                        distance_upper_bound=np.nextafter(NEAR * spacing, np.inf))[0]
+    count: NDArray[np.intp] = np.isfinite(within).sum(axis=1) - 1  # without itself
+    return count
+
+
+def merged(models: Sequence[Gaussians]) -> Gaussians:
+    """One model of several, in order, in the local frame of the first, with the highest SH degree.
+
+    Raises
+    ------
+    InputError : they lie so far apart that float32 cannot hold them together.
+    """
+    origin, degree = models[0].offset, max(model.sh_degree for model in models)
+    pieces = [model.without_spheres().with_sh_degree(degree).moved(origin) for model in models]
+    for piece, model in zip(pieces, models):
+        away = piece.positions.astype(np.float64) - model.positions - (model.offset - origin)
+        sigma = np.exp(np.median(model.log_scales)) if model.count else 0.0
+        if model.count and np.abs(away).max() > sigma:
+            raise InputError("the models lie too far apart to be merged: their coordinates would "
+                             "lose more than the size of a gaussian; transform them first")
+    return Gaussians({field.name: np.concatenate([piece.rows[field.name] for piece in pieces])
+                      for field in LEARNED}, degree, origin)

@@ -1,0 +1,240 @@
+"""The paths of a film's camera: along the photos, around the scene, or through given places."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.io.posed import world_to_camera
+from clsplat.io.reason import reason
+from clsplat.io.records import object_of
+from clsplat.io.regular import read_regular
+from clsplat.scene import Scene
+
+# a film looks from where photos were taken, so the angle of view is at most theirs, and at least
+# and at most this, degrees
+DEGREES = (40.0, 75.0)
+KEYS_A_SECOND = 1.0  # photos that a flight passes, at most: more would shake
+SMOOTHING = 0.7  # keys, the standard deviation of the filter along a flight
+ELEVATIONS = (20.0, 55.0)  # degrees above the horizon of a turntable's camera
+SLOW = 0.15  # of a flight, at its beginning and at its end, in which it gains and loses speed
+MOST_KEYS = 100_000
+FARTHEST = 1e12  # units: the largest coordinate that a path may have
+ORTHOGONAL = 1e-6  # largest error of a rotation, which `world_to_camera` has made exact
+LEAST_STEP = 1e-9  # of a path's time, between two keys
+
+
+@dataclass(frozen=True, eq=False)
+class Keys:
+    """Poses through which a camera flies.
+
+    Attributes
+    ----------
+    times : float64[K], ascending, 0 to 1: the share of the film at which each is reached.
+    positions : float64[K, 3], in original coordinates.
+    rotations : float64[K, 3, 3], from the world to the camera.
+    degrees : float64[K], horizontal angle of view; None: of the film as a whole.
+    """
+
+    times: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    rotations: NDArray[np.float64]
+    degrees: NDArray[np.float64] | None = None
+
+
+def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], degrees: float
+                 ) -> list[Camera]:
+    """The cameras of a film at times within [0, 1].
+
+    Positions follow cubic curves that do not overshoot; rotations have continuous angular
+    acceleration.
+
+    Parameters
+    ----------
+    keys : at least one.
+    times : float64[N], shares of the film.
+    size : (width, height) of the film, pixels.
+    degrees : horizontal angle of view, where the keys have none.
+    """
+    count = len(times)
+    if len(keys.times) == 1:
+        positions = np.repeat(keys.positions, count, axis=0)
+        rotations = np.repeat(keys.rotations, count, axis=0)
+        angles = np.full(count, degrees if keys.degrees is None else keys.degrees[0])
+    else:
+        positions = PchipInterpolator(keys.times, keys.positions)(times)
+        turns = RotationSpline(keys.times, Rotation.from_matrix(keys.rotations))
+        rotations = turns(times).as_matrix()
+        angles = (np.full(count, degrees) if keys.degrees is None
+                  else PchipInterpolator(keys.times, keys.degrees)(times))
+    return [_camera(position, rotation, size, angle)
+            for position, rotation, angle in zip(positions, rotations, angles)]
+
+
+def flight(scene: Scene, seconds: float) -> Keys:
+    """A flight along the photos in the order of their names, smoothed, with a gentle beginning and
+    end; at a constant speed between, in which a turn counts as the way that it moves the picture.
+
+    Parameters
+    ----------
+    scene : its cameras; a long series is thinned out, or the film would rush.
+    seconds : length of the film.
+    """
+    cameras = [view.camera for view in scene.views]
+    most = max(4, round(KEYS_A_SECOND * seconds))
+    number = min(most, len(cameras))
+    chosen = np.unique(np.linspace(0, len(cameras) - 1, number).round().astype(int))
+    positions = _original(scene, np.array([cameras[i].position for i in chosen]))
+    turns = Rotation.from_matrix(np.array([cameras[i].rotation for i in chosen]))
+    if len(chosen) < 2:
+        return Keys(np.zeros(1), positions, turns.as_matrix())
+    quaternions = turns.as_quat()
+    for i in range(1, len(quaternions)):  # q and -q are the same turn
+        if quaternions[i] @ quaternions[i - 1] < 0:
+            quaternions[i] = -quaternions[i]
+    positions = gaussian_filter1d(positions, SMOOTHING, axis=0, mode="nearest")
+    turns = Rotation.from_quat(gaussian_filter1d(quaternions, SMOOTHING, axis=0, mode="nearest"))
+    distance = scene.unit * float(np.median([
+        np.median(camera.project(scene.points)[1]) for camera in cameras[::-(-len(cameras) // 20)]]
+    )) if len(scene.points) else scene.unit * scene.extent
+    ways = (np.linalg.norm(np.diff(positions, axis=0), axis=1)
+            + (turns[:-1].inv() * turns[1:]).magnitude() * abs(distance))
+    along = np.concatenate([[0], np.cumsum(np.maximum(ways, 1e-9 * max(ways.max(), 1e-300)))])
+    return Keys(along / along[-1], positions, turns.as_matrix())
+
+
+def turntable(scene: Scene, count: int = 72) -> Keys:
+    """A full turn around the middle of the scene, about its up axis, that looks at the middle.
+
+    It is as far away as the photos, and as high as they allow within ELEVATIONS.
+
+    Parameters
+    ----------
+    scene : with sparse points.
+    count : of keys.
+    """
+    if not len(scene.points):
+        raise InputError(f"{scene.name}: has no points, so its middle is unknown; make a flight or "
+                         "give a camera path")
+    up, middle = scene.up, np.median(scene.points, axis=0)
+    away = np.array([view.camera.position for view in scene.views]) - middle
+    distances = np.linalg.norm(away, axis=1)
+    elevation = np.degrees(np.median(np.arcsin(np.clip(away @ up / np.maximum(
+        distances, 1e-12), -1, 1))))
+    elevation = math.radians(float(np.clip(elevation, *ELEVATIONS)))
+    radius = float(np.median(distances)) or scene.extent
+    # begins where most photos are
+    level = np.mean(away - np.outer(away @ up, up), axis=0)
+    if np.linalg.norm(level) < 1e-6 * radius:
+        level = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    first = level / np.linalg.norm(level)
+    second = np.cross(up, first)
+    cameras = []
+    for angle in np.linspace(0, 2 * np.pi, count + 1):
+        out = math.cos(angle) * first + math.sin(angle) * second
+        position = middle + radius * (math.cos(elevation) * out + math.sin(elevation) * up)
+        cameras.append(Camera.looking_at(middle, position, up=up))
+    return Keys(np.linspace(0, 1, count + 1),
+                _original(scene, np.array([camera.position for camera in cameras])),
+                np.array([camera.rotation for camera in cameras]))
+
+
+def eased(count: int) -> NDArray[np.float64]:
+    """`count` shares from 0 to 1 with a steady speed between a slow beginning and end."""
+    times = np.linspace(0, 1, count)
+    ramp = np.where(times < SLOW, times**2 / (2 * SLOW), times - SLOW / 2)
+    last = 1 - times
+    end = 1 - SLOW - last**2 / (2 * SLOW)
+    return np.where(last < SLOW, end, ramp) / (1 - SLOW)
+
+
+def film_degrees(scene: Scene) -> float:
+    """The horizontal angle of view of the photos, within DEGREES."""
+    angles = [2 * math.degrees(math.atan(view.camera.width / 2 / view.camera.focal[0]))
+              for view in scene.views]
+    return float(np.clip(np.median(angles), *DEGREES))
+
+
+def read_camera_path(path: Path) -> Keys:
+    """Read a camera path: the part of transforms.json (instant-ngp, nerfstudio) that has poses.
+
+    `frames` is a list of keys, each with `transform_matrix`, camera to world with camera axes
+    right, up, back, in original coordinates. A key may have `time`, seconds, in which the keys must
+    ascend; and the angle of view in radians, `camera_angle_x`, or else `fl_x` and `w`, pixels,
+    which may also stand beside `frames` for all keys.
+
+    Raises
+    ------
+    clsplat.ClsplatError : it is not such a file, or is damaged.
+    """
+    try:
+        table = object_of(read_regular(path))
+        frames = table.get("frames")
+        if not isinstance(frames, list) or not 0 < len(frames) <= MOST_KEYS:
+            raise ValueError("frames is not a list of keys")
+        frames = [{**table, **frame} for frame in frames]
+        matrices = np.array([frame["transform_matrix"] for frame in frames], np.float64)
+        if matrices.shape[1:] not in ((3, 4), (4, 4)) or not (abs(matrices) <= FARTHEST).all():
+            raise ValueError("transform_matrix is not a 3x4 or 4x4 matrix of numbers")
+        rotations, translations = world_to_camera(matrices[:, :3])
+        turns = abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max() <= ORTHOGONAL
+        if not turns or (np.linalg.det(rotations) < 0).any():
+            raise ValueError("transform_matrix does not hold a rotation")
+        times = _times(frames)
+        angles = [_degrees(frame) for frame in frames]
+        known = [angle for angle in angles if angle is not None]
+        if known and len(known) < len(frames):
+            raise ValueError("some keys have an angle of view and others none")
+    except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError,
+            json.JSONDecodeError) as error:
+        raise InputError(f"{path}: not a camera path ({reason(error)}); it is JSON as "
+                         "transforms.json, see the guide") from None
+    positions = -(rotations.transpose(0, 2, 1) @ translations[:, :, None])[:, :, 0]
+    return Keys(times, positions, rotations, np.array(known) if known else None)
+
+
+def _times(frames: Sequence[dict[str, Any]]) -> NDArray[np.float64]:
+    if not any("time" in frame for frame in frames):
+        return np.linspace(0, 1, len(frames)) if len(frames) > 1 else np.zeros(1)
+    times = np.array([frame["time"] for frame in frames], np.float64)
+    if times.shape != (len(frames),) or not (abs(times) <= FARTHEST).all():
+        raise ValueError("time is not a number of seconds")
+    shares: NDArray[np.float64] = (times - times[0]) / ((times[-1] - times[0]) or 1)
+    if (np.diff(times) <= 0).any() or (np.diff(shares) < LEAST_STEP).any():
+        raise ValueError("time does not ascend")
+    return shares
+
+
+def _degrees(frame: dict[str, Any]) -> float | None:
+    if "camera_angle_x" in frame:
+        angle = float(frame["camera_angle_x"])
+    elif "fl_x" in frame and "w" in frame:
+        angle = 2 * math.atan(float(frame["w"]) / 2 / float(frame["fl_x"])) if frame["fl_x"] else 0
+    else:
+        return None
+    if not 0 < angle < math.pi:
+        raise ValueError("its angle of view is not between 0 and 180 degrees")
+    return math.degrees(angle)
+
+
+def _original(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return scene.offset + scene.unit * points
+
+
+def _camera(position: NDArray[np.float64], rotation: NDArray[np.float64], size: tuple[int, int],
+            degrees: float) -> Camera:
+    focal = size[0] / (2 * math.tan(math.radians(degrees) / 2))
+    return Camera(*size, (focal, focal), (size[0] / 2, size[1] / 2), rotation,
+                  -rotation @ position)

@@ -1,0 +1,125 @@
+"""Films: frames of a model along a camera's path, as H.264 or as PNG files."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Callable, Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.camera import Camera
+from clsplat.device import Device
+from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
+from clsplat.io.atomic import replacing
+from clsplat.io.folders import make_folder
+from clsplat.io.images import eight_bits, write_image
+from clsplat.rendering.slabs import open_model
+from clsplat.scene import Scene
+
+try:
+    import av
+except ImportError:
+    av = None  # type: ignore[assignment]
+
+FRAME = re.compile(r"frame_\d{5,}\.png")
+SUFFIXES = (".mp4", ".mov", ".mkv")
+QUALITY = "18"  # constant rate factor of H.264: hardly to be told from the frames
+LIMITED_RANGE = BT709 = 1  # numbers of ITU-T H.273, by which players find the colours
+Pixels = NDArray[np.uint8]  # [H, W, 3]
+
+
+def check_codec() -> None:
+    """InputError if av, which encodes films, is not installed."""
+    if av is None:
+        raise InputError("films need av, which is not installed: pip install av; or give a folder "
+                         "for PNG files")
+
+
+def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device
+           ) -> Iterable[Pixels]:
+    """Draw a finished run.
+
+    Parameters
+    ----------
+    run : the run.
+    scene : of the run; tells where the near plane is.
+    cameras : in original coordinates.
+    device : an open device.
+    """
+    model, options = run.finished_model, run.options
+    near = scene.near(options.near) * scene.unit
+    renderer, rows = open_model(device, model, near, options.antialiased, options.background)
+    for camera in cameras:
+        packed = renderer.pack(camera.shifted(model.offset))
+        frame = renderer.render(rows, packed, camera.width, camera.height, model.sh_degree)
+        yield eight_bits(frame.image.download().transpose(1, 2, 0))
+
+
+def write_film(path: Path, pictures: Iterable[Pixels], size: tuple[int, int], rate: Fraction,
+               shown: Callable[[int], object] = lambda _: None) -> None:
+    """Replace a film, H.264 with 4:2:0 colours, which every player shows.
+
+    Parameters
+    ----------
+    path : the file; its suffix, one of SUFFIXES, selects the container.
+    pictures : the frames.
+    size : (width, height), even numbers, pixels.
+    rate : frames a second.
+    shown : called with the number of frames so far.
+
+    Raises
+    ------
+    clsplat.ClsplatError : av is not installed, or the disk is full.
+    """
+    check_codec()
+    kind = {".mkv": "matroska"}.get(path.suffix.lower(), path.suffix.lower()[1:])
+    with replacing(path) as file:
+        # the index first, so that a page can play the film while it loads
+        options = {} if kind == "matroska" else {"movflags": "faststart"}
+        with av.open(file, mode="w", format=kind, options=options) as container:
+            stream = container.add_stream("libx264", rate=rate)
+            stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+            stream.options = {"crf": QUALITY}
+            coder = stream.codec_context
+            coder.color_range, coder.colorspace = LIMITED_RANGE, BT709
+            coder.color_primaries = coder.color_trc = BT709
+            for number, picture in enumerate(pictures, 1):
+                frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(
+                    format="yuv420p", dst_colorspace="ITU709")
+                container.mux(stream.encode(frame))
+                shown(number)
+            container.mux(stream.encode())
+
+
+def write_frames(folder: Path, pictures: Iterable[Pixels],
+                 shown: Callable[[int], object] = lambda _: None) -> None:
+    """Write FOLDER/frame_00001.png and so on, in place of `frames_in` the folder.
+
+    They appear when all are drawn.
+
+    Parameters
+    ----------
+    folder : is created if it is missing.
+    pictures, shown : as for `write_film`.
+    """
+    make_folder(folder)
+    with tempfile.TemporaryDirectory(prefix=".frames-", dir=folder) as beside:
+        for number, picture in enumerate(pictures, 1):
+            write_image(Path(beside) / f"frame_{number:05d}.png", picture)
+            shown(number)
+        drawn = {path.name: path for path in Path(beside).iterdir()}
+        for name in sorted(drawn):
+            drawn[name].replace(folder / name)
+        for path in frames_in(folder):
+            if path.name not in drawn:
+                path.unlink()
+
+
+def frames_in(folder: Path) -> list[Path]:
+    """The files of a folder that have names of `write_frames`."""
+    return [path for path in folder.glob("frame_*.png") if FRAME.fullmatch(path.name)]

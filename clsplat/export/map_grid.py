@@ -1,0 +1,174 @@
+"""The grid of a map: where its pixels lie in a scene, and the cameras that draw them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.export.reprojection import Reprojection
+from clsplat.partition.frame import ground_axes
+from clsplat.partition.region import map_axes as horizontal_axes
+from clsplat.scene import Scene, View
+
+TILE = 512  # pixels of a side, both of GeoTIFF's tiles and of a frame
+LARGEST_SIDE = 1 << 17  # pixels of a map
+EXTENT = (0.005, 0.995)  # quantiles of the sparse points within a map
+HEIGHTS = (0.001, 0.999)  # quantiles of their heights; outliers lie far above and below
+HEADROOM = 0.1  # of the range of heights: gaussians may lie higher than the points
+UPRIGHT = 0.1  # radians, the angle of an up axis with z below which x and y are the map's axes
+
+Bounds = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MapGrid:
+    """Pixels of a map, north at the top.
+
+    Attributes
+    ----------
+    axes : float64[3, 3], rows are the directions east, north and up of the map, in the scene.
+    origin : float64[3], map coordinates of the scene's original origin.
+    left, top : map coordinates of the borders of the first pixel.
+    resolution : map units a pixel.
+    columns, rows : size, pixels.
+    ceiling : height in map coordinates, above which nothing is drawn.
+    reprojection : from the coordinate reference system (CRS) of the scene to that of the map; None:
+        they are the same.
+    """
+
+    axes: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    left: float
+    top: float
+    resolution: float
+    columns: int
+    rows: int
+    ceiling: float
+    reprojection: Reprojection | None = None
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """How many tiles there are (across, down); the last ones reach beyond the map."""
+        return -(-self.columns // TILE), -(-self.rows // TILE)
+
+    @property
+    def bounds(self) -> Bounds:
+        """(left, bottom, right, top), map coordinates."""
+        return (self.left, self.top - self.rows * self.resolution,
+                self.left + self.columns * self.resolution, self.top)
+
+    def finer(self, halvings: int) -> MapGrid:
+        """The same map, the sides of whose pixels are halved so often."""
+        factor = 2**halvings
+        return replace(self, resolution=self.resolution / factor, columns=self.columns * factor,
+                       rows=self.rows * factor)
+
+    def camera(self, column: int, row: int) -> Camera:
+        """The orthographic camera of a tile, in original coordinates, straight above its middle.
+
+        With a reprojection it has the direction and the scale of the map in its middle: those of a
+        projection that keeps angles hardly change within a tile.
+
+        Parameters
+        ----------
+        column, row : of the tile.
+        """
+        half = TILE / 2 * self.resolution
+        x, y = self.left + (2 * column + 1) * half, self.top - (2 * row + 1) * half
+        middle, west, east = self.to_scene([(x, y, self.ceiling), (x - half, y, self.ceiling),
+                                            (x + half, y, self.ceiling)])
+        right, up = east - west, self.axes[2]
+        size = float(np.linalg.norm(right)) / TILE  # of a pixel in the scene
+        right = right / (size * TILE)
+        rotation = np.stack([right, np.cross(right, up), -up])
+        return Camera(TILE, TILE, (1 / size, 1 / size), (TILE / 2, TILE / 2), rotation,
+                      -rotation @ middle, orthographic=True)
+
+    def to_map(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Map coordinates float64[N, 3] of points float[N, 3] in original coordinates."""
+        places = np.asarray(points, np.float64) @ self.axes.T + self.origin
+        return places if self.reprojection is None else self.reprojection.to_map(places)
+
+    def to_scene(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Original coordinates float64[N, 3] of points float[N, 3] in map coordinates."""
+        places = np.asarray(points, np.float64)
+        if self.reprojection is not None:
+            places = self.reprojection.to_scene(places)
+        result: NDArray[np.float64] = (places - self.origin) @ self.axes
+        return result
+
+    def pixels(self, points: ArrayLike) -> NDArray[np.float64]:
+        """(column, row) float64[N, 2] of points float[N, 2 or 3] in map coordinates; the centre of
+        the first pixel is (0.5, 0.5)."""
+        places = np.asarray(points, np.float64)[:, :2]
+        return (places - (self.left, self.top)) / (self.resolution, -self.resolution)
+
+
+def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | None = None,
+             reprojection: Reprojection | None = None) -> MapGrid:
+    """The grid of a scene's map.
+
+    Parameters
+    ----------
+    scene : a georeferenced scene has axes east, north and up; of another scene, x and y are the
+        axes if z points up or nearly so, as up may be estimated, and otherwise the sides of the
+        smallest rectangle around its points.
+    resolution : map units a pixel; None: as fine as the photos, see `ground_resolution`.
+    bounds : (left, bottom, right, top), map coordinates; None: around the sparse points.
+    reprojection : as for `MapGrid`.
+
+    Raises
+    ------
+    clsplat.ClsplatError : the scene has no points, or the map would be too large.
+    """
+    if not len(scene.points):
+        raise InputError(f"{scene.name}: has no points, so the extent of a map is unknown")
+    origin = np.zeros(3) if scene.georeference is None else np.array(scene.georeference.offset)
+    original = scene.offset + scene.unit * scene.points
+    grid = MapGrid(map_axes(scene), origin, 0, 0, 1, 1, 1, 0, reprojection)
+    places = grid.to_map(original)
+    lowest, highest = np.quantile(places[:, 2], HEIGHTS)
+    size = resolution or ground_resolution(scene)
+    if bounds is None:
+        (left, bottom), (right, top) = np.quantile(places[:, :2], EXTENT, axis=0)
+        left, bottom = (math.floor(side / size) * size for side in (left, bottom))
+        right, top = (math.ceil(side / size) * size for side in (right, top))
+    else:
+        left, bottom, right, top = bounds
+    columns, rows = (max(1, round(side / size)) for side in (right - left, top - bottom))
+    if max(columns, rows) > LARGEST_SIDE:
+        raise InputError(f"--resolution {size:g}: a map of {columns:,} x {rows:,} pixels, more "
+                         f"than {LARGEST_SIDE:,} a side; give a coarser resolution or smaller "
+                         "--bounds")
+    return replace(grid, left=float(left), top=float(top), resolution=float(size), columns=columns,
+                   rows=rows, ceiling=float(highest + HEADROOM * (highest - lowest)))
+
+
+def map_axes(scene: Scene) -> NDArray[np.float64]:
+    """The directions east, north and up of a scene's map as rows [3, 3], right-handed."""
+    if scene.up[2] > math.cos(UPRIGHT):
+        return np.vstack([horizontal_axes(scene.up), scene.up])
+    return ground_axes(scene.up, scene.points, np.ones(len(scene.points)))
+
+
+def ground_resolution(scene: Scene) -> float:
+    """The size of a photo's pixel at the points that it shows, map units, to two digits: the
+    median over views."""
+    sizes = [_pixel_size(view, scene.points) for view in scene.views]
+    known = [size for size in sizes if size > 0]
+    if not known:
+        raise InputError(f"{scene.name}: no photo shows a point; give --resolution")
+    return float(f"{scene.unit * np.median(known):.2g}")
+
+
+def _pixel_size(view: View, points: NDArray[np.float64]) -> float:
+    seen = view.sees(points)
+    if not seen.any():
+        return 0.0
+    depths = view.camera.project(points[seen])[1]
+    return float(np.median(depths)) / view.camera.focal[0]

@@ -1,0 +1,138 @@
+// The reader's camera. Axes right, down, forward, as everywhere in clsplat; the world's vertical
+// stays vertical in the picture.
+"use strict";
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                         a[0] * b[1] - a[1] * b[0]];
+const plus = (a, b, factor = 1) => a.map((value, axis) => value + factor * b[axis]);
+const unit = (a) => a.map((value) => value / Math.hypot(...a));
+const STEEPEST = Math.PI / 2;
+
+// A 3 x 3 matrix (rows) from an axis times an angle in radians (Rodrigues).
+function rotationAbout(turn) {
+  const angle = Math.hypot(...turn);
+  if (angle < 1e-9) return [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+  const [x, y, z] = unit(turn), c = Math.cos(angle), s = Math.sin(angle), d = 1 - c;
+  return [[c + x * x * d, x * y * d - z * s, x * z * d + y * s],
+          [y * x * d + z * s, c + y * y * d, y * z * d - x * s],
+          [z * x * d - y * s, z * y * d + x * s, c + z * z * d]];
+}
+
+// The inverse of rotationAbout, for angles below pi.
+function turnOf(m) {
+  const c = Math.min(1, Math.max(-1, (m[0][0] + m[1][1] + m[2][2] - 1) / 2));
+  const angle = Math.acos(c);
+  const axis = [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]];
+  return Math.hypot(...axis) < 1e-9 ? [0, 0, 0] : unit(axis).map((value) => value * angle);
+}
+
+class ReaderCamera {
+  // view: the first view, as view_record of clsplat/export/page.py writes it.
+  constructor(view) {
+    this.view = view;
+    this.up = unit(view.up);
+    const some = Math.abs(this.up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
+    this.north = unit(plus(some, this.up, -dot(some, this.up)));
+    this.west = cross(this.up, this.north);
+    this.reset();
+  }
+
+  // Back to the first view. Its horizon may not be level: `tilt` is the turn from the level camera
+  // to it, in the camera's axes, and vanishes while the reader moves.
+  reset() {
+    const [, down, forward] = this.view.rotation;
+    this.distance = this.view.distance;
+    this.position = [...this.view.position];
+    const slope = dot(forward, this.up);
+    this.pitch = Math.asin(Math.min(1, Math.max(-1, slope)));
+    const ahead = plus(forward, down, slope < 0 ? -1 : 1); // not vertical, even straight down
+    this.heading = Math.atan2(dot(ahead, this.west), dot(ahead, this.north));
+    this.tilt = [0, 0, 0];
+    const level = this.axes();
+    this.tilt = turnOf(this.view.rotation.map((row) => level.map((axis) => dot(row, axis))));
+  }
+
+  // Right, down and forward in the world: the rows of the rotation to the camera.
+  axes() {
+    const { heading, pitch, up, north, west } = this;
+    const ahead = plus(north.map((value) => value * Math.cos(heading)), west, Math.sin(heading));
+    const forward = plus(ahead.map((value) => value * Math.cos(pitch)), up, Math.sin(pitch));
+    const right = cross(ahead, up), level = [right, cross(forward, right), forward];
+    return rotationAbout(this.tilt).map((row) => [0, 1, 2].map(
+      (axis) => row[0] * level[0][axis] + row[1] * level[1][axis] + row[2] * level[2][axis]));
+  }
+
+  centre() { return plus(this.position, this.axes()[2], this.distance); }
+
+  // Look elsewhere, from the same place.
+  look(heading, pitch) {
+    this.heading += heading;
+    this.pitch = Math.min(STEEPEST, Math.max(-STEEPEST, this.pitch + pitch));
+    this.level();
+  }
+
+  // Go around the centre.
+  orbit(heading, pitch) {
+    const centre = this.centre();
+    this.look(heading, pitch);
+    this.position = plus(centre, this.axes()[2], -this.distance);
+  }
+
+  // Nearer to the centre, by a factor below 1, or away from it.
+  zoom(factor) {
+    const centre = this.centre();
+    this.distance = this.limited(this.distance * factor);
+    this.position = plus(centre, this.axes()[2], -this.distance);
+  }
+
+  // Along the camera's axes, world units.
+  move(right, down, forward) {
+    const axes = this.axes();
+    [right, down, forward].forEach((length, axis) => {
+      this.position = plus(this.position, axes[axis], length);
+    });
+  }
+
+  // Upwards in the world.
+  rise(length) { this.position = plus(this.position, this.up, length); }
+
+  // Turn towards a point, which becomes the centre.
+  lookAt(point) {
+    const away = plus(point, this.position, -1);
+    this.distance = this.limited(Math.hypot(...away));
+    const forward = unit(away), slope = dot(forward, this.up);
+    if (Math.abs(slope) < 0.999)
+      this.heading = Math.atan2(dot(forward, this.west), dot(forward, this.north));
+    this.pitch = Math.asin(Math.min(1, Math.max(-1, slope)));
+    this.tilt = [0, 0, 0];
+  }
+
+  limited(distance) {
+    const { distance: first } = this.view;
+    return Math.min(50 * first, Math.max(0.01 * first, distance));
+  }
+
+  level() { this.tilt = this.tilt.map((value) => 0.9 * value); }
+
+  // A unit vector in the world, from the camera through a place in a picture of width x height.
+  ray(x, y, width, height) {
+    const { focal, centre, rotation } = this.pinhole(width, height);
+    const beam = [(x - centre[0]) / focal[0], (y - centre[1]) / focal[1], 1];
+    return unit([0, 1, 2].map((axis) => beam.reduce(
+      (sum, along, row) => sum + along * rotation[row][axis], 0)));
+  }
+
+  // The camera of a picture of width x height pixels, with the first view's angle: where its shape
+  // differs from that of the first view, half of what differs is cropped and half is added.
+  pinhole(width, height) {
+    const { view } = this;
+    const scale = Math.sqrt((width / view.width) * (height / view.height));
+    return {
+      width, height, position: this.position, rotation: this.axes(),
+      focal: view.focal.map((value) => value * scale),
+      centre: [width / 2 + (view.centre[0] - view.width / 2) * scale,
+               height / 2 + (view.centre[1] - view.height / 2) * scale],
+    };
+  }
+}

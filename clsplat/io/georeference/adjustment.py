@@ -1,0 +1,218 @@
+"""Ground control points in a reconstruction: where their marks are, and bundle adjustment to them.
+
+A similarity leaves a reconstruction as it is bent: a wrong focal length or distortion makes a bowl
+of flat ground, and drift over long strips a wave. So the bundle is adjusted once more, with the
+control points as points whose coordinates are held, each observed where it was marked. A control
+point whose marks then still miss it has wrong coordinates, and is left out (Baarda's data snooping,
+the worst first). Check points take no part, so they tell how right the result is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from clsplat.errors import InputError
+from clsplat.io.georeference.control_points import ControlPoint
+from clsplat.placement.alignment import LEAST_POSITIONS
+from clsplat.placement.control_points import intersection, miss_angles
+
+MARK_TOLERANCE = 20.0  # pixels by which a mark may miss the point that the others show
+ADJUSTED_TOLERANCE = 8.0  # pixels, RMS of the marks of a point to which the bundle is adjusted
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """A ground control point that its marks locate in a reconstruction.
+
+    Attributes
+    ----------
+    point : as it was read.
+    marks : (id of a pycolmap.Image, x, y), those that agree with each other.
+    place : float64[3], where the rays of the marks meet, in the reconstruction.
+    """
+
+    point: ControlPoint
+    marks: tuple[tuple[int, float, float], ...]
+    place: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ControlResidual:
+    """How a georeferenced scene shows a ground control point.
+
+    Attributes
+    ----------
+    name : of the point.
+    role : "control", "check", or "left out", which is a control point that is wrong.
+    east, north, up : metres, from the known place to the one that the marks show.
+    pixels : RMS distance of the marks from the known place.
+    """
+
+    name: str
+    role: str
+    east: float
+    north: float
+    up: float
+    pixels: float
+
+
+def check_marks(control: Iterable[ControlPoint], photos: Collection[str]) -> None:
+    """InputError if no mark of ground control points is in one of these photos, by name, or if the
+    name of one, without folders, is that of several photos."""
+    full: dict[str, list[str]] = {}  # a list may leave out the folders
+    for name in photos:
+        full.setdefault(name.rpartition("/")[2], []).append(name)
+    marked = [name for point in control for name, _, _ in point.marks]
+    if marked and not any(name in photos or name in full for name in marked):
+        raise InputError(f"--gcp: no photo has a name of those in the file, such as {marked[0]}; "
+                         "use the names of the photos, with their suffix")
+    for name in marked:
+        if name not in photos and len(full.get(name, ())) > 1:
+            first, second, *_ = sorted(full[name])
+            raise InputError(f"--gcp: {name} may be {first} or {second}; write the photos of the "
+                             "file with their folders")
+
+
+def locate(reconstruction: Any, control: Iterable[ControlPoint]) -> tuple[list[Located], list[str]]:
+    """Locate ground control points by their marks, which `check_marks` has passed.
+
+    Returns
+    -------
+    The points that two or more marks locate, and the names of the others.
+    """
+    named = {image.name: image for image in reconstruction.images.values() if image.has_pose}
+    short = {name.rpartition("/")[2]: name for name in named}
+    located, lost = [], []
+    for point in control:
+        marks = [(named[name if name in named else short[name]], x, y)
+                 for name, x, y in point.marks if name in named or name in short]
+        found = _located(reconstruction, point, marks, MARK_TOLERANCE)
+        if found is None:
+            lost.append(point.name)
+        else:
+            located.append(found)
+    return located, lost
+
+
+def _located(reconstruction: Any, point: ControlPoint, marks: Sequence[tuple[Any, float, float]],
+             tolerance_pixels: float) -> Located | None:
+    origins, directions, radians, kept = [], [], [], []  # radians: of a pixel
+    for image, x, y in marks:
+        camera = reconstruction.cameras[image.camera_id]
+        if not (0 <= x <= camera.width and 0 <= y <= camera.height):
+            continue
+        ray = image.cam_from_world().rotation.matrix().T @ np.append(
+            camera.cam_from_img(np.array([x, y])), 1.0)
+        origins.append(image.projection_center())
+        directions.append(ray / np.linalg.norm(ray))
+        radians.append(1 / camera.mean_focal_length())
+        kept.append((image.image_id, x, y))
+    if len(origins) < 2:
+        return None
+    tolerance = tolerance_pixels * max(radians)
+    found = intersection(np.array(origins), np.array(directions), tolerance)
+    if found is None:
+        return None
+    place, used = found
+    if miss_angles(place, np.array(origins), np.array(directions))[used].max() > tolerance:
+        return None
+    return Located(point, tuple(mark for mark, right in zip(kept, used) if right), place)
+
+
+def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64],
+           keep_focal: bool) -> list[Located]:
+    """Adjust cameras and points of a reconstruction in place, so that control points lie where
+    they are known to.
+
+    Parameters
+    ----------
+    reconstruction : a pycolmap.Reconstruction, nearly in its place.
+    located : the control points, none of which is a check point.
+    offset : float64[3], map coordinates of the reconstruction's origin.
+    keep_focal : whether focal lengths are known better than the photos tell.
+
+    Returns
+    -------
+    The control points that were used; the others are wrong.
+
+    Raises
+    ------
+    InputError : fewer than three of the points agree with the photos.
+    """
+    used = list(located)
+    while True:
+        if len(used) < LEAST_POSITIONS:
+            raise InputError(f"--gcp: fewer than {LEAST_POSITIONS} ground control points agree "
+                             "with the photos; check coordinates, their order (X is east), the CRS "
+                             "and the marks")
+        _adjust(reconstruction, used, offset, keep_focal)
+        misses = [mark_error(reconstruction, item, offset) for item in used]
+        worst = int(np.argmax(misses))
+        if misses[worst] <= ADJUSTED_TOLERANCE:
+            return used
+        del used[worst]
+
+
+def _adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.float64],
+            keep_focal: bool) -> None:
+    config, added = pycolmap.BundleAdjustmentConfig(), []
+    for image in reconstruction.images.values():
+        if image.has_pose:
+            config.add_image(image.image_id)
+    for item in located:
+        track = pycolmap.Track()
+        for number, x, y in item.marks:
+            points2d = reconstruction.images[number].points2D
+            points2d.append(pycolmap.Point2D(np.array([x, y])))
+            track.add_element(number, len(points2d) - 1)
+        added.append(reconstruction.add_point3D(np.array(item.point.position) - offset, track))
+        config.add_constant_point(added[-1])
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary, options.refine_focal_length = False, not keep_focal
+    # with squared errors, a single point with wrong coordinates would bend a small block to itself
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    try:
+        pycolmap.create_default_bundle_adjuster(options, config, reconstruction).solve()
+    finally:
+        for number in added:  # they are no points of the scene
+            reconstruction.delete_point3D(number)
+    reconstruction.update_point_3d_errors()
+
+
+def mark_error(reconstruction: Any, item: Located, offset: NDArray[np.float64]) -> float:
+    """RMS distance of the marks of a control point from its known place, pixels."""
+    place = np.array(item.point.position) - offset
+    errors = []
+    for number, x, y in item.marks:
+        pixel = reconstruction.images[number].project_point(place)
+        errors.append(np.inf if pixel is None else float(np.hypot(pixel[0] - x, pixel[1] - y)))
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def residuals(reconstruction: Any, located: Iterable[Located], used: Iterable[Located],
+              offset: NDArray[np.float64]) -> tuple[ControlResidual, ...]:
+    """How a georeferenced reconstruction shows ground control points.
+
+    Parameters
+    ----------
+    used : those of the located points that are neither check points nor wrong.
+    """
+    names, result = {item.point.name for item in used}, []
+    for item in located:
+        point = item.point
+        marks = [(reconstruction.images[number], x, y) for number, x, y in item.marks]
+        found = _located(reconstruction, point, marks, np.inf)
+        if found is None:
+            continue
+        miss = found.place + offset - point.position
+        role = "check" if point.is_check else "control" if point.name in names else "left out"
+        east, north, up = np.round(miss, 4).tolist()
+        pixels = round(mark_error(reconstruction, item, offset), 2)
+        result.append(ControlResidual(point.name, role, east, north, up, pixels))
+    return tuple(result)

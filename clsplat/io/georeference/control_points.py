@@ -1,0 +1,154 @@
+"""Reads ground control points: places with known coordinates that were marked in photos.
+
+Two formats. OpenDroneMap's gcp_list.txt: the coordinate reference system (CRS) in the first line,
+then in each line, separated by spaces or tabs, the coordinates X Y Z of a point, its pixel position
+in a photo, the photo's name and, if it has one, the point's name. And CSV with the header
+name,x,y,z,pixel_x,pixel_y,image, before which the CRS may stand in a line of its own. Lines that
+begin with # are ignored.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.io.georeference.crs import WGS84, has_metres, normal_crs, on_ground
+from clsplat.io.georeference.earth import map_positions
+from clsplat.io.reason import clean, reason
+from clsplat.io.regular import read_regular
+
+COLUMNS = ("name", "x", "y", "z", "pixel_x", "pixel_y", "image")
+CURE = "see docs/guide/georeference.md for the format"
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """A place with known coordinates.
+
+    Attributes
+    ----------
+    name : of the point.
+    position : (east, north, height), metres, map coordinates.
+    marks : (name of a photo, x, y), pixels of the photo as stored, whose upper left corner is
+        (0, 0).
+    is_check : whether it takes no part in placing a scene, and only tells its error.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    marks: tuple[tuple[str, float, float], ...]
+    is_check: bool = False
+
+
+def read_control_points(path: str | Path, crs: str | None = None, checks: Collection[str] = ()
+                        ) -> tuple[list[ControlPoint], str]:
+    """Read ground control points.
+
+    Parameters
+    ----------
+    path : of the file.
+    crs : as `crs.scene_crs` returns it, into which coordinates are converted. None: the
+        file's, or the UTM zone if those are degrees.
+    checks : names of those that are check points.
+
+    Returns
+    -------
+    The points, in the order of the file, and the CRS of their coordinates.
+
+    Raises
+    ------
+    InputError : the file cannot be read, is not of this format, or lacks a check point.
+    """
+    path = Path(path)
+    try:
+        text = read_regular(path).decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; check the path") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({reason(error)}); {CURE}") from None
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
+             if line.strip() and not line.lstrip().startswith("#")]
+    own = crs
+    if lines and not _is_header(lines[0][1]):
+        own = normal_crs(lines.pop(0)[1], str(path))
+    if own is None:
+        raise InputError(f"{path}: names no coordinate reference system; write one into the first "
+                         "line, such as EPSG:32632, or give --crs")
+    points: dict[tuple[str, float, float, float], list[tuple[str, float, float]]] = {}
+    for name, x, y, z, pixel_x, pixel_y, image in _rows(path, lines):
+        points.setdefault((name, x, y, z), []).append((image, pixel_x, pixel_y))
+    _check_names(path, [key for key in points if key[0]])
+    if not points:
+        raise InputError(f"{path}: has no ground control points; {CURE}")
+    places, target = _in_metres(path, np.array([key[1:] for key in points]), own, crs)
+    lost = [key for key, place in zip(points, places) if not np.isfinite(place).all()]
+    if lost:
+        name, *place = lost[0]
+        raise InputError(f"{path}: point {name or ' '.join(f'{value:g}' for value in place)} has "
+                         f"no coordinates in {target[:60]}; correct it, or the coordinate "
+                         "reference system in the first line")
+    names = [key[0] or f"point {number}" for number, key in enumerate(points, 1)]
+    for name in checks:
+        if name not in names:
+            raise InputError(f"--check-point {name}: {path} has no point of this name; it has "
+                             f"{clean(', '.join(names))}")
+    return [ControlPoint(name, tuple(place), tuple(marks), name in checks)
+            for name, marks, place in zip(names, points.values(), places.tolist())], target
+
+
+def require_no_checks(checks: Collection[str]) -> None:
+    """InputError if check points are named where there is no file of control points."""
+    if checks:
+        raise InputError("--check-point: names a ground control point; give their file with --gcp")
+
+
+def _check_names(path: Path, points: Sequence[tuple[str, float, float, float]]) -> None:
+    """InputError if one name has several coordinates, of which all but one are wrong."""
+    places: dict[str, tuple[float, ...]] = {}
+    for name, *place in points:
+        if places.setdefault(name, tuple(place)) != tuple(place):
+            raise InputError(f"{path}: point {name} has several coordinates, "
+                             f"{' '.join(f'{value:.10g}' for value in places[name])} and "
+                             f"{' '.join(f'{value:.10g}' for value in place)}; correct one, or "
+                             "rename it")
+
+
+def _is_header(line: str) -> bool:
+    return [cell.strip().lower() for cell in line.split(",")][:len(COLUMNS)] == list(COLUMNS)
+
+
+def _rows(path: Path, lines: Sequence[tuple[int, str]]
+          ) -> Iterator[tuple[str, float, float, float, float, float, str]]:
+    """The cells of each line in the order of COLUMNS."""
+    separated = bool(lines) and _is_header(lines[0][1])
+    for number, line in lines[separated:]:
+        try:
+            if separated:
+                name, x, y, z, pixel_x, pixel_y, image, *_ = next(csv.reader([line]))
+            else:
+                x, y, z, pixel_x, pixel_y, image, *rest = line.split()
+                name = rest[0] if rest else ""
+            values = [float(cell) for cell in (x, y, z, pixel_x, pixel_y)]
+            if not all(math.isfinite(value) and abs(value) < 1e9 for value in values):
+                raise ValueError("a number is not finite")
+            if not image.strip():
+                raise ValueError("it names no photo")
+        except (ValueError, csv.Error) as error:
+            raise InputError(f"{path}: line {number} is not a ground control point "
+                             f"({reason(error)}); {CURE}") from None
+        yield (clean(name.strip()), *values, clean(image.strip()))  # type: ignore[misc]
+
+
+def _in_metres(path: Path, places: np.ndarray, own: str, crs: str | None
+               ) -> tuple[np.ndarray, str]:
+    """Coordinates in `crs`, or else in metres, and their CRS."""
+    if crs is None and not has_metres(own, str(path)):
+        degrees = on_ground(own, WGS84, places)
+        return map_positions(degrees[:, 1], degrees[:, 0], degrees[:, 2])
+    return on_ground(own, crs or own, places), crs or own

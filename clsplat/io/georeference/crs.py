@@ -1,0 +1,235 @@
+"""Coordinate reference systems (CRS): their names, and the conversion between them.
+
+Only this module knows pyproj, an optional library (the extra `[geo]`). The names of UTM zones and
+of WGS 84 are known without it.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.errors import InputError
+from clsplat.io.reason import clean, reason
+
+# of WGS 84: latitude and longitude; the same with heights; x, y and z in metres
+WGS84, GEODETIC, GEOCENTRIC = "EPSG:4326", "EPSG:4979", "EPSG:4978"
+UTM_EPSG = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
+UTM_WORDS = re.compile(r"(?:WGS ?84)?[ /]*UTM (?:zone )?(0?[1-9]|[1-5]\d|60) ?([NS])",
+                       re.IGNORECASE)
+LOCAL = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")  # how the WKT of local coordinates begins
+WEB_MERCATOR = "1024"  # EPSG's code of its projection
+SHOWN = 60  # characters of a CRS in a message
+LONGEST_DEFINITION = 20_000  # characters of a CRS
+EXAMPLE = "give one such as EPSG:32632, which is UTM zone 32 north"
+CURE = "install it with `pip install pyproj`"
+
+Conversion = Callable[[ArrayLike], NDArray[np.float64]]
+
+
+def has_pyproj() -> bool:
+    """Whether pyproj is installed."""
+    try:
+        _pyproj("")
+    except InputError:
+        return False
+    return True
+
+
+def normal_crs(text: str, name: str = "--crs") -> str:
+    """A CRS as "EPSG:..." or, if it has no code, as one line of WKT2.
+
+    Parameters
+    ----------
+    text : such as "EPSG:25832", "WGS84 UTM 32N", a PROJ string or WKT.
+    name : of the option or file that it comes from, for messages.
+
+    Raises
+    ------
+    InputError : it is no CRS, or pyproj is needed and is not installed.
+    """
+    text = " ".join(text.split())
+    words = UTM_WORDS.fullmatch(text)
+    if words:
+        return f"EPSG:32{'6' if words[2] in 'nN' else '7'}{int(words[1]):02d}"
+    if UTM_EPSG.fullmatch(text.upper()) or text.upper() == WGS84:
+        return text.upper()
+    system = pyproj_crs(text, name)
+    code = system.to_authority(min_confidence=70)
+    return ":".join(code) if code else " ".join(system.to_wkt().split())
+
+
+def has_metres(crs: str, name: str = "--crs") -> bool:
+    """Whether a CRS, as `normal_crs` returns it, is projected, with metres of the ground to the
+    east and north."""
+    return is_projected(crs, name) and (
+        bool(UTM_EPSG.fullmatch(crs)) or not _is_web_mercator(pyproj_crs(crs, name)))
+
+
+def is_projected(crs: str, name: str = "--crs") -> bool:
+    """As `has_metres`, but the metres may be those of Web Mercator, which grow towards the poles.
+    """
+    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
+        return crs != WGS84
+    return _is_metric(pyproj_crs(crs, name))
+
+
+def map_crs(text: str) -> str:
+    """`normal_crs` of the option --crs; InputError unless it is projected, with metres to the east
+    and north."""
+    crs = normal_crs(text)
+    if not is_projected(crs):
+        raise InputError(f"--crs {_shown(text)}: is not a projected coordinate reference system in "
+                         f"metres to the east and north, which is needed; {EXAMPLE}")
+    return crs
+
+
+def scene_crs(text: str) -> str:
+    """As `map_crs`, for a scene, in which distances are those of the ground."""
+    crs = map_crs(text)
+    if not has_metres(crs):
+        raise InputError(f"--crs {_shown(text)}: is Web Mercator, whose metres are not those of "
+                         f"the ground; {EXAMPLE}")
+    return crs
+
+
+def project_crs(definition: str, north_first: bool = False) -> str:
+    """The horizontal CRS of another program's project, as `normal_crs` returns it, if its first two
+    coordinates are metres to the east and north; "" if it is another, or none that pyproj knows.
+
+    Parameters
+    ----------
+    north_first : whether it may also be a CRS that has the north first, as is right where pyproj
+        converts the coordinates, and wrong where they are taken as the project has them.
+    """
+    if not 0 < len(definition) <= LONGEST_DEFINITION or "\0" in definition:
+        return ""
+    pyproj = _pyproj("a project's CRS")
+    logging.getLogger("pyproj").addHandler(logging.NullHandler())
+    try:
+        crs = pyproj.CRS.from_user_input(definition)
+        crs = crs.sub_crs_list[0] if crs.is_compound else crs
+        if not _is_metric(crs) or _is_web_mercator(crs) or not (
+                north_first or crs.axis_info[0].direction == "east"):
+            return ""
+        authority = crs.to_authority()
+        return ":".join(authority) if authority else str(crs.to_wkt("WKT2_2019"))
+    except (pyproj.exceptions.CRSError, ValueError, IndexError, TypeError):
+        return ""
+
+
+def is_local(definition: str) -> bool:
+    """Whether the WKT of a project's CRS says that its coordinates have no place on the earth."""
+    return definition.lstrip().upper().startswith(LOCAL)
+
+
+def utm_zone(longitude: float, latitude: float) -> str:
+    """The EPSG code of the UTM zone (WGS 84) of a place, degrees."""
+    zone = int((longitude + 180) // 6) % 60 + 1
+    return f"EPSG:{(32600 if latitude >= 0 else 32700) + zone}"
+
+
+def converter(source: str, target: str, why: str = "CRS") -> Conversion:
+    """A function that converts points [N, 2] or [N, 3] of one CRS to another, east or longitude
+    first. What has no coordinates in the target becomes nan.
+
+    Parameters
+    ----------
+    source, target : as pyproj knows them, such as "EPSG:32614". Heights are above the ellipsoid
+        where a CRS has none of its own.
+    why : what needs it, for messages.
+
+    Raises
+    ------
+    InputError : a CRS is unknown, or pyproj is not installed.
+    """
+    pyproj = _pyproj(why)
+    try:
+        systems = [pyproj.CRS.from_user_input(crs) for crs in (source, target)]
+        flat = pyproj.Transformer.from_crs(*systems, always_xy=True)
+        upright = pyproj.Transformer.from_crs(*(crs.to_3d() for crs in systems), always_xy=True)
+    except pyproj.exceptions.ProjError as error:
+        raise InputError(f"{why}: coordinates in {_shown(source)} cannot be converted to "
+                         f"{_shown(target)} ({reason(error)}); name another CRS") from None
+
+    def convert(points: ArrayLike) -> NDArray[np.float64]:
+        values = np.asarray(points, np.float64)
+        used = flat if values.shape[1] == 2 else upright
+        result = np.stack(used.transform(*values.T), axis=1)
+        result[~np.isfinite(result).all(axis=1)] = np.nan
+        return result
+    return convert
+
+
+def conversion(source: str, target: str, why: str) -> Conversion:
+    """As `converter`, but the function raises InputError where a point has no coordinates in the
+    target."""
+    convert = converter(source, target, why)
+
+    def convert_all(points: ArrayLike) -> NDArray[np.float64]:
+        result = convert(points)
+        if not np.isfinite(result).all():
+            raise InputError(f"{why}: some places in {_shown(source)} have no coordinates in "
+                             f"{_shown(target)}; check which CRS they are in")
+        return result
+    return convert_all
+
+
+def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64]:
+    """Points of one CRS in another one, whose heights stay as they are.
+
+    Parameters
+    ----------
+    source, target : such as "EPSG:4326"; pyproj is needed unless they are equal.
+    points : float[N, 3]: east or longitude, north or latitude, height.
+
+    Returns
+    -------
+    float64[N, 3], in the same order; east and north are nan for what the target cannot represent.
+    """
+    result = np.array(points, np.float64).reshape(-1, 3)
+    if source != target:
+        result[:, :2] = converter(source, target, f"CRS {_shown(target)}")(result[:, :2])
+    return result
+
+
+def _is_metric(system: Any) -> bool:
+    """Whether a CRS is projected, with metres to the east and north, in whatever order: pyproj's
+    `always_xy` brings them to east, north, but not west to east."""
+    axes = {(axis.direction, axis.unit_conversion_factor) for axis in system.axis_info[:2]}
+    return bool(system.is_projected) and axes == {("east", 1.0), ("north", 1.0)}
+
+
+def _is_web_mercator(system: Any) -> bool:
+    """Whether a projected CRS is that of maps in the web, such as EPSG:3857."""
+    operation = (system.sub_crs_list[0] if system.is_compound else system).coordinate_operation
+    return operation is not None and operation.method_code == WEB_MERCATOR
+
+
+def _shown(crs: str) -> str:
+    return clean(crs)[:SHOWN]
+
+
+def pyproj_crs(text: str, name: str) -> Any:
+    """The pyproj.CRS of a text; InputError, with this name of the option or file, if there is none.
+    """
+    pyproj = _pyproj(f"{name} {_shown(text)}")
+    try:
+        return pyproj.CRS.from_user_input(text)
+    except pyproj.exceptions.CRSError:
+        raise InputError(f"{name} {_shown(text)}: is not a coordinate reference system; give one "
+                         "such as EPSG:25832") from None
+
+
+def _pyproj(why: str) -> Any:
+    """The library, which few commands need; InputError if it is not installed."""
+    try:
+        import pyproj
+    except ImportError:
+        raise InputError(f"{why}: needs pyproj, which is not installed; {CURE}") from None
+    return pyproj

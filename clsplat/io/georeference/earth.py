@@ -1,0 +1,129 @@
+"""From places on the earth to those of a map: positions by GPS, and whole reconstructions.
+
+A reconstruction is rigid, a map is not: near one place a map is a similarity of the earth up to
+its curvature, which over a kilometre makes centimetres. So a scene is moved to the map by the
+similarity at the middle of its cameras, and what it misses is stated as the residual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.georeference import Georeference
+from clsplat.io.georeference.crs import (
+    GEOCENTRIC,
+    GEODETIC,
+    WGS84,
+    converter,
+    on_ground,
+    utm_zone,
+)
+from clsplat.placement.similarity import Similarity
+
+FALSE_NORTHING = 1e7  # metres, of UTM zones south of the equator
+STEP = 50.0  # metres, over which the map is differentiated
+
+
+def map_positions(latitudes: ArrayLike, longitudes: ArrayLike, heights: ArrayLike,
+                  crs: str | None = None) -> tuple[NDArray[np.float64], str]:
+    """Map coordinates of places. The UTM zone of the places needs no pyproj.
+
+    Parameters
+    ----------
+    latitudes, longitudes : float[N], degrees, WGS 84; at least one place.
+    heights : float[N], metres, which are not changed.
+    crs : as `normal_crs` returns it; None: the UTM zone of the places.
+
+    Returns
+    -------
+    float64[N, 3], east, north and height, nan for places that the CRS cannot represent; and that
+    CRS.
+    """
+    import pycolmap
+
+    places = np.column_stack([latitudes, longitudes, heights]).astype(np.float64)
+    # pycolmap refuses all places if one is not on the earth
+    valid = (np.abs(places[:, :2]) <= (90, 180)).all(axis=1)
+    if not valid.any():
+        return np.full_like(places, np.nan), crs or WGS84
+    flat = np.where([True, True, False], places[valid], 0.0)
+    utm, zone = pycolmap.GPSTransform().ellipsoid_to_utm(flat)
+    south = bool(np.median(flat[:, 0]) < 0)
+    # which pycolmap adds to each place by itself, so that those across the equator are far away
+    utm[:, 1] += FALSE_NORTHING * (south - (flat[:, 0] < 0).astype(float))
+    own = f"EPSG:32{'7' if south else '6'}{zone:02d}"
+    if crs is None or crs == own:
+        result = np.full_like(places, np.nan)
+        result[valid] = np.column_stack([utm[:, :2], places[valid, 2]])
+        return result, own
+    return on_ground(WGS84, crs, places[:, [1, 0, 2]]), crs
+
+
+def topocentric(latitude: float, longitude: float, height: float) -> Similarity:
+    """From east, north and up in metres at a place (degrees, metres) to geocentric coordinates."""
+    (centre,) = converter(GEODETIC, GEOCENTRIC)([(longitude, latitude, height)])
+    (sin_lat, sin_lon), (cos_lat, cos_lon) = (
+        function(np.radians([latitude, longitude])) for function in (np.sin, np.cos))
+    axes = np.array([[-sin_lon, -sin_lat * cos_lon, cos_lat * cos_lon],
+                     [cos_lon, -sin_lat * sin_lon, cos_lat * sin_lon],
+                     [0.0, cos_lat, sin_lat]])
+    return Similarity(1.0, axes, centre)
+
+
+def on_map(to_earth: Similarity, centres: NDArray[np.float64], crs: str, source: str
+           ) -> tuple[Similarity, Georeference]:
+    """Find how a reconstruction lies on a map.
+
+    Parameters
+    ----------
+    to_earth : from the reconstruction's coordinates to geocentric ones (WGS 84, metres).
+    centres : [V, 3], of the cameras, in the reconstruction's coordinates.
+    crs : a projected CRS in metres; "": the UTM zone of the cameras.
+    source : of the georeference.
+
+    Returns
+    -------
+    The similarity to the scene's original coordinates (east, north, up in metres), and their
+    georeference; its offset is a place near the cameras, in whole metres.
+
+    Raises
+    ------
+    ValueError : if the cameras are not near the earth's surface, or outside of the map.
+    """
+    middle = np.median(centres, axis=0)
+    geodetic = converter(GEOCENTRIC, GEODETIC)
+    (place,) = geodetic(to_earth(middle[None]))
+    if not (np.isfinite(place).all() and abs(place[2]) < 1e5):
+        raise ValueError("its cameras are not near the earth's surface")
+    crs = crs or utm_zone(place[0], place[1])
+    projected = converter(GEODETIC, crs)
+
+    def to_map(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return projected(geodetic(to_earth(points)))
+
+    scale, rotation = _derivative(to_map, middle, STEP / to_earth.scale)
+    exact, (centre,) = to_map(centres), to_map(middle[None])
+    if not (np.isfinite(exact).all() and np.isfinite(centre).all()):
+        raise ValueError(f"its cameras are outside of {crs[:80]}")
+    offset = np.round(centre)
+    similarity = Similarity(scale, rotation, centre - offset - scale * rotation @ middle)
+    missed = similarity(centres) + offset - exact
+    residual = float(np.sqrt((missed**2).sum(axis=1).mean()))
+    east, north, height = offset.tolist()
+    return similarity, Georeference(crs, (east, north, height), source, residual)
+
+
+def _derivative(function: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+                place: NDArray[np.float64], step: float) -> tuple[float, NDArray[np.float64]]:
+    """The scale and the rotation float64[3, 3] nearest to a function's derivative at a place."""
+    steps = step * np.eye(3)
+    columns = (function(place + steps) - function(place - steps)) / (2 * step)
+    if not np.isfinite(columns).all():
+        raise ValueError("its cameras are outside of the map")
+    left, sizes, right = np.linalg.svd(columns.T)
+    if np.linalg.det(left @ right) < 0:
+        raise ValueError("its coordinates are mirrored")
+    return float(sizes.mean()), left @ right

@@ -1,0 +1,224 @@
+"""The place and the orientation of a scene on disk, in the folder of a scene or of a run.
+
+georeference.json has the attributes of `Georeference`. orientation.json has `up`, a unit vector,
+and in a run folder `first_view`, a camera; both are in original coordinates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.georeference import Georeference
+from clsplat.io.reason import reason
+from clsplat.io.records import object_of, write_object
+from clsplat.io.regular import read_regular
+from clsplat.scene import Scene
+
+GEOREFERENCE, ORIENTATION = "georeference.json", "orientation.json"
+CRS_COMMENT, OFFSET_COMMENT = "crs ", "map_offset "
+UP_COMMENT, AXIS_COMMENT = "up ", "Vertical Axis: "
+ALONG_AXIS = 0.99  # cosine: about 8 degrees from an axis, which nerfstudio and Brush write, too
+LONGEST_CRS = 10_000  # characters; WKT2 of compound systems has about 3000
+
+
+def write_georeference(folder: str | Path, georeference: Georeference | None) -> None:
+    """Replace georeference.json in a folder; None removes what an earlier scene left there."""
+    path = Path(folder) / GEOREFERENCE
+    if georeference is None:
+        path.unlink(missing_ok=True)
+    else:
+        write_object(path, asdict(georeference), indent=2)
+
+
+def read_georeference(folder: str | Path) -> Georeference | None:
+    """Read georeference.json of a folder; None if it has none, InputError if it is damaged."""
+    path = Path(folder) / GEOREFERENCE
+    record = _read(path)
+    try:
+        return None if record is None else georeference_of(record)
+    except ValueError as error:
+        raise InputError(f"{path}: damaged ({error}); georeference the scene again, or remove the "
+                         "file") from None
+
+
+def georeference_of(record: dict[str, Any]) -> Georeference:
+    """The georeference of a record of JSON; ValueError says what is wrong."""
+    crs, source = record.get("crs"), record.get("source", "")
+    if not (isinstance(crs, str) and 0 < len(crs.strip()) <= LONGEST_CRS and crs.isprintable()):
+        raise ValueError("crs is not a line of text")
+    if not (isinstance(source, str) and len(source) <= LONGEST_CRS):
+        raise ValueError("source is not a text")
+    residual = record.get("residual", 0.0)
+    if not _is_number(residual) or residual < 0:
+        raise ValueError("residual is not a distance")
+    east, north, height = _numbers(record, "offset", 3)
+    return Georeference(crs, (east, north, height), source, float(residual))
+
+
+def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | None = None) -> None:
+    """Replace orientation.json in a folder.
+
+    Parameters
+    ----------
+    up : [3], the unit vector that points up.
+    first_view : of a viewer, in coordinates whose origin is its `offset`; None: not recorded.
+    """
+    record: dict[str, Any] = {"up": np.asarray(up, np.float64).tolist()}
+    if first_view is not None:
+        camera = first_view.shifted(-first_view.offset)
+        record["first_view"] = {
+            "width": camera.width, "height": camera.height, "focal": list(camera.focal),
+            "centre": list(camera.centre), "rotation": camera.rotation.tolist(),
+            "translation": camera.translation.tolist()}
+    write_object(Path(folder) / ORIENTATION, record, indent=2)
+
+
+def read_orientation(folder: str | Path) -> tuple[NDArray[np.float64], Camera | None] | None:
+    """Read orientation.json of a folder.
+
+    Returns
+    -------
+    The unit vector that points up and the first view, if it is recorded, in original coordinates;
+    None if there is no such file.
+    """
+    path = Path(folder) / ORIENTATION
+    record = _read(path)
+    if record is None:
+        return None
+    try:
+        up = np.array(_numbers(record, "up", 3))
+        length = float(np.linalg.norm(up))
+        if not 0 < length < math.inf:
+            raise ValueError("up has no direction")
+        view = record.get("first_view")
+        return up / length, None if view is None else _camera(view)
+    except ValueError as error:
+        raise InputError(f"{path}: damaged ({error}); correct or remove the file") from None
+
+
+def write_placement(folder: str | Path, scene: Scene, first_view: bool = False) -> None:
+    """Write the place and the orientation of a scene into a folder; what an earlier scene left
+    there is replaced or removed.
+
+    Parameters
+    ----------
+    first_view : also write the first view.
+    """
+    write_orientation(folder, scene.up, scene.first_view if first_view else None)
+    write_georeference(folder, scene.georeference)
+
+
+def placed(scene: Scene, folder: str | Path) -> Scene:
+    """Add what the files of its folder say about the place and the orientation of a scene."""
+    orientation = read_orientation(folder)
+    return replace(scene, georeference=read_georeference(folder) or scene.georeference,
+                   given_up=scene.given_up if orientation is None else orientation[0])
+
+
+def placement_comments(up: ArrayLike, georeference: Georeference | None = None
+                       ) -> tuple[str, ...]:
+    """Lines for the header of a model's file: where its coordinates lie and which way is up.
+
+    Every format with room for text has these lines. The offset is said not to be contained in the
+    positions, so that no reader adds it twice, or not at all.
+
+    Parameters
+    ----------
+    up : [3], a unit vector in the axes of the file.
+    georeference : of the file's coordinates; None: unknown.
+    """
+    vector = np.asarray(up, np.float64)
+    lines = [UP_COMMENT + " ".join(f"{value:.9g}" for value in vector)]
+    axis = int(np.argmax(np.abs(vector)))
+    if vector[axis] > ALONG_AXIS:
+        lines.append(AXIS_COMMENT + "xyz"[axis])
+    if georeference is not None:
+        crs = georeference.crs.encode("unicode_escape").decode()
+        offset = " ".join(repr(float(value)) for value in georeference.offset)
+        lines += [CRS_COMMENT + crs, f"{OFFSET_COMMENT}{offset} is not contained in the positions: "
+                                     "map coordinates are positions + map_offset"]
+    return tuple(lines)
+
+
+def commented_georeference(comments: Iterable[str]) -> Georeference | None:
+    """The georeference that `placement_comments` wrote into the comments of a file, or None."""
+    texts = {key: comment.removeprefix(key) for comment in comments
+             for key in (CRS_COMMENT, OFFSET_COMMENT) if comment.startswith(key)}
+    if len(texts) < 2:
+        return None
+    try:
+        return georeference_of({
+            "crs": texts[CRS_COMMENT].encode("ascii").decode("unicode_escape"),
+            "offset": [float(value) for value in texts[OFFSET_COMMENT].split()[:3]],
+            "source": "comments of the model's file"})
+    except ValueError:
+        return None
+
+
+def commented_up(comments: Iterable[str]) -> NDArray[np.float64] | None:
+    """The unit vector up that `placement_comments` wrote into the comments of a file, or None."""
+    for comment in comments:
+        if comment.startswith(UP_COMMENT):
+            try:
+                up = np.array([float(value) for value in comment.split()[1:4]])
+            except ValueError:
+                continue
+            length = float(np.linalg.norm(up))
+            if up.shape == (3,) and 0 < length < math.inf:
+                return up / length
+    return None
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        return object_of(read_regular(path))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: damaged ({reason(error)}); correct or remove the file"
+                         ) from None
+
+
+def _camera(record: Any) -> Camera:
+    """The camera of a record; ValueError says what is wrong."""
+    if not isinstance(record, dict):
+        raise ValueError("first_view is not an object")
+    width, height = (_side(record, key) for key in ("width", "height"))
+    fx, fy = _numbers(record, "focal", 2)
+    cx, cy = _numbers(record, "centre", 2)
+    rows = record.get("rotation")
+    if not (isinstance(rows, list) and len(rows) == 3):
+        raise ValueError("rotation is not 3 x 3 numbers")
+    rotation = np.array([_numbers({"rotation": row}, "rotation", 3) for row in rows])
+    if not (fx > 0 and fy > 0 and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
+            and np.linalg.det(rotation) > 0):
+        raise ValueError("first_view is not a camera")
+    return Camera(width, height, (fx, fy), (cx, cy), rotation,
+                  np.array(_numbers(record, "translation", 3)))
+
+
+def _side(record: dict[str, Any], key: str) -> int:
+    value = record.get(key)
+    if type(value) is not int or not 0 < value < 1 << 20:
+        raise ValueError(f"{key} is not a number of pixels")
+    return value
+
+
+def _numbers(record: dict[str, Any], key: str, count: int) -> list[float]:
+    values = record.get(key)
+    if not (isinstance(values, list) and len(values) == count and all(map(_is_number, values))):
+        raise ValueError(f"{key} is not {count} numbers")
+    return [float(value) for value in values]
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) < 1e15

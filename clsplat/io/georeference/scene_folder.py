@@ -1,0 +1,104 @@
+"""Georeferences a scene folder with a COLMAP model: writes the same scene in other coordinates."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Collection
+from pathlib import Path
+
+import pycolmap
+from numpy.typing import ArrayLike
+
+from clsplat.errors import InputError
+from clsplat.io.atomic import PARTIAL
+from clsplat.io.colmap import read_model
+from clsplat.io.colmap_write import write_reconstruction
+from clsplat.io.folders import make_folder
+from clsplat.io.georeference.adjustment import check_marks
+from clsplat.io.georeference.control_points import (
+    ControlPoint,
+    read_control_points,
+    require_no_checks,
+)
+from clsplat.io.georeference.crs import scene_crs
+from clsplat.io.georeference.files import write_georeference, write_orientation
+from clsplat.io.georeference.reconstruction import Placed, place_reconstruction
+from clsplat.io.metadata import read_metadata
+from clsplat.io.regular import native
+from clsplat.io.sources import photo_folder
+
+SPARSE = "sparse"
+
+
+def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None, crs: str = "",
+                       gcp: Path | None = None, checks: Collection[str] = (),
+                       up: ArrayLike | None = None) -> Placed:
+    """Write a scene with metric axes east, north and up.
+
+    The new folder has its own model; photos and all other folders of the scene are linked, or
+    copied where the file system has no links.
+
+    Parameters
+    ----------
+    folder : of the scene, with a COLMAP model of any camera model.
+    output : the new folder, which must not exist.
+    photos : folder of photos with GPS, by the names in the model; None: the scene's own.
+    crs : the coordinate reference system; "": that of `gcp`, or the UTM zone.
+    gcp : a file of ground control points, marked in pixels of the model's photos; None: GPS.
+    checks : names of points of `gcp` that take no part, and tell the error.
+    up : float[3], in the scene; None: by gimbals, or by cameras and points.
+
+    Returns
+    -------
+    What `place_reconstruction` found.
+
+    Raises
+    ------
+    InputError : the scene cannot be georeferenced; nothing is written then.
+    """
+    target = scene_crs(crs) if crs else None
+    control: list[ControlPoint] = []
+    if gcp is None:
+        require_no_checks(checks)
+    else:
+        control, target = read_control_points(gcp, target, checks)
+    model, arrays = read_model(folder)  # pycolmap does not survive every damaged file
+    if os.path.lexists(output):
+        raise InputError(f"{output}: exists already; choose another --output")
+    source = photos or photo_folder(folder)
+    names = sorted(set(map(str, arrays["files"])))  # of photos: a wide lens has several views
+    check_marks(control, names)
+    metadata = {name: read_metadata(source / native(name)) for name in names
+                if (source / native(name)).is_file()}
+    reconstruction = pycolmap.Reconstruction(model)
+    placed = place_reconstruction(reconstruction, metadata, crs=target, control=control, up=up)
+    if placed.georeference is None:
+        raise InputError(f"{folder}: {placed.notes[0]}; give photos with GPS (--photos), or ground "
+                         "control points (--gcp)")
+    partial = output.with_name(output.name + PARTIAL)
+    shutil.rmtree(partial, ignore_errors=True)
+    # before the new folder is made, which may be in that of the scene
+    linked = [entry for entry in sorted(folder.iterdir())
+              if entry.is_dir() and entry.name != SPARSE and not entry.name.startswith(".")]
+    make_folder(partial / SPARSE / "0")
+    try:
+        write_reconstruction(partial / SPARSE / "0", reconstruction)
+        for entry in linked:
+            _link(entry, partial / entry.name)
+        write_georeference(partial, placed.georeference)
+        write_orientation(partial, placed.up)
+        os.rename(partial, output)
+    except OSError as error:
+        raise InputError(f"{output}: cannot be written ({error.strerror}); check that the disk has "
+                         "space, and choose another --output") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return placed
+
+
+def _link(source: Path, link: Path) -> None:
+    try:
+        link.symlink_to(source.resolve(), target_is_directory=True)
+    except OSError:
+        shutil.copytree(source, link)

@@ -1,0 +1,39 @@
+"""Random steps of the positions of nearly transparent gaussians (cl/noise.cl)."""
+
+from collections.abc import Mapping
+
+from clsplat.constants import FRAME_COUNTS
+from clsplat.device import Array, Kernel, each
+
+SEEDS = 2**32
+NOISE = Kernel(
+    "noise.cl", "noise", each("count"), count="uint", seed="uint", now="uint", amount="real",
+    has_frozen="uint", counts=("uint", FRAME_COUNTS), frozen=("uint", "F"),
+    log_scales=("real", "N", 3), quaternions=("real", "N", 4), opacity_logits=("real", "N"),
+    positions=("real", "N", 3))
+
+
+def add_noise(rows: Mapping[str, Array], amount: float, now: int, seed: int, counts: Array,
+              frozen: Array | None = None) -> None:
+    """Move positions at random in place, unless their frame has failed.
+
+    Each row moves, whether or not it lags behind the last step (adam.py): a random step and the
+    steps that a row has missed add up in any order.
+
+    Parameters
+    ----------
+    rows : field name -> real[N, *row shape].
+    amount : 1 / world unit; factor of the covariance: the paper's noise rate times the learning
+        rate of the positions.
+    now : number of the step, from 1.
+    seed : of the training; two that differ by a multiple of SEEDS draw the same numbers.
+    counts : uint[FRAME_COUNTS], of the frame.
+    frozen : uint[N], not 0 for rows that stay; None: none does.
+    """
+    positions = rows["positions"]
+    positions.device.launch(
+        NOISE, count=len(positions), seed=seed % SEEDS, now=now, amount=amount,
+        has_frozen=int(frozen is not None), counts=counts,
+        frozen=counts if frozen is None else frozen, log_scales=rows["log_scales"],
+        quaternions=rows["quaternions"], opacity_logits=rows["opacity_logits"],
+        positions=positions)

@@ -1,0 +1,287 @@
+"""Aligns a reconstruction with measured positions of its cameras or of ground control points.
+
+Positions by GPS have errors of very different size along the ground and upwards, and some of them
+are grossly wrong. Heights may drift by tens of metres during a flight, may be above anything, or be
+missing. So horizontal and vertical residuals are judged apart: each kind has a standard deviation
+that is estimated with the similarity (iteratively reweighted least squares, Cauchy's weights).
+Errors of heights change slowly during a flight, so that all heights together count as few
+measurements. What they do not tell about the tilt of the scene, the direction tells that the
+cameras and points show as up. Thus good heights level the scene, and bad ones neither tilt nor
+scale it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from clsplat.placement.similarity import Similarity, cross_matrix, fitted, rotation_to
+
+UP = np.array([0.0, 0.0, 1.0])
+LEAST_POSITIONS = 3
+LEAST_STD = 0.01  # metres; smaller ones of positions are not believed
+BENDING = 0.005  # of the distances between positions: so much every reconstruction is bent
+INDEPENDENT_HEIGHTS = 6  # as so many measurements all heights of photos count
+SAMPLES = 300  # minimal sets of positions from which a start is computed
+ITERATIONS = 50
+CAUCHY = 2.385**2  # variances from which on weights fall; 95 % efficient without outliers
+MOST_RIGHT = 0.7  # at least this share of the positions is taken to be right
+OUTLIER = 4.0  # standard deviations beyond which a position is reported as wrong
+LARGEST_SHARE = 0.5  # of the spread of the positions that the residuals may have
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """How a reconstruction lies among measured positions.
+
+    Attributes
+    ----------
+    similarity : from the reconstruction to the positions' axes: east, north, up, metres.
+    used : bool[N], which positions agree with it along the ground; the others are outliers.
+    used_heights : bool[N], which heights agree with it.
+    horizontal, vertical : metres, RMS of the residuals of the positions that are used, along the
+        ground and upwards; vertical is nan without heights.
+    levelled_by_heights : whether the heights tell more of the scene's tilt than the cameras do.
+    """
+
+    similarity: Similarity
+    used: NDArray[np.bool_]
+    used_heights: NDArray[np.bool_]
+    horizontal: float
+    vertical: float
+    levelled_by_heights: bool
+
+
+def aligned(places: ArrayLike, positions: ArrayLike, up: ArrayLike, *, up_degrees: float = 3.0,
+            std: ArrayLike | None = None, independent_heights: float = INDEPENDENT_HEIGHTS
+            ) -> Alignment | None:
+    """Align places in a reconstruction with their measured positions.
+
+    Parameters
+    ----------
+    places : float[N, 3], in the reconstruction: camera centres or control points.
+    positions : float[N, 3], east, north, up, metres; nan for a height that is unknown.
+    up : float[3], the direction in the reconstruction that cameras or gravity show as up.
+    up_degrees : standard deviation of `up`.
+    std : float[N, 3], metres, standard deviations of the positions, of which only ratios count;
+        None: all are equal.
+    independent_heights : as so many measurements all heights together count.
+
+    Returns
+    -------
+    None if the positions do not determine where the reconstruction lies: they are fewer than three,
+    at one place, or contradict each other.
+    """
+    if np.size(places) < 3 * LEAST_POSITIONS:
+        return None
+    problem = _Problem(places, positions, up, up_degrees, std, independent_heights)
+    ends = [problem.refined(start) for start in problem.starts()]
+    if not ends:
+        return None
+    best = min(ends, key=problem.cost)
+    result = problem.judged(best)
+    spread = problem.positions[result.used, :2]
+    spread_size = float(np.sqrt(((spread - spread.mean(axis=0))**2).sum(axis=1).mean()))
+    if result.used.sum() < LEAST_POSITIONS or not (
+            result.horizontal <= LARGEST_SHARE * spread_size):
+        return None
+    return result
+
+
+class _Problem:
+    """The measurements of an alignment; its parameters are a Similarity."""
+
+    def __init__(self, places: ArrayLike, positions: ArrayLike, up: ArrayLike, up_degrees: float,
+                 std: ArrayLike | None, independent_heights: float) -> None:
+        self.places, self.positions = (np.asarray(values, np.float64).reshape(-1, 3)
+                                       for values in (places, positions))
+        direction = np.asarray(up, np.float64)
+        self.up, self.up_std = direction / np.linalg.norm(direction), np.radians(up_degrees)
+        deviations = np.ones(self.positions.shape) if std is None else np.asarray(std, np.float64)
+        deviations = np.maximum(deviations, LEAST_STD)
+        # relative to the typical one, so that estimated standard deviations are in metres
+        self.horizontal_std = np.sqrt((deviations[:, :2]**2).mean(axis=1))
+        self.horizontal_std /= np.median(self.horizontal_std)
+        self.vertical_std = deviations[:, 2] / np.median(deviations[:, 2])
+        self.has_height = np.isfinite(self.positions[:, 2])
+        heights = int(self.has_height.sum())
+        self.height_share = min(1.0, independent_heights / max(heights, 1))
+        self.positions = np.where(np.isfinite(self.positions), self.positions, 0.0)
+        flat = self.positions[:, :2]
+        self.least_std = max(LEAST_STD, BENDING * float(np.median(np.linalg.norm(
+            flat - np.median(flat, axis=0), axis=1))))
+
+    def residuals(self, similarity: Similarity) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Vectors [N, 2] along the ground and numbers [N] upwards, metres; 0 without a height."""
+        away = similarity(self.places) - self.positions
+        return away[:, :2], np.where(self.has_height, away[:, 2], 0.0)
+
+    def starts(self) -> Iterator[Similarity]:
+        """Similarities that fit most of the positions: one that has the given direction
+        upwards and does not look at heights, and one that looks at positions alone."""
+        rng = np.random.default_rng(0)
+        level = self._level_start(rng)
+        if level is not None:
+            yield level
+        free = self._free_start(rng)
+        if free is not None:
+            yield free
+
+    def _level_start(self, rng: np.random.Generator) -> Similarity | None:
+        rotation = rotation_to(self.up, UP)
+        turned = self.places @ rotation.T
+        place, position = (values[:, 0] + 1j * values[:, 1]
+                           for values in (turned, self.positions))
+        best, least = None, np.inf
+        for first, second in _samples(rng, len(place), 2):
+            if place[first] == place[second]:
+                continue
+            factor = (position[second] - position[first]) / (place[second] - place[first])
+            shift = position[first] - factor * place[first]
+            error = _typical(np.abs(factor * place + shift - position) / self.horizontal_std)
+            if error < least and abs(factor) > 0:
+                best, least = (factor, shift), error
+        if best is None:
+            return None
+        factor, shift = best
+        turn = Rotation.from_euler("z", np.angle(factor)).as_matrix()
+        scale = abs(factor)
+        heights = (self.positions[:, 2] - scale * turned[:, 2])[self.has_height]
+        return Similarity(scale, turn @ rotation, np.array(
+            [shift.real, shift.imag, np.median(heights) if len(heights) else 0.0]))
+
+    def _free_start(self, rng: np.random.Generator) -> Similarity | None:
+        rows = np.flatnonzero(self.has_height)
+        best, least = None, np.inf
+        for sample in _samples(rng, len(rows), 3):
+            similarity = fitted(self.places[rows[sample]], self.positions[rows[sample]])
+            if similarity is None:
+                continue
+            away = similarity(self.places[rows]) - self.positions[rows]
+            error = _typical(np.linalg.norm(away, axis=1) / self.horizontal_std[rows])
+            if error < least:
+                best, least = similarity, error
+        return best
+
+    def deviations(self, similarity: Similarity) -> tuple[float, float]:
+        """Robust standard deviations, along one axis of the ground and upwards, metres."""
+        horizontal, vertical = self.residuals(similarity)
+        ground = np.linalg.norm(horizontal, axis=1) / self.horizontal_std
+        height = (np.abs(vertical) / self.vertical_std)[self.has_height]
+        return (max(_rms_within(ground, _typical(ground) / 1.552) / np.sqrt(2), self.least_std),
+                max(_rms_within(height, _typical(height) / 1.036), self.least_std)
+                if len(height) else np.inf)
+
+    def refined(self, similarity: Similarity) -> Similarity:
+        """The similarity at which reweighted least squares end."""
+        for _ in range(ITERATIONS):
+            step = self._step(similarity)
+            scale, turn, shift = np.exp(step[0]), step[1:4], step[4:]
+            middle = similarity(self.places).mean(axis=0)
+            rotation = Rotation.from_rotvec(turn).as_matrix()
+            similarity = Similarity(
+                similarity.scale * scale, rotation @ similarity.rotation,
+                scale * rotation @ (similarity.translation - middle) + middle + shift)
+            if np.abs(step[:4]).max() < 1e-8:
+                break
+        return similarity
+
+    def _step(self, similarity: Similarity) -> NDArray[np.float64]:
+        """The Gauss-Newton step: logarithm of the scale, rotation vector [3], translation [3]."""
+        horizontal, vertical = self.residuals(similarity)
+        away = similarity(self.places)
+        away -= away.mean(axis=0)
+        x, y, _ = away.T
+        columns = np.zeros((len(away), 3, 7))
+        columns[:, :, 0] = away
+        columns[:, :, 4:] = np.eye(3)
+        columns[:, 0, 3], columns[:, 1, 3] = -y, x
+        # Only heights tell the tilt. It also shortens the ground, but by its cosine: the slightest
+        # bending of the reconstruction would look like a large tilt.
+        columns[:, 2, 1], columns[:, 2, 2] = y, -x
+        errors = np.column_stack([horizontal, vertical])
+        root = np.sqrt(self._weights(similarity, horizontal, vertical))[:, :, None]
+        up = similarity.rotation @ self.up
+        prior = np.zeros((2, 7))
+        prior[:, 1:4] = -cross_matrix(up)[:2]
+        tilt = self._tilt(similarity)
+        weight = 1 / np.sqrt(self.up_std**2 + tilt**2 / CAUCHY)
+        matrix = np.concatenate([(root * columns).reshape(-1, 7), weight * prior])
+        vector = np.concatenate([(root[:, :, 0] * errors).ravel(),
+                                 weight * tilt * _direction(up[:2])])
+        solution: NDArray[np.float64] = -np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
+        return solution
+
+    def _weights(self, similarity: Similarity, horizontal: NDArray[np.float64],
+                 vertical: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Weights [N, 3] of squared residuals, 1 / metres^2."""
+        ground_std, height_std = self.deviations(similarity)
+        ground = (horizontal**2).sum(axis=1)
+        weights = np.empty((len(ground), 3))
+        variance = (ground_std * self.horizontal_std)**2
+        weights[:, :2] = (1 / (variance + ground / CAUCHY))[:, None]
+        variance = (height_std * self.vertical_std)**2
+        weights[:, 2] = self.has_height * self.height_share / (variance + vertical**2 / CAUCHY)
+        return weights
+
+    def _tilt(self, similarity: Similarity) -> float:
+        """Angle between up and the direction that cameras show as up, radians."""
+        return float(np.arccos(np.clip((similarity.rotation @ self.up)[2], -1, 1)))
+
+    def cost(self, similarity: Similarity) -> float:
+        """The negative logarithm of the likelihood, but for a constant."""
+        ground_std, height_std = self.deviations(similarity)
+        heights = self.height_share * self.has_height.sum()
+        vertical = heights * np.log(height_std) if heights else 0.0
+        return float(2 * len(self.places) * np.log(ground_std) + vertical
+                     + CAUCHY / 2 * np.log1p((self._tilt(similarity) / self.up_std)**2 / CAUCHY))
+
+    def judged(self, similarity: Similarity) -> Alignment:
+        """The result, with its residuals."""
+        horizontal, vertical = self.residuals(similarity)
+        ground_std, height_std = self.deviations(similarity)
+        ground = np.linalg.norm(horizontal, axis=1)
+        used = ground <= OUTLIER * ground_std * self.horizontal_std
+        known = used & self.has_height
+        heights = self.has_height & (np.abs(vertical) <= OUTLIER * height_std * self.vertical_std)
+        weights = self._weights(similarity, horizontal, vertical)
+        away = similarity(self.places)
+        level = away[:, :2] - away[used, :2].mean(axis=0)
+        # how well the heights tell the tilt, about the axis about which they tell it worst
+        information = np.linalg.eigvalsh((level * weights[:, 2:]).T @ level)[0]
+        return Alignment(
+            similarity, used, heights, _rms(ground[used]), _rms(vertical[known]),
+            bool(information > 1 / self.up_std**2))
+
+
+def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp]:
+    """Distinct indices [S, size]; all pairs if these are few."""
+    if count < size:
+        return np.zeros((0, size), np.intp)
+    if size == 2 and count * (count - 1) // 2 <= SAMPLES:
+        return np.column_stack(np.triu_indices(count, 1))
+    return np.array([rng.choice(count, size, replace=False) for _ in range(SAMPLES)])
+
+
+def _direction(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 0 else vector
+
+
+def _typical(values: NDArray[np.float64]) -> float:
+    """The quantile MOST_RIGHT of lengths of residuals. With a standard deviation of 1 it is 1.552
+    for vectors along the ground (Rayleigh distribution) and 1.036 for heights (half-normal)."""
+    return float(np.quantile(values, MOST_RIGHT))
+
+
+def _rms_within(values: NDArray[np.float64], std: float) -> float:
+    """RMS of the values that are no outliers by a first estimate of their standard deviation."""
+    return _rms(values[values <= OUTLIER * std])
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

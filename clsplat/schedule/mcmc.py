@@ -1,0 +1,63 @@
+"""The schedule of 3DGS-MCMC (Kheradmand et al. 2024): training as sampling, to a fixed number.
+
+Instead of being cloned, split and pruned by thresholds, gaussians that have become transparent are
+relocated to where others are, and the model grows by a fixed share in each round
+(densify/relocate.py). Positions take random steps (cl/noise.cl), and opacities and sizes are
+regularised (cl/regularise.cl), so that gaussians that nothing needs become transparent.
+
+Unlike in the authors' code, the initial gaussians are those of the other schedules, and a step
+regularises the gaussians that its view sees.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from clsplat.config.option import option
+from clsplat.schedule.plan import Plan, SceneFacts, Schedule
+
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
+
+GROWS_SHARE = 25 / 30  # of the run
+
+
+@dataclass(frozen=True)
+class McmcOptions:
+    """Options of the `mcmc` schedule."""
+
+    mcmc_cap: int = option(1_000_000, "Growth", "number of gaussians up to which the model grows",
+                           minimum=1, part="mcmc")
+    mcmc_growth: float = option(0.05, "Growth", "growth of the model in a round, as a share of its "
+                                "gaussians", minimum=0.0, most=10.0, part="mcmc")
+
+
+class Mcmc(Schedule):
+    """Full resolution throughout; rounds of relocation and growth at fixed intervals."""
+
+    defaults = {"exposure": "off", "opacity_rate": 0.05, "position_noise": 5e5,
+                "opacity_weight": 0.01, "scale_weight": 0.01}
+    parts = frozenset({"mcmc"})
+    Options = McmcOptions
+    selection = "relocation"
+
+    @classmethod
+    def grows_until(cls, options: "TrainOptions") -> int:
+        """See `Schedule.grows_until`."""
+        return int(GROWS_SHARE * options.iterations)
+
+    @classmethod
+    def planned_limit(cls, options: "TrainOptions", facts: SceneFacts) -> tuple[int, str]:
+        """See `Schedule.planned_limit`."""
+        return options.mcmc_cap, f"{options.mcmc_cap:,}: --mcmc-cap"
+
+    def plan(self, iteration: int) -> Plan:
+        """See `Schedule.plan`; as in `constant`, rounds follow the step after a round number."""
+        o, before = self.options, iteration - 1
+        return Plan(
+            level=1.0, degree=self.degree(iteration), gathers=False,
+            grows=o.densify_from < before < o.densify_until and before % o.densify_every == 0,
+            resets_opacity=False, prunes_large=False, decay=self.decay(iteration))
+
+    def target(self, iteration: int, count: int, above: int) -> int:
+        """See `Schedule.target`."""
+        return max(count, min(self.options.mcmc_cap, int((1 + self.options.mcmc_growth) * count)))

@@ -1,0 +1,209 @@
+"""The photos of a folder and of its subfolders, their masks, and which share a camera."""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from clsplat.errors import InputError
+from clsplat.io.beside import check_shape, image_beside
+from clsplat.io.images import image_size
+from clsplat.io.masks import MASKS
+from clsplat.io.metadata import Calibration, PhotoMetadata, read_metadata
+from clsplat.io.regular import in_unicode, native
+from clsplat.io.run import CITY, OPTIONS
+from clsplat.io.sources import IMAGES, PHOTO_SUFFIXES
+
+UNREAD = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".heic", ".heif",
+          ".avif", ".insp")
+VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv")
+RECORD, UNFINISHED = "sfm.json", ".sfm"  # in the folder of a scene that was made of photos
+WRITTEN = (RECORD, UNFINISHED, OPTIONS, CITY)  # of which a folder that clsplat writes has one
+LEAST_PHOTOS = 3
+LEAST_FOR_OPENCV = 8  # photos of a camera; fewer do not determine all parameters of the model
+DEFAULT_FOCAL = 1.2  # of the long side of a photo, COLMAP's value where nothing is known
+
+
+@dataclass(frozen=True)
+class SourcePhoto:
+    """A photo from which a scene is reconstructed.
+
+    Attributes
+    ----------
+    name : of the photo within the folder, with slashes.
+    path : of its file.
+    metadata : from its header.
+    mask : the file of its mask (io/masks.py), or None.
+    """
+
+    name: str
+    path: Path
+    metadata: PhotoMetadata
+    mask: Path | None = None
+
+
+@dataclass(frozen=True)
+class SourceCamera:
+    """What is known of a camera before the reconstruction.
+
+    Attributes
+    ----------
+    model : COLMAP's name of the camera model.
+    width, height : pixels of its photos as stored.
+    focal : pixels, an estimate.
+    focal_known : whether the estimate comes from metadata.
+    calibration : by the maker, or None.
+    photos : indices of its photos.
+    """
+
+    model: str
+    width: int
+    height: int
+    focal: float
+    focal_known: bool
+    calibration: Calibration | None
+    photos: tuple[int, ...]
+
+
+def photo_root(folder: Path) -> Path:
+    """The folder below which photos are searched: images/ if the folder itself has none."""
+    if not folder.is_dir():
+        what = "is neither a folder nor a video" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: {what}; give a folder with photos, or a video")
+    if not any(is_photo(path) for path in folder.iterdir()) and (folder / IMAGES).is_dir():
+        return folder / IMAGES
+    return folder
+
+
+def has_photos(folder: Path) -> bool:
+    """Whether a folder, its images/ or one of its other subfolders has a photo."""
+    return folder.is_dir() and any(map(is_photo, _files(folder, None)))
+
+
+def is_video(path: Path) -> bool:
+    """Whether a path is that of a video, by its suffix."""
+    return path.suffix.lower() in VIDEOS and not path.is_dir()
+
+
+def is_photo(path: Path) -> bool:
+    """Whether a name is that of a photo that can be read."""
+    return path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".")
+
+
+def find_photos(folder: Path, masks: Path | None = None
+                ) -> tuple[list[SourcePhoto], dict[str, str]]:
+    """Find the photos of a folder and its subfolders, sorted by name. Subfolders that clsplat has
+    written are left out.
+
+    Parameters
+    ----------
+    masks : a folder with masks NAME.png, or NAME.jpg.png as COLMAP names them; None: the folder
+        masks/ beside images/ or among the photos, if there is one.
+
+    Returns
+    -------
+    The photos; and the reasons, by name, why others cannot be used.
+
+    Raises
+    ------
+    InputError : there are fewer than three, or a mask for none of them; a mask does not fit.
+    """
+    root = photo_root(folder)
+    if masks is not None and not masks.is_dir():
+        raise InputError(f"--masks {masks}: no such folder; give one with masks NAME.png")
+    if masks is None and (folder / MASKS).is_dir() and (
+            root != folder or _are_masks(folder / MASKS, root)):
+        masks = folder / MASKS
+    photos, refused, unread, stems = [], {}, [], set()
+    for path in sorted(_files(root, masks), key=lambda path: in_unicode(path.relative_to(root))):
+        relative = path.relative_to(root)
+        if path.suffix.lower() in UNREAD:
+            unread.append(relative)
+        if not is_photo(path):
+            continue
+        stems.add(relative.with_suffix(""))
+        name = in_unicode(relative)
+        if Path(native(name)) != relative:  # two such names may look the same
+            refused[name] = "its name is not UTF-8: rename it"
+            continue
+        try:
+            metadata = read_metadata(path)
+        except InputError as error:
+            refused[name] = str(error)
+        else:
+            photos.append(SourcePhoto(name, path, metadata, _mask_of(name, metadata, masks)))
+    if len(photos) < LEAST_PHOTOS:
+        why = (f"; {len(unread)} files are camera RAW or HEIC: convert them to JPEG" if unread else
+               f"; {next(iter(refused.values()))}" if refused else "")
+        raise InputError(f"{folder}: {len(photos)} photos that can be read, and a reconstruction "
+                         f"needs at least {LEAST_PHOTOS}, better 20 or more{why}")
+    # a camera may write each photo in both formats
+    refused |= {in_unicode(relative): "camera RAW and HEIC are not read: convert it to JPEG"
+                for relative in unread if relative.with_suffix("") not in stems}
+    if masks is not None and not any(photo.mask for photo in photos):
+        raise InputError(f"--masks {masks}: has a mask for none of the photos; name them as the "
+                         "photos, with .png as the suffix or after it")
+    return photos, refused
+
+
+def _files(root: Path, masks: Path | None) -> Iterator[Path]:
+    """The files below a folder, except hidden ones, masks, and those of scenes and runs, which may
+    have been written beside the photos."""
+    hidden = None if masks is None else os.path.realpath(masks)
+    for folder, names, files in os.walk(root):
+        names[:] = [name for name in names if not name.startswith(".")
+                    and os.path.realpath(os.path.join(folder, name)) != hidden
+                    and not any((Path(folder) / name / mark).exists() for mark in WRITTEN)]
+        yield from (Path(folder) / name for name in files)
+
+
+def _are_masks(folder: Path, root: Path) -> bool:
+    """Whether a folder has a mask for one of the photos below another one."""
+    names = (in_unicode(path.relative_to(root)) for path in _files(root, folder) if is_photo(path))
+    return any(image_beside(folder, name) for name in names)
+
+
+def _mask_of(name: str, metadata: PhotoMetadata, masks: Path | None) -> Path | None:
+    """The mask of a photo, whose shape is checked; None: it has none."""
+    mask = None if masks is None else image_beside(masks, name)
+    if mask is not None:
+        check_shape(mask, "mask", image_size(mask), (metadata.width, metadata.height))
+    return mask
+
+
+def cameras_of(photos: list[SourcePhoto], model: str = "") -> list[SourceCamera]:
+    """The cameras of photos. Photos share one if they have the same size and come from the same
+    body and lens; where files do not name these, from the same subfolder.
+
+    Parameters
+    ----------
+    model : COLMAP's name of the camera model for all; "": by what is known of each camera.
+    """
+    groups: dict[object, list[int]] = {}
+    for index, photo in enumerate(photos):
+        data = photo.metadata
+        body: object = (data.camera, data.lens, data.calibration)
+        if not data.camera:
+            body = photo.name.rpartition("/")[0]
+        groups.setdefault((data.width, data.height, body), []).append(index)
+    return [_camera(photos, rows, model) for rows in groups.values()]
+
+
+def are_calibrated(cameras: Iterable[SourceCamera]) -> bool:
+    """Whether the maker has calibrated all cameras, whose focal lengths are then kept: photos of
+    flat ground from one height do not determine them."""
+    return all(camera.calibration is not None for camera in cameras)
+
+
+def _camera(photos: list[SourcePhoto], rows: list[int], model: str) -> SourceCamera:
+    data = photos[rows[0]].metadata
+    calibration = data.calibration if model in ("", "OPENCV") else None
+    focals = [value for row in rows if (value := photos[row].metadata.focal_pixels)]
+    focal = sorted(focals)[len(focals) // 2] if focals else (
+        DEFAULT_FOCAL * max(data.width, data.height))
+    if calibration is not None:
+        model, focal = "OPENCV", sum(calibration.focal) / 2
+    elif not model:
+        model = "OPENCV" if len(rows) >= LEAST_FOR_OPENCV else "SIMPLE_RADIAL"
+    return SourceCamera(model, data.width, data.height, focal,
+                        bool(focals) or calibration is not None, calibration, tuple(rows))

@@ -1,0 +1,265 @@
+"""Makes a scene from a folder of photos: the pipeline, step by step."""
+
+import shutil
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pycolmap
+
+from clsplat import __version__
+from clsplat.errors import InputError
+from clsplat.io.colmap_format import CAMERA_MODELS
+from clsplat.io.folders import make_folder
+from clsplat.io.georeference.adjustment import check_marks
+from clsplat.io.georeference.control_points import (
+    ControlPoint,
+    read_control_points,
+    require_no_checks,
+)
+from clsplat.io.georeference.crs import scene_crs
+from clsplat.io.georeference.files import write_georeference, write_orientation
+from clsplat.io.georeference.reconstruction import place_reconstruction
+from clsplat.io.lock import HOLDER, LOCK, exclusive
+from clsplat.io.masks import MASKS
+from clsplat.io.reason import reason
+from clsplat.io.records import object_of, plain, write_object
+from clsplat.io.regular import read_regular
+from clsplat.sfm.database import create_database, photo_index
+from clsplat.sfm.features import extract_features
+from clsplat.sfm.mapping import Mapped, map_photos
+from clsplat.sfm.matching import match_pairs
+from clsplat.sfm.pairs import choose_pairs
+from clsplat.sfm.photos import (
+    RECORD,
+    UNFINISHED,
+    SourceCamera,
+    SourcePhoto,
+    are_calibrated,
+    cameras_of,
+    find_photos,
+    is_video,
+)
+from clsplat.sfm.progress import Progress
+from clsplat.sfm.record import reasons, record_of
+from clsplat.sfm.undistort import write_scene
+from clsplat.sfm.unfinished import Unfinished
+from clsplat.sfm.video import check_video, extract_frames
+
+OWN_FILES = ("images", MASKS, "sparse", "georeference.json", "orientation.json")
+
+
+@dataclass(frozen=True)
+class SfmOptions:
+    """Options of a reconstruction.
+
+    Attributes
+    ----------
+    masks : a folder of masks, see `find_photos`, or None.
+    matching : which pairs are matched, one of `pairs.METHODS`.
+    camera_model : COLMAP's name of the camera model; "": by what is known of each camera.
+    frames : of a video, how many are used.
+    crs : coordinate reference system of the scene; "": the UTM zone.
+    control_points : a file of ground control points, to which cameras and points are adjusted, or
+        None.
+    check_points : names of those that take no part and tell the error.
+    """
+
+    masks: Path | None = None
+    matching: str = "auto"
+    camera_model: str = ""
+    frames: int = 200
+    crs: str = ""
+    control_points: Path | None = None
+    check_points: tuple[str, ...] = ()
+
+
+@dataclass
+class _Times:
+    """Seconds that phases took."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def of(self, phase: str) -> Iterator[None]:
+        """Measure the block."""
+        start = time.monotonic()
+        yield
+        self.seconds[phase] = round(time.monotonic() - start, 1)
+
+
+def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progress,
+                overwrite: bool = False) -> dict[str, Any]:
+    """Reconstruct a scene from photos or a video.
+
+    Parameters
+    ----------
+    source : a folder of photos, or a video file.
+    output : the folder of the new scene. What a killed reconstruction of the same source left there
+        is used.
+    overwrite : whether an existing scene that was made by this function is replaced.
+
+    Returns
+    -------
+    What sfm.json holds.
+
+    Raises
+    ------
+    InputError : the photos cannot be used, they match too little, or the output exists.
+    """
+    models = set(CAMERA_MODELS) - {"EQUIRECTANGULAR"}  # a pinhole camera cannot show a sphere
+    if options.camera_model and options.camera_model not in models:
+        raise InputError(f"--camera-model {options.camera_model}: is none of "
+                         f"{', '.join(sorted(models))}; leave it out, or give one of them")
+    crs = scene_crs(options.crs) if options.crs else None
+    control, crs = _control(options, crs)
+    sources = source, options.masks
+    _check_output(output, sources, overwrite)
+    times = _Times()
+    with times.of("photos"):
+        found = _photos(source, options, progress)
+    if found is not None:
+        check_marks(control, {photo.name for photo in found[0]})
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
+    pycolmap.set_random_seed(0)
+    make_folder(output)
+    with exclusive(output):
+        _check_output(output, sources, overwrite)  # another process may have finished a scene
+        _remove_scene(output)
+        unfinished = Unfinished(output)
+        make_folder(unfinished.folder)
+        if found is None:
+            with times.of("frames"):
+                extract_frames(source, unfinished.frames, options.frames, progress)
+            found = find_photos(unfinished.frames)
+        photos, refused = found
+        cameras = cameras_of(photos, options.camera_model)
+        resumed = unfinished.open(photos, _kept(options), overwrite)
+        mapped, matching = _mapped(unfinished, photos, refused, cameras, options, times, progress,
+                                   is_video(source))
+        model = mapped.reconstruction
+        for image in model.images.values():
+            image.name = photos[photo_index(image.image_id)].name
+        placed = place_reconstruction(model, {photo.name: photo.metadata for photo in photos},
+                                      crs=crs, control=control, adjusts=True,
+                                      keep_focal=are_calibrated(cameras))
+        unfinished.keep_photos_of(model)
+        with times.of("undistortion"):
+            names = write_scene(output, model, photos, progress)
+        write_orientation(output, placed.up)
+        write_georeference(output, placed.georeference)
+        missing = reasons(unfinished.database, photos, set(names), mapped.elsewhere, refused)
+        record = {"version": __version__, "source": plain(source.resolve()),
+                  "masks": _kept(options)["masks"], "matching": matching,
+                  **record_of(mapped, cameras, placed, missing), "seconds": times.seconds,
+                  "resumed": resumed}
+        write_object(output / RECORD, record)
+        unfinished.remove()
+    return record
+
+
+def is_finished(output: Path, source: Path) -> bool:
+    """Whether a folder holds the finished scene of these photos or this video; InputError if it is
+    that of others, or photos were added or removed since."""
+    path = output / RECORD
+    if not path.exists():
+        return False
+    try:
+        record = object_of(read_regular(path))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: damaged ({reason(error)}); remove {output}") from None
+    made_of, masks = record.get("source"), record.get("masks")
+    if made_of != plain(source.resolve()):
+        raise InputError(f"{output}: was made of {made_of}, not of {source}; remove it, or give "
+                         "another -o")
+    if not is_video(source):
+        photos, refused = find_photos(source, Path(masks) if isinstance(masks, str) else None)
+        count = len(photos) + len(refused)
+        if record.get("photos") != count:
+            raise InputError(f"{output}: was made of {record.get('photos')} photos of {source}, "
+                             f"which now has {count}; remove it to make it again")
+    return True
+
+
+def _control(options: SfmOptions, crs: str | None) -> tuple[Sequence[ControlPoint], str | None]:
+    """The ground control points, and the CRS of the scene."""
+    if options.control_points is None:
+        require_no_checks(options.check_points)
+        return (), crs
+    return read_control_points(options.control_points, crs, options.check_points)
+
+
+def _check_output(output: Path, sources: Iterable[Path | None], overwrite: bool) -> None:
+    """InputError if the folder of a scene holds something that may not be replaced.
+
+    Parameters
+    ----------
+    sources : folders and files from which the scene is made.
+    """
+    if (output / RECORD).exists():
+        if not overwrite:
+            raise InputError(f"{output}: holds a reconstructed scene already; give another folder, "
+                             "or --overwrite")
+    elif output.exists() and not Unfinished.is_in(output) and (
+            not output.is_dir() or {path.name for path in output.iterdir()} - {LOCK, HOLDER}):
+        raise InputError(f"{output}: exists and was not made by `clsplat sfm`; give another folder")
+    for path in filter(None, sources):
+        if path.resolve().is_relative_to(output.resolve()):
+            raise InputError(f"{path}: is in {output}, whose files are replaced; give another "
+                             "folder for the scene")
+
+
+def _remove_scene(output: Path) -> None:
+    """Remove a finished scene that is to be replaced, its record first."""
+    if (output / RECORD).exists():
+        (output / RECORD).unlink()
+        for name in (*OWN_FILES, UNFINISHED):  # the last, where a command was killed at its end
+            path = output / name
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+
+
+def _kept(options: SfmOptions) -> dict[str, Any]:
+    """The options on which features, matches and poses depend."""
+    return {"masks": options.masks and str(options.masks.resolve()), "matching": options.matching,
+            "camera_model": options.camera_model}
+
+
+def _photos(source: Path, options: SfmOptions, progress: Progress
+            ) -> tuple[list[SourcePhoto], dict[str, str]] | None:
+    """`find_photos` of a folder; None for a video."""
+    if is_video(source):
+        if options.masks is not None:
+            raise InputError("--masks: cannot be used with a video; leave it out")
+        check_video(source)
+        return None
+    progress.phase("reading metadata of photos")
+    return find_photos(source, options.masks)
+
+
+def _mapped(unfinished: Unfinished, photos: Sequence[SourcePhoto], refused: dict[str, str],
+            cameras: Sequence[SourceCamera], options: SfmOptions, times: _Times,
+            progress: Progress, is_sequence: bool) -> tuple[Mapped, str]:
+    """The reconstruction, and which pairs were matched; `refused` gets damaged photos."""
+    database = unfinished.database
+    try:
+        if not database.exists():
+            create_database(database, cameras)
+        with times.of("features"):
+            refused.update(extract_features(database, photos, progress))
+        with times.of("pairs"):
+            pairs = choose_pairs(database, photos, options.matching, is_sequence, progress)
+        progress.message(f"matching {pairs.reason}")
+        with times.of("matching"):
+            match_pairs(database, pairs, progress)
+    except RuntimeError as error:  # of SQLite in pycolmap, which does not say more
+        raise InputError(f"{database}: cannot be written or read ({reason(error)}); check that the "
+                         "disk has space, and give the command again") from error
+    with times.of("mapping"):
+        mapped = unfinished.mapped(lambda: map_photos(database, cameras, len(photos), progress))
+    return mapped, pairs.reason

@@ -1,0 +1,23 @@
+"""How many gaussians a city is expected to have."""
+
+import pytest
+
+from clsplat.city.forecast import PIXELS_PER_GAUSSIAN, expected_gaussians
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from tests.data.tiny_training import CITY
+
+
+def test_the_expected_number_is_the_limit_of_the_schedule():
+    scene = read_scene(CITY)
+    points = len(scene.points)
+    pixels = sum(view.camera.width * view.camera.height for view in scene.views)
+
+    def expected(**options):
+        return expected_gaussians(scene, resolve({}, {"test_every": 0, **options}))
+
+    assert expected(schedule="mcmc", mcmc_cap=points + 7) == points + 7
+    assert expected(schedule="mcmc", mcmc_cap=7) == points, "it begins with so many"
+    assert expected(schedule="constant") == pixels // PIXELS_PER_GAUSSIAN
+    assert expected(pixels_per_gaussian=20.0) == pixels // 20
+    assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)

@@ -1,0 +1,265 @@
+"""A scene written as the projects of other programs, so that reading it back can be compared.
+
+Formats are those that `io/projects/opensfm.py`, `metashape.py`, `realityscan.py` and `opf.py` name.
+"""
+
+import json
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tests.data.layouts import put_photo, world_points, write_json
+
+FLIP = np.array([1.0, -1.0, -1.0])
+Z_UP_TO_Y_UP = np.array([(1.0, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)])
+XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
+ <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+  <rdf:Description xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" xcr:Version="4"
+   xcr:PosePrior="initial" xcr:Coordinates="absolute" {attributes}>
+   <xcr:Rotation>{rotation}</xcr:Rotation>
+   {position}
+   <xcr:DistortionCoeficients>{coefficients}</xcr:DistortionCoeficients>
+  </rdf:Description>
+ </rdf:RDF>
+</x:xmpmeta>
+"""
+
+
+def stored(view):
+    """(width, height), (fx, fy, cx, cy), (k1, k2, k3, k4), (p1, p2) of a photo as it is stored, in
+    OpenCV's order, and whether it is a fisheye."""
+    if view.lens is None:
+        camera = view.camera
+        return (camera.width, camera.height), (*camera.focal, *camera.centre), [0.0] * 4, [0, 0], 0
+    pinhole, rest = view.lens.parameters[:4], list(view.lens.parameters[4:])
+    if "FISHEYE" in view.lens.model:
+        if view.lens.model == "THIN_PRISM_FISHEYE":
+            k1, k2, p1, p2, k3, k4, *_ = rest
+            return view.lens.size, pinhole, [k1, k2, k3, k4], [p1, p2], 1
+        return view.lens.size, pinhole, rest, [0.0, 0.0], 1
+    k1, k2, p1, p2, k3 = (*rest, 0.0)[:5]
+    return view.lens.size, pinhole, [k1, k2, k3, 0.0], [p1, p2], 0
+
+
+def position(scene, view):
+    return view.camera.position + scene.offset
+
+
+def put_photos(folder, scene):
+    for view in scene.views:
+        put_photo(view, folder / view.name)
+
+
+def tracks(scene):
+    """For each point, the views that see it."""
+    found = [[] for _ in scene.points]
+    for point, view in ([] if scene.observations is None else scene.observations.tolist()):
+        found[point].append(view)
+    return found
+
+
+def write_opensfm(folder, scene, reference=None):
+    """reconstruction.json with one camera for all, and tracks.csv; the table that was written."""
+    put_photos(folder / "images", scene)
+    (width, height), (fx, fy, cx, cy), k, p, fisheye = stored(scene.views[0])
+    longer = max(width, height)
+    camera = {"projection_type": "fisheye_opencv" if fisheye else "brown", "width": width,
+              "height": height, "focal_x": fx / longer, "focal_y": fy / longer,
+              "c_x": (cx - width / 2) / longer, "c_y": (cy - height / 2) / longer,
+              **{f"k{number + 1}": value for number, value in enumerate(k)},
+              "p1": p[0], "p2": p[1]}
+    shots = {view.name: {
+        "camera": "v2 made",
+        "translation": (-view.camera.rotation @ position(scene, view)).tolist(),
+        "rotation": Rotation.from_matrix(view.camera.rotation).as_rotvec().tolist()}
+        for view in scene.views}
+    points = {f"{number}": {"coordinates": point.tolist(), "color": colour.tolist()}
+              for number, (point, colour) in enumerate(zip(world_points(scene), scene.colours))}
+    table = {"cameras": {"v2 made": camera}, "shots": shots, "points": points}
+    if reference is not None:
+        table["reference_lla"] = dict(zip(("latitude", "longitude", "altitude"), reference))
+    write_json(folder / "reconstruction.json", [table])
+    if scene.observations is not None:
+        rows = [f"{scene.views[view].name}\t{point}\t0\t0.1\t0.2\t0.01\t1\t2\t3\t-1\t-1"
+                for point, view in scene.observations.tolist()]
+        (folder / "tracks.csv").write_text("\n".join(["OPENSFM_TRACKS_VERSION_v2", *rows, ""]))
+    return table
+
+
+def texts(values):
+    return " ".join(repr(float(value)) for value in np.ravel(values))
+
+
+def write_metashape(folder, scene, transform=None, reference="", extra="", label=None,
+                    component=True):
+    """cameras.xml.
+
+    transform: (scale, rotation, translation) of the component or the chunk; extra: more
+    coefficients; label: what a photo is called, a function of its view's name.
+    """
+    put_photos(folder / "images", scene)
+    scale, rotation, translation = transform or (1.0, np.eye(3), np.zeros(3))
+    (width, height), (fx, fy, cx, cy), k, p, fisheye = stored(scene.views[0])
+    kind = "fisheye" if fisheye else "frame"
+    values = {"f": fy, "b1": fx - fy, "cx": cx - width / 2, "cy": cy - height / 2, "k1": k[0],
+              "k2": k[1], "k3": k[2], "k4": k[3], "p1": p[1], "p2": p[0]}
+    lines = "".join(f"<{key}>{value!r}</{key}>" for key, value in values.items() if value)
+    placed = (f"<transform><rotation locked=\"true\">{texts(rotation)}</rotation><translation>"
+              f"{texts(translation)}</translation><scale>{scale!r}</scale></transform>")
+    cameras = []
+    for number, view in enumerate(scene.views):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.T @ view.camera.rotation.T
+        pose[:3, 3] = rotation.T @ (position(scene, view) - translation) / scale
+        name = quoteattr(view.name if label is None else label(view.name))
+        cameras.append(f"<camera id=\"{number}\" sensor_id=\"0\" component_id=\"0\" label={name}>"
+                       f"<transform>{texts(pose)}</transform></camera>")
+    group = f"<group id=\"0\" label=\"g\">{cameras.pop()}</group>"
+    within = f"<component id=\"0\" label=\"Component 1\">{placed if component else ''}</component>"
+    (folder / "cameras.xml").write_text(
+        f"""<?xml version="1.0" encoding="UTF-8"?>
+<document version="2.0.0"><chunk label="Chunk 1" enabled="true">
+ <sensors next_id="1"><sensor id="0" label="made" type="{kind}">
+  <resolution width="{width}" height="{height}"/>
+  <calibration type="{kind}" class="adjusted"><resolution width="{width}" height="{height}"/>
+   {lines}{extra}</calibration></sensor></sensors>
+ <components next_id="1" active_id="0">{within}</components>
+ <cameras next_id="9" next_group_id="1">{"".join(cameras)}{group}</cameras>
+ <reference>{reference}</reference>{'' if component else placed}
+</chunk></document>
+""")
+    return folder / "cameras.xml"
+
+
+def yaw_pitch_roll(rotation):
+    """Degrees, of float64[3, 3], world (east, north, up) to camera (right, down, forward)."""
+    ned = np.array([(0, 1.0, 0), (1.0, 0, 0), (0, 0, -1.0)])
+    body = np.stack([-rotation[1], rotation[0], rotation[2]])  # nose, right wing, belly; ENU
+    return Rotation.from_matrix(ned @ body.T).as_euler("ZYX", degrees=True)
+
+
+def write_realityscan(folder, scene, form="angles"):
+    """registration.csv in the form with angles, in that with matrices, or XMP files."""
+    put_photos(folder / "images", scene)
+    rows = {"angles": ["#cameras 9", "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"],
+            "matrices": ["#name,tx,ty,tz,R00,R01,R02,R10,R11,R12,R20,R21,R22,f_pix,px_pix,py_pix,"
+                         "k1,k2,t2,t1,k3,k4 (R = [Rij] provided in row major ordering)"]}
+    for view in scene.views:
+        (width, height), (fx, _, cx, cy), k, p, _ = stored(view)
+        longer, rotation = max(width, height), view.camera.rotation
+        centre, focal = position(scene, view), fx / longer * 36
+        x, y = (cx - width / 2) / longer, (cy - height / 2) / longer
+        rows["angles"].append(",".join(map(repr, map(float, (
+            *centre, *yaw_pitch_roll(rotation), focal, x, y, *k, p[1], p[0])))))
+        rows["matrices"].append(",".join(map(repr, map(float, (
+            *(-rotation @ centre), *rotation.ravel(), fx, cx, cy, k[0], k[1], *p, k[2], k[3])))))
+        for kind in ("angles", "matrices"):
+            rows[kind][-1] = f"{view.name},{rows[kind][-1]}"
+        if form == "xmp":
+            model = "brown3t2" if any(p) else "brown3" if any(k) else "perspective"
+            attributes = (f'xcr:FocalLength35mm="{focal!r}" xcr:Skew="0" xcr:AspectRatio="1" '
+                          f'xcr:PrincipalPointU="{x!r}" xcr:PrincipalPointV="{y!r}" '
+                          f'xcr:DistortionModel="{model}"')
+            # versions of the program write the position as an attribute or as an element
+            element = f"<xcr:Position>{texts(centre)}</xcr:Position>"
+            if view is scene.views[0]:
+                attributes, element = f'{attributes} xcr:Position="{texts(centre)}"', ""
+            (folder / "images" / view.name).with_suffix(".xmp").write_text(XMP.format(
+                attributes=attributes, rotation=texts(rotation), position=element,
+                coefficients=texts([*k, p[1], p[0]])))
+    if form != "xmp":
+        (folder / "registration.csv").write_text("\n".join([*rows[form], ""]))
+
+
+def write_opf(folder, scene, crs="EPSG:32632", shift=(-500000.0, -5300000.0, -200.0),
+              internals=None):
+    """project.opf and its resources, with points in one glTF node."""
+    put_photos(folder / "images", scene)
+    size, (fx, _, cx, cy), k, p, _ = stored(scene.views[0])
+    cameras = []
+    for number, view in enumerate(scene.views):
+        angles = Rotation.from_matrix(view.camera.rotation.T * FLIP).as_euler("XYZ", degrees=True)
+        cameras.append({"id": 2**63 + number, "sensor_id": 7, "orientation_deg": angles.tolist(),
+                        "position": position(scene, view).tolist()})
+    internals = internals or {
+        "type": "perspective", "principal_point_px": [cx, cy], "focal_length_px": fx,
+        "radial_distortion": k[:3], "tangential_distortion": list(p)}
+    form = "application/opf-{}+json".format
+    files = {
+        "camera-list": {"cameras": [
+            {"id": 2**63 + number, "uri": f"images/{view.name}"}
+            for number, view in enumerate(scene.views)] + [{"id": 5, "uri": "depth.tif#page=1"}]},
+        "input-cameras": {"sensors": [{"id": 7, "image_size_px": list(size)}], "captures": []},
+        "calibrated-cameras": {"cameras": cameras,
+                               "sensors": [{"id": 7, "internals": internals}]},
+        "scene-reference-frame": {"crs": {"definition": crs}, "base_to_canonical": {
+            "shift": list(shift), "scale": [1.0, 1.0, 1.0], "swap_xy": False}}}
+    kinds = {"camera-list": "camera_list", "input-cameras": "input_cameras",
+             "calibrated-cameras": "calibration", "scene-reference-frame": "scene_reference_frame"}
+    items = []
+    for name, table in files.items():
+        write_json(folder / f"{name}.json", {"format": form(name), "version": "1.0", **table})
+        items.append({"id": name, "type": kinds[name], "sources": [], "resources": [
+            {"uri": f"{name}.json", "format": form(name)}]})
+    items[2]["resources"].append({"uri": "tracks/tracks.gltf", "format": "model/gltf+json"})
+    write_gltf(folder / "tracks/tracks.gltf", scene)
+    write_json(folder / "project.opf", {
+        "format": form("project"), "version": "1.0", "name": "made", "id": "x", "items": items})
+
+
+def write_gltf(path, scene):
+    """Points with colours and matches; positions are float32 relative to their middle."""
+    seen = tracks(scene)
+    begins = np.cumsum([0, *map(len, seen)])
+    packed = [begin | len(views) << 40 for begin, views in zip(begins.tolist(), seen)]
+    middle = world_points(scene).mean(axis=0)
+    arrays = {
+        "positions": (world_points(scene) - middle).astype("<f4"),
+        "colours": np.column_stack([scene.colours, np.full(len(scene.points), 255)]).astype("u1"),
+        "cameras": np.array([view for views in seen for view in views], "<u4"),
+        "ranges": np.array(packed, "<u8")}
+    kinds = {"positions": (5126, "VEC3"), "colours": (5121, "VEC4"), "cameras": (5125, "SCALAR"),
+             "ranges": (5125, "VEC2")}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for name, array in arrays.items():
+        (path.parent / f"{name}.bin").write_bytes(b"head" * 2 + array.tobytes())
+    matrix = np.eye(4)
+    matrix[:3, 3] = middle
+    matrix = Z_UP_TO_Y_UP @ matrix
+    views = [{"buffer": number, "byteOffset": 8, "byteLength": array.nbytes, "target": 34962}
+             for number, array in enumerate(arrays.values())]
+    path.write_text(json.dumps({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "matrix": matrix.ravel(order="F").tolist()}],
+        "meshes": [{"primitives": [{"mode": 0, "attributes": {"POSITION": 0, "COLOR_0": 1},
+                                    "extensions": {"OPF_mesh_primitive_matches": {
+                                        "cameraUids": [2**63 + n for n in range(len(scene.views))],
+                                        "cameraIds": 2, "pointIndexRanges": 3}}}]}],
+        "accessors": [{"bufferView": number, "componentType": kinds[name][0],
+                       "type": kinds[name][1], "count": len(array)}
+                      for number, (name, array) in enumerate(arrays.items())],
+        "bufferViews": views,
+        "buffers": [{"uri": f"{name}.bin", "byteLength": array.nbytes + 8}
+                    for name, array in arrays.items()]}))
+
+
+def assert_same(scene, wanted, places=1e-9, points=1e-9):
+    """Two scenes have the same cameras, lenses and points, in original coordinates."""
+    assert [view.name for view in scene.views] == [view.name for view in wanted.views]
+    for view, other in zip(scene.views, wanted.views):
+        a, b = view.camera, other.camera
+        assert (a.width, a.height) == (b.width, b.height)
+        np.testing.assert_allclose((*a.focal, *a.centre), (*b.focal, *b.centre), atol=places)
+        np.testing.assert_allclose(a.rotation, b.rotation, atol=1e-12)
+        np.testing.assert_allclose(a.position + scene.offset, b.position + wanted.offset,
+                                   atol=places)
+        assert (view.lens is None) == (other.lens is None)
+        if view.lens is not None:
+            assert view.lens.size == other.lens.size
+            assert view.lens.model == other.lens.model
+            np.testing.assert_allclose(view.lens.parameters, other.lens.parameters, atol=places)
+        assert Path(view.source).read_bytes() == Path(other.source).read_bytes()
+    np.testing.assert_allclose(world_points(scene), world_points(wanted), atol=points)
+    assert np.array_equal(scene.colours, wanted.colours)

@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from clsplat.api.renderer import render
+from clsplat.camera import Camera
+from clsplat.edit.transform import transformed, turn
+from tests.data.cloud import cloud
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.5])
+def test_it_looks_the_same_from_a_camera_that_moved_along(float_device, scale):
+    """The whole chain: positions, covariances and harmonics of degree 3."""
+    model = cloud(offset=(10.0, -20.0, 5.0))
+    camera = Camera.looking_at((10.1, -20, 5), (12.5, -21.5, 6), width=96, height=64, degrees=50)
+    rotation = Rotation.from_euler("zyx", (40, -100, 25), degrees=True).as_matrix()
+    translation = np.array([3.0, 40.0, -7.0])
+    moved = transformed(model, scale, rotation, translation)
+    along = Camera(camera.width, camera.height, camera.focal, camera.centre,
+                   camera.rotation @ rotation.T,
+                   scale * camera.translation - camera.rotation @ rotation.T @ translation)
+    before = render(model, camera, device=float_device)
+    after = render(moved, along, device=float_device)
+    assert before.std() > 0.1 and np.abs(before - after).max() < 2e-3
+    unturned = transformed(model.with_sh_degree(0), scale, rotation, translation)
+    assert np.abs(before - render(unturned, along, device=float_device)).max() > 0.05
+
+
+def test_coordinates():
+    model = cloud(offset=(500_000.0, 4_000_000.0, 100.0))
+    moved = transformed(model, 2.0, turn((0, 0, 90)), (1.0, 2.0, 3.0))
+    x, y, z = (model.positions.astype(np.float64) + model.offset).T
+    expected = np.stack([-2 * y + 1, 2 * x + 2, 2 * z + 3], axis=1)
+    assert np.abs(moved.positions + moved.offset - expected).max() < 1e-5
+    assert np.abs(moved.positions).max() < 10, "local coordinates stay small"
+    assert np.allclose(moved.log_scales, model.log_scales + np.log(2), atol=1e-6)
+    assert (moved.opacity_logits == model.opacity_logits).all()
+    same = transformed(model)
+    assert all((same.rows[name] == values).all() for name, values in model.rows.items())
+
+
+def test_turns():
+    x, y, z = np.eye(3)
+    assert np.allclose(turn((0, 0, 90)) @ x, y) and np.allclose(turn((90, 0, 0)) @ y, z)
+    assert np.allclose(turn((0, 90, 0)) @ z, x)
+    assert np.allclose(turn((90, 0, 90)) @ y, z), "about x first"

@@ -1,0 +1,294 @@
+"""Maps of a made-up house on level ground, whose every pixel is known."""
+
+import dataclasses
+import json
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import tifffile
+from click.testing import CliRunner
+
+from clsplat.cli.main import main
+from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
+from clsplat.export import map as module
+from clsplat.export.geotiff import TileStore, geo_tags
+from clsplat.export.map import write_map
+from clsplat.export.map_grid import TILE, ground_resolution, map_grid
+from clsplat.export.reprojection import Reprojection, reprojection_of
+from clsplat.options import TrainOptions
+from tests.data import ground_model as made
+
+FILES = {"orthophoto.tif", "surface.tif", "contours.geojson", "preview.png", "map.json"}
+
+
+def run_of(path, scene):
+    """What a map needs of a run."""
+    return SimpleNamespace(path=path, finished_model=made.model(), options=TrainOptions(),
+                           scene=lambda _=None: scene, georeference=scene.georeference,
+                           up=scene.up)
+
+
+def drawn(device, folder, resolution=0.05, georeference=made.UTM, **options):
+    scene = made.scene(georeference)
+    grid = map_grid(scene, resolution)
+    crs = georeference.crs if georeference else None
+    record = write_map(run_of(folder, scene), scene, grid, crs, device, folder, points=False,
+                       **options)
+    return grid, record, *(tifffile.imread(folder / name)
+                           for name in ("orthophoto.tif", "surface.tif"))
+
+
+def corner_pixels(pixels):
+    """The first and last column and row [2, 2] of blue pixels."""
+    rows, columns = np.nonzero((pixels[..., 2] > pixels[..., 0]) & (pixels[..., 3] > 0))
+    return np.array([[columns.min(), rows.min()], [columns.max() + 1, rows.max() + 1]])
+
+
+@pytest.fixture(scope="module")
+def house(item_device, tmp_path_factory):
+    pytest.importorskip("pyproj", reason="pyproj is not installed (extra geo)")
+    folder = tmp_path_factory.mktemp("map")
+    return folder, *drawn(item_device, folder)
+
+
+def test_colours_heights_and_places(house):
+    folder, grid, record, colours, heights = house
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert colours.shape == (grid.rows, grid.columns, 4) and heights.shape == colours.shape[:2]
+    base = made.OFFSET[2] + made.UTM.offset[2]
+    for place, height, colour in (((0, 0), made.ROOF, made.ROOF_BLUE), ((8, -7), 0,
+                                                                        made.GROUND_RED)):
+        at = np.floor(grid.pixels(made.OFFSET[None] + made.UTM.offset + (*place, 0))).astype(int)
+        column, row = at[0]
+        assert abs(heights[row, column] - base - height) < 2e-3
+        assert abs(colours[row, column, :3] - np.multiply(colour, 255)).max() <= 4
+        assert colours[row, column, 3] == 255
+    # straight from above the house is as large as its roof, and where it is: walls do not show
+    corners = grid.pixels(np.array([[-1, 1], [1, -1]]) * (made.HOUSE + 1.4 * made.SPACING)
+                          + (made.OFFSET + made.UTM.offset)[:2])  # the edge of gaussians is soft
+    assert abs(corner_pixels(colours) - corners).max() <= 1
+
+
+def test_tags_place_it_on_the_earth(house):
+    folder, grid, *_ = house
+    with tifffile.TiffFile(folder / "orthophoto.tif") as file:
+        page = file.pages[0]
+        tags = {tag.code: tag.value for tag in page.tags}
+        assert page.is_tiled and page.compression.name == "ADOBE_DEFLATE"
+        assert not file.is_bigtiff
+    assert np.allclose(tags[33550], (0.05, 0.05, 0))
+    assert np.allclose(tags[33922], (0, 0, 0, grid.left, grid.top, 0))
+    keys = np.reshape(tags[34735], (-1, 4))
+    assert (3072, 0, 1, 32633) in set(map(tuple, keys.tolist()))
+
+
+def test_contour_lines_surround_the_house_in_degrees(house):
+    folder, grid, record, *_ = house
+    lines = json.loads((folder / "contours.geojson").read_text())["features"]
+    base = made.OFFSET[2] + made.UTM.offset[2]
+    assert lines and all(base < line["properties"]["elevation"] < base + made.ROOF
+                         for line in lines)
+    to_utm = Reprojection("EPSG:4326", made.UTM.crs)
+    middle = (made.OFFSET + made.UTM.offset)[:2]
+    for line in lines:
+        places = [[*place, 0] for place in line["geometry"]["coordinates"]]
+        away = to_utm.to_map(places)[:, :2] - middle
+        assert abs(abs(away).max(axis=1) - made.HOUSE).max() < 0.9
+
+
+@pytest.mark.slow
+def test_tiles_and_overviews_continue(item_device, tmp_path):
+    """A map of several tiles shows what one of a single tile does."""
+    grid, record, colours, heights = drawn(item_device, tmp_path, 0.02, None)
+    assert max(grid.tiles) > 2 and record["crs"] is None
+    known = ~np.isnan(heights)
+    steps = abs(np.diff(np.where(known, heights, 7.0), axis=1)).max(axis=0)
+    assert steps[511] < 2.1 and known[5:-5, 500:524].all()
+    ground = heights[20:100]
+    assert abs(ground - 7).max() < 5e-3
+    with tifffile.TiffFile(tmp_path / "surface.tif") as file:
+        shapes = [page.shape for page in file.pages]
+        assert shapes[1] == tuple(-(-side // 2) for side in shapes[0]) and len(shapes) == 3
+        half = file.pages[1].asarray()
+    assert np.allclose(half[10:50], 7, atol=5e-3)
+
+
+def test_a_coarse_map_is_the_mean_of_a_fine_one(item_device, tmp_path):
+    """Gaussians smaller than a pixel would be drawn as large as one, and hide what is beside."""
+    scene = made.scene(None)
+    found = []
+    for resolution in (0.1, 0.8):  # the photos have 0.12
+        grid = map_grid(scene, resolution, (92.0, -58.0, 108.0, -42.0))
+        write_map(run_of(tmp_path, scene), scene, grid, None, item_device, tmp_path, points=False)
+        found.append([tifffile.imread(tmp_path / name).astype(float)
+                      for name in ("orthophoto.tif", "surface.tif")])
+    (colours, heights), coarse = found[0], found[1]
+    assert coarse[0].shape == (20, 20, 4) and coarse[1].shape == (20, 20)
+    means = colours.reshape(20, 8, 20, 8, 4).mean(axis=(1, 3))
+    assert abs(coarse[0] - means).max() < 4
+    assert abs(coarse[1] - heights.reshape(20, 8, 20, 8).mean(axis=(1, 3))).max() < 0.01
+
+
+def test_where_nothing_is_known(item_device, tmp_path):
+    """Beyond the model there are holes; where one photo alone looks, nothing is claimed."""
+    scene = made.scene(None)
+    bounds = (80.0, -70.0, 120.0, -30.0)
+    grid = map_grid(scene, 0.1, bounds)
+    write_map(run_of(tmp_path, scene), scene, grid, None, item_device, tmp_path, points=False)
+    colours = tifffile.imread(tmp_path / "orthophoto.tif")
+    heights = tifffile.imread(tmp_path / "surface.tif")
+    assert (colours[:70, :70, 3] == 0).all() and np.isnan(heights[:70, :70]).all()
+    assert np.array_equal(np.isnan(heights), colours[..., 3] == 0)
+    assert not (colours[..., :3][colours[..., 3] == 0]).any()
+    alone = dataclasses.replace(scene, views=scene.views[:1])
+    with pytest.raises(InputError, match="--bounds"):
+        write_map(run_of(tmp_path, alone), alone, grid, None, item_device, tmp_path / "one",
+                  points=False)
+    assert not any((tmp_path / "one").iterdir())
+
+
+def test_faint_ground_has_the_colour_of_the_training(item_device, tmp_path):
+    """What shows through is the background, as where the photos taught it; fainter is a hole."""
+    scene, run = made.scene(None), run_of(tmp_path, made.scene(None))
+    run.finished_model.opacity_logits[:] = -1.2
+    grid = map_grid(scene, 0.1)
+    write_map(run, scene, grid, None, item_device, tmp_path, points=False, interval=0)
+    ground = tifffile.imread(tmp_path / "orthophoto.tif")[15:40, 15:40].reshape(-1, 4)
+    covered = ground[:, :3] / np.multiply(made.GROUND_RED, 255)
+    assert (ground[:, 3] == 255).all() and 0.5 < covered.min() and covered.max() < 0.9
+    assert np.ptp(covered, axis=1).max() < 0.03
+    assert not (tmp_path / "contours.geojson").exists()
+    run.finished_model.opacity_logits[:] = -3
+    with pytest.raises(InputError, match="train longer"):
+        write_map(run, scene, grid, None, item_device, tmp_path / "fainter", points=False)
+
+
+def test_a_map_in_another_system_lies_at_the_same_places(item_device, tmp_path):
+    pytest.importorskip("pyproj", reason="pyproj is not installed (extra geo)")
+    scene = made.scene()
+    wanted = "EPSG:25832"  # the neighbouring zone: turned by degrees against the scene's
+    other = reprojection_of(made.UTM.crs, wanted)
+    grid = map_grid(scene, 0.1, None, other)
+    write_map(run_of(tmp_path, scene), scene, grid, wanted, item_device, tmp_path, points=False)
+    colours = tifffile.imread(tmp_path / "orthophoto.tif")
+    middle = made.OFFSET + made.UTM.offset
+    inside, outside = np.array([[2.7, 2.7, 0], [-2.7, 2.7, 0]]), np.array([[3.5, 2.7, 0.]])
+    for places, blue in ((inside, True), (outside, False)):
+        for column, row in np.floor(grid.pixels(other.to_map(middle + places))).astype(int):
+            assert (colours[row, column, 2] > colours[row, column, 0]) == blue
+    with pytest.raises(InputError, match="in metres"):
+        reprojection_of(made.UTM.crs, "EPSG:4326")
+    with pytest.raises(InputError, match="EPSG:nonsense"):
+        reprojection_of(made.UTM.crs, "EPSG:nonsense")
+
+
+def test_what_points_need_is_asked_for_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    scene = made.scene()
+    with pytest.raises(InputError, match="pip install pyproj"):
+        write_map(run_of(tmp_path, scene), scene, map_grid(scene, 1.0), made.UTM.crs, None,
+                  tmp_path / "map", interval=0)
+    assert not (tmp_path / "map").exists()
+
+
+def test_the_surface_as_points(item_device, tmp_path, monkeypatch):
+    laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
+    pytest.importorskip("lazrs", reason="lazrs is not installed (extra geo)")
+    monkeypatch.setattr(module, "MOST_POINTS", 100_000)  # so that a coarser surface is taken
+    scene = made.scene()
+    grid = map_grid(scene, 0.02)
+    write_map(run_of(tmp_path, scene), scene, grid, made.UTM.crs, item_device, tmp_path)
+    cloud = laspy.read(tmp_path / "surface.laz")
+    assert cloud.header.parse_crs().to_epsg() == 32633 and 80_000 < len(cloud.points) <= 100_000
+    left, bottom, right, top = grid.bounds
+    assert cloud.x.min() > left and cloud.x.max() < right
+    assert cloud.y.min() > bottom and cloud.y.max() < top
+    base = made.OFFSET[2] + made.UTM.offset[2]
+    roof = np.asarray(cloud.z) > base + 1.9
+    assert abs(np.asarray(cloud.z)[roof] - base - made.ROOF).max() < 0.01
+    assert abs(roof.sum() * 0.08**2 - (2 * made.HOUSE + 2.4 * made.SPACING)**2) < 2
+    assert (np.asarray(cloud.blue)[roof] > np.asarray(cloud.red)[roof]).all()
+
+
+def test_the_grid_follows_the_photos():
+    scene = made.scene(None, width=400)
+    assert abs(ground_resolution(scene) - 20 / scene.views[0].camera.focal[0]) < 2e-3
+    tilted = made.scene(None, up=(0, np.sin(0.3), np.cos(0.3)))
+    axes = map_grid(tilted).axes
+    assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) > 0
+    assert np.allclose(axes[2], tilted.up)
+    up = np.array([0.002, -0.01, 1]) / np.linalg.norm([0.002, -0.01, 1])
+    axes = map_grid(made.scene(None, up=up)).axes  # the estimate of a scene whose z points up
+    assert np.allclose(axes[2], up) and np.allclose(axes @ axes.T, np.eye(3))
+    assert np.linalg.det(axes) > 0 and abs(axes[[0, 1], [1, 0]]).max() < 1e-4
+    assert np.array_equal(map_grid(scene).axes, np.eye(3))
+    with pytest.raises(InputError, match="coarser resolution"):
+        map_grid(scene, 1e-6)
+
+
+@pytest.mark.parametrize("words, message", [
+    (["--resolution", "5 furlongs"], "not a length"),
+    (["--resolution", "5cm"], "no georeference"),
+    (["--resolution", "0"], "size of a pixel"),
+    (["--crs", "EPSG:32633"], "no georeference"),
+    (["--bounds", "3", "0", "1", "5"], "--bounds"),
+    (["--contours", "-1"], "not a length"),
+])
+def test_wrong_words_get_a_line(tmp_path, monkeypatch, words, message):
+    monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
+    result = CliRunner().invoke(main, ["map", "run", "-o", str(tmp_path / "map"), *words])
+    assert result.exit_code == 2 and message in result.output, result.output
+    assert not (tmp_path / "map").exists()
+
+
+def test_the_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
+    words = ["map", "run", "-o", str(tmp_path / "map"), "--resolution", "0.1", "--no-points"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0 and "heights 7.00 to 9.00" in result.output, result.output
+    assert {path.name for path in (tmp_path / "map").iterdir()} == FILES
+    again = CliRunner().invoke(main, words)
+    assert again.exit_code == 2 and "--overwrite" in again.output
+    (tmp_path / "map" / "mine.txt").write_text("mine")
+    again = CliRunner().invoke(main, [*words, "--overwrite", "--contours", "0"])
+    assert again.exit_code == 0, again.output
+    left = {path.name for path in (tmp_path / "map").iterdir()}
+    assert left == FILES - {"contours.geojson"} | {"mine.txt"}, "no lines of the earlier map"
+
+
+def test_too_many_contour_lines_leave_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
+    result = CliRunner().invoke(main, ["map", "run", "-o", str(tmp_path / "map"), "--resolution",
+                                       "0.1", "--no-points", "--contours", "0.0001"])
+    assert result.exit_code == 2 and "larger interval" in result.output, result.output
+    assert not any((tmp_path / "map").iterdir())
+
+
+def test_a_crs_without_a_code_has_its_text_in_ascii():
+    keys = {code: value for code, _, _, value, _ in geo_tags(
+        map_grid(made.scene(None), 1.0), 'PROJCRS["Österreich | West"]', None)}
+    assert keys[34737] == 'PROJCRS["?sterreich / West"]|'
+    assert (3072, 0, 1, 32767) in set(map(tuple, np.reshape(keys[34735], (-1, 4)).tolist()))
+
+
+def test_a_stored_tile_stays_as_it_was(tmp_path):
+    tile = np.random.default_rng(0).integers(0, 256, (TILE, TILE, 4)).astype(np.uint8)
+    before = tile.copy()
+    with TileStore(tmp_path, TILE, TILE, 4, np.uint8) as store:
+        store.append(tile)
+        assert np.array_equal(tile, before) and np.array_equal(store.read(0, 0), before)
+
+
+@pytest.mark.slow
+def test_rasterio_reads_it(house):
+    rasterio = pytest.importorskip("rasterio", reason="rasterio is not installed (extra test)")
+    folder, grid, _, colours, heights = house
+    for name, values in (("orthophoto.tif", colours), ("surface.tif", heights)):
+        with rasterio.open(folder / name) as file:
+            assert file.crs.to_epsg() == 32633 and np.allclose(file.bounds, grid.bounds)
+            read = file.read()
+            assert np.array_equal(read[0] if len(read) == 1 else read.transpose(1, 2, 0), values,
+                                  equal_nan=True)

@@ -1,0 +1,94 @@
+"""Files of ground control points."""
+
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.georeference.control_points import read_control_points
+
+ODM = """EPSG:32614
+# a comment
+587000.5 3338000.25 300 10 20 a.jpg north
+587000.5 3338000.25 300\t11.5 21\tb.jpg\tnorth
+587100 3338100 301 5 6 a.jpg
+"""
+CSV = """WGS84 UTM 14N
+name,x,y,z,pixel_x,pixel_y,image
+north,587000.5,3338000.25,300,10,20,a.jpg
+north,587000.5,3338000.25,300,11.5,21,b.jpg
+,587100,3338100,301,5,6,a.jpg
+"""
+
+
+@pytest.mark.parametrize("text", [ODM, CSV, "\ufeff" + CSV.replace("\n", "\r\n")])
+def test_both_formats(tmp_path, text):
+    path = tmp_path / "gcp.txt"
+    path.write_text(text, encoding="utf-8")
+    (north, other), crs = read_control_points(path)
+    assert crs == "EPSG:32614"
+    assert north.name == "north" and north.position == (587000.5, 3338000.25, 300)
+    assert north.marks == (("a.jpg", 10, 20), ("b.jpg", 11.5, 21))
+    assert other.name == "point 2" and other.marks == (("a.jpg", 5, 6),)
+
+
+def test_check_points_are_those_that_are_named(tmp_path):
+    path = tmp_path / "gcp.txt"
+    path.write_text(ODM)
+    assert [point.is_check for point in read_control_points(path, checks=["point 2"])[0]] == [
+        False, True]
+    with pytest.raises(InputError, match="--check-point east: .* it has north, point 2"):
+        read_control_points(path, checks=["east"])
+
+
+def test_degrees_become_metres_of_the_utm_zone(tmp_path):
+    path = tmp_path / "gcp.txt"
+    path.write_text("EPSG:4326\n-98.0898 30.1711 300 10 20 a.jpg\n")
+    (point,), crs = read_control_points(path)
+    assert crs == "EPSG:32614"
+    assert point.position == pytest.approx((587637.54, 3338094.73, 300), abs=0.1)
+
+
+def test_web_mercator_becomes_metres_of_the_ground(tmp_path):
+    pyproj = pytest.importorskip("pyproj", reason="the extra [geo] is not installed")
+    to_web = pyproj.Transformer.from_crs("EPSG:32614", "EPSG:3857", always_xy=True)
+    east, north = to_web.transform(587637.54, 3338094.73)
+    path = tmp_path / "gcp.txt"
+    path.write_text(f"EPSG:3857\n{east} {north} 300 10 20 a.jpg\n")
+    (point,), crs = read_control_points(path)
+    assert crs == "EPSG:32614"
+    assert point.position == pytest.approx((587637.54, 3338094.73, 300), abs=0.01)
+
+
+def test_the_crs_may_be_given_as_an_option(tmp_path):
+    path = tmp_path / "gcp.csv"
+    path.write_text(CSV.split("\n", 1)[1])
+    assert read_control_points(path, "EPSG:32614")[1] == "EPSG:32614"
+    with pytest.raises(InputError, match="first line, such as EPSG:32632, or give --crs"):
+        read_control_points(path)
+
+
+@pytest.mark.parametrize("text, complaint", [
+    ("", "names no coordinate reference system"), ("EPSG:32614\n", "has no ground control points"),
+    ("EPSG:32614\n1 2 3 4\n", r"line 2 is not a ground control point \(not enough values"),
+    ("EPSG:32614\n1 2 nan 4 5 a.jpg\n", "line 2 .*a number is not finite"),
+    (CSV + "p,1,2,3\n", "line 6 is not a ground control point"),
+    (b"\xff\xfe\0", "cannot be read"),
+    (CSV + "north,587000.6,3338000.25,300,1,2,c.jpg\n",
+     "point north has several coordinates, 587000.5 3338000.25 300 and 587000.6 3338000.25 300;"),
+    ("EPSG:4326\n9.0 47.8 1 4 5 a.jpg\n9.0 478 1 4 5 a.jpg p\n",
+     "point p has no coordinates in EPSG:32632; correct it"),
+])
+def test_damaged_files(tmp_path, text, complaint):
+    path = tmp_path / "gcp.txt"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match=complaint):
+        read_control_points(path)
+    with pytest.raises(InputError, match="no such file"):
+        read_control_points(tmp_path / "other.txt")
+
+
+def test_coordinates_that_are_not_on_the_earth(tmp_path):
+    """Metres under the name of a system in degrees."""
+    path = tmp_path / "gcp_list.txt"
+    path.write_text("EPSG:4326\n500010.5 5300020 210 100 200 a.jpg one\n")
+    with pytest.raises(InputError, match="point one has no coordinates in"):
+        read_control_points(path)

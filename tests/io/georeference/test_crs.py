@@ -1,0 +1,108 @@
+"""Coordinate reference systems: their names, and conversions."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.georeference.crs import (
+    conversion,
+    has_metres,
+    map_crs,
+    normal_crs,
+    on_ground,
+    project_crs,
+    scene_crs,
+    utm_zone,
+)
+from clsplat.io.georeference.earth import map_positions
+
+TEXTS = {"EPSG:32614": "EPSG:32614", "epsg:32705": "EPSG:32705", "WGS84 UTM 32N": "EPSG:32632",
+         "WGS 84 / UTM zone 5S": "EPSG:32705", "EPSG:4326": "EPSG:4326"}
+
+
+@pytest.mark.parametrize("text, crs", TEXTS.items())
+def test_utm_needs_no_pyproj(monkeypatch, text, crs):
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    assert normal_crs(text) == crs and has_metres(crs) == (crs != "EPSG:4326")
+
+
+def test_other_systems_need_pyproj(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    for use in (lambda: normal_crs("EPSG:25832"),
+                lambda: map_positions([50.0], [9.0], [0.0], "EPSG:25832")):
+        with pytest.raises(InputError, match=r"pyproj, which .*`pip install pyproj`"):
+            use()
+
+
+def test_other_systems():
+    pytest.importorskip("pyproj", reason="pyproj, of the extra [geo], is not installed")
+    assert scene_crs("EPSG:25832") == "EPSG:25832"
+    assert normal_crs("+proj=utm +zone=32 +datum=WGS84").startswith(("EPSG:32632", "PROJCRS"))
+    local = normal_crs("+proj=tmerc +lon_0=9 +x_0=1000 +ellps=GRS80")
+    assert local.startswith("PROJCRS") and "\n" not in local
+    positions, crs = map_positions([50.0], [9.0], [3.0], local)
+    assert crs == local and positions[0, 0] == pytest.approx(1000) and positions[0, 2] == 3
+    assert np.allclose(on_ground(local, "EPSG:4326", positions), [[9, 50, 3]])
+    for text in ("EPSG:4326", "EPSG:2277"):  # degrees, feet
+        with pytest.raises(InputError, match="not a projected coordinate reference system in met"):
+            scene_crs(text)
+    with pytest.raises(InputError, match="--crs EPSG:3857: is Web Mercator, whose metres are not"):
+        scene_crs("EPSG:3857")
+    assert map_crs("EPSG:3857") == "EPSG:3857"  # of a map in the web
+    for text in ("EPSG:99999", "the moon"):
+        with pytest.raises(InputError, match="is not a coordinate reference system; give one"):
+            scene_crs(text)
+
+
+def test_a_crs_with_control_characters_is_refused_in_one_line():
+    with pytest.raises(InputError) as caught:
+        normal_crs("EPSG\x1a32632")
+    assert str(caught.value).isprintable()
+
+
+@pytest.fixture
+def pyproj():
+    return pytest.importorskip("pyproj", reason="the extra [geo] is not installed")
+
+
+@pytest.mark.usefixtures("pyproj")
+def test_degrees_to_metres_and_to_the_earth():
+    # the meeting of a central meridian and the equator
+    assert np.allclose(conversion("OGC:CRS84", "EPSG:32633", "--polygon")(
+        np.array([[15.0, 0.0], [15.0, 1e-5]])), [[500_000, 0], [500_000, 1.105]], atol=1e-3)
+    earth = conversion("EPSG:32631", "EPSG:4978", "tiles")(np.array([[500_000.0, 0, 10]]))
+    angle = np.radians(3)
+    assert np.allclose(earth, 6378147 * np.array([[np.cos(angle), np.sin(angle), 0]]), atol=1e-3)
+
+
+@pytest.mark.usefixtures("pyproj")
+def test_what_cannot_be_converted():
+    with pytest.raises(InputError, match="--polygon: coordinates in nowhere cannot be converted"):
+        conversion("nowhere", "EPSG:32633", "--polygon")
+    with pytest.raises(InputError, match="have no coordinates in EPSG:32633"):
+        conversion("OGC:CRS84", "EPSG:32633", "--polygon")(np.array([[1000.0, 2000.0]]))
+
+
+def test_without_pyproj_the_cure_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    with pytest.raises(InputError, match=r"--polygon: needs pyproj.*pip install pyproj"):
+        conversion("OGC:CRS84", "EPSG:32633", "--polygon")
+
+
+@pytest.mark.parametrize("latitude, longitude, zone", [
+    (52.4, 16.9, "EPSG:32633"), (-33.9, 151.2, "EPSG:32756"), (10.0, -179.99, "EPSG:32601"),
+    (0.0, 180.0, "EPSG:32601")])
+def test_zones(latitude, longitude, zone):
+    assert utm_zone(longitude, latitude) == zone
+
+
+@pytest.mark.parametrize("definition, crs", [
+    ("EPSG:32633", "EPSG:32633"), ("EPSG:32633+5773", "EPSG:32633"), ("EPSG:4326", ""),
+    ("EPSG:2263", ""), ("EPSG:3045", ""), ("EPSG:3857", ""), ("nonsense", ""), ("", ""),
+    ("a\0b", "")])
+def test_definitions_that_a_map_can_have(definition, crs):
+    """Projected, in metres, east before north."""
+    pytest.importorskip("pyproj", reason="pyproj, of the extra [geo], is not installed")
+    assert project_crs(definition) == crs

@@ -1,0 +1,131 @@
+"""The place and orientation of a scene on disk: read and written, damaged, and never lost."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.evaluation.run import Run
+from clsplat.georeference import Georeference
+from clsplat.io.georeference.files import (
+    GEOREFERENCE,
+    ORIENTATION,
+    commented_georeference,
+    placement_comments,
+    read_georeference,
+    read_orientation,
+    write_georeference,
+    write_orientation,
+)
+from clsplat.io.packed import read_packed, write_packed
+from clsplat.io.ply import read_ply, read_vertices, write_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from tests.data.fields import field
+from tests.data.tiny_model import write_scene
+from tests.io.test_ply import random_gaussians
+
+HERE = Georeference("EPSG:32614", (587671.0, 3338100.0, 309.0), "GPS of 40 photos", 1.25)
+
+
+def test_a_georeference_is_read_as_it_was_written(tmp_path):
+    assert read_georeference(tmp_path) is None
+    write_georeference(tmp_path, HERE)
+    assert read_georeference(tmp_path) == HERE
+    assert HERE.to_map([[1, 2, 3]]).tolist() == [[587672, 3338102, 312]]
+    write_georeference(tmp_path, None)
+    assert read_georeference(tmp_path) is None
+
+
+def test_an_orientation_is_read_as_it_was_written(tmp_path):
+    assert read_orientation(tmp_path) is None
+    scene = field().recentred()
+    write_orientation(tmp_path, [0, 0, 2], scene.first_view)
+    up, view = read_orientation(tmp_path)
+    assert up.tolist() == [0, 0, 1]
+    assert np.allclose(view.position, scene.first_view.position + scene.offset)
+    assert np.allclose(view.rotation, scene.first_view.rotation)
+    write_orientation(tmp_path, [0, 1, 0])
+    assert read_orientation(tmp_path)[1] is None
+
+
+@pytest.mark.parametrize("name, key, value", [
+    (GEOREFERENCE, "crs", ""), (GEOREFERENCE, "crs", "EPSG:1\nEPSG:2"), (GEOREFERENCE, "crs", 5),
+    (GEOREFERENCE, "offset", [1, 2]), (GEOREFERENCE, "offset", [1, 2, "3"]),
+    (GEOREFERENCE, "residual", -1), (GEOREFERENCE, "source", None),
+    (ORIENTATION, "up", [0, 0, 0]), (ORIENTATION, "up", "z"), (ORIENTATION, "first_view", 3),
+    (ORIENTATION, "first_view", {"width": 5})])
+def test_damaged_files_are_named(tmp_path, name, key, value):
+    write_georeference(tmp_path, HERE)
+    write_orientation(tmp_path, [0, 0, 1], field().first_view)
+    record = json.loads((tmp_path / name).read_text())
+    (tmp_path / name).write_text(json.dumps({**record, key: value}))
+    with pytest.raises(InputError, match=f"{name}: damaged"):
+        (read_georeference if name == GEOREFERENCE else read_orientation)(tmp_path)
+    (tmp_path / name).write_text("{")
+    with pytest.raises(InputError, match=f"{name}: damaged"):
+        (read_georeference if name == GEOREFERENCE else read_orientation)(tmp_path)
+
+
+def test_comments_of_a_model_name_its_place(tmp_path):
+    gaussians = random_gaussians()
+    write_ply(tmp_path / "a.ply", gaussians, (1.0, 2.0, 3.0),
+              placement_comments([0.0, 0.01, 0.99995], HERE))
+    comments = read_vertices(tmp_path / "a.ply")[1]
+    assert commented_georeference(comments) == replace(
+        HERE, source="comments of the model's file", residual=0.0)
+    text = "\n".join(comments)
+    assert "\ncrs EPSG:32614\n" in text and "\nVertical Axis: z\n" in text
+    assert "\nmap_offset 587671.0 3338100.0 309.0 is not contained in the positions" in text
+    assert not any(comment.startswith("offset") for comment in comments)
+    # the offset of the map is not subtracted from the positions, that of the local frame is
+    assert read_ply(tmp_path / "a.ply").offset.tolist() == [1, 2, 3]
+    assert commented_georeference(placement_comments([0, -1, 0])) is None
+
+
+def test_the_offset_of_older_files_is_still_read(tmp_path):
+    write_ply(tmp_path / "a.ply", random_gaussians(), (1.0, 2.0, 3.0))
+    content = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "b.ply").write_bytes(content.replace(b"positions are centred near", b"offset"))
+    old, new = read_ply(tmp_path / "b.ply"), read_ply(tmp_path / "a.ply")
+    assert old.offset.tolist() == new.offset.tolist() == [1, 2, 3]
+    assert np.array_equal(old.positions, new.positions)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32614", 'PROJCRS["Zone 1 \u2013 \\ Süd"]'])
+def test_any_crs_survives_the_header(crs):
+    known = commented_georeference(placement_comments([0, 0, 1], replace(HERE, crs=crs)))
+    assert known.crs == crs
+
+
+def test_scenes_keep_their_place(tmp_path):
+    write_scene(tmp_path / "scene")
+    plain = read_scene(tmp_path / "scene")
+    assert plain.georeference is None and plain.given_up is None
+    write_georeference(tmp_path / "scene", HERE)
+    write_orientation(tmp_path / "scene", [0, 3, 4])
+    scene = read_scene(tmp_path / "scene")
+    assert scene.georeference == HERE and scene.up.tolist() == [0, 0.6, 0.8]
+    write_packed(scene, tmp_path / "scene.npz")
+    packed = read_packed(tmp_path / "scene.npz")
+    assert packed.georeference == HERE and packed.up.tolist() == [0, 0.6, 0.8]
+    for other in (scene.part([0, 1]), scene.reduced(2), scene.recentred(), scene.normalised()):
+        assert other.georeference == HERE and other.up.tolist() == [0, 0.6, 0.8]
+
+
+def test_a_run_keeps_what_its_model_needs_of_the_scene(tmp_path):
+    write_scene(tmp_path / "scene")
+    scene = replace(read_scene(tmp_path / "scene"), georeference=HERE)
+    folder = RunFolder.create(tmp_path / "run")
+    folder.write_options({"scene": tmp_path / "scene"})
+    folder.write_placement(scene)
+    run = Run.open(tmp_path / "run")
+    assert run.georeference == HERE and run.up.tolist() == [0, 0, 1]
+    assert np.allclose(run.first_view.position, scene.first_view.position + scene.offset)
+    folder.write_placement(replace(scene, georeference=None).with_up([0, -1, 0]))
+    assert run.georeference is None and run.up.tolist() == [0, -1, 0]
+    assert run.scene().up.tolist() == [0, -1, 0]  # what the user gave outlives the scene's estimate
+    (tmp_path / "run" / ORIENTATION).unlink()  # as in a run of an older version
+    assert np.allclose(run.first_view.position, run.scene().first_view.position + scene.offset)

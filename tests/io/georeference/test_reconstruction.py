@@ -1,0 +1,148 @@
+"""A reconstruction is given its place by GPS, by ground control points, or by neither."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.io.colmap_write import Tracks, write_colmap
+from clsplat.io.georeference.control_points import ControlPoint
+from clsplat.io.georeference.reconstruction import place_reconstruction
+from clsplat.io.metadata import PhotoMetadata
+from clsplat.scene import View
+from tests.data.survey import CRS, Survey
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    return Survey(tmp_path_factory.mktemp("survey"))
+
+
+def error(survey, reconstruction, georeference):
+    """The largest distance of a camera from its true place, metres."""
+    centres = {image.name: image.projection_center() for image in reconstruction.images.values()}
+    placed = georeference.to_map([centres[name] for name in survey.names])
+    assert np.abs(georeference.from_map(placed)).max() < 500  # the files hold small numbers
+    return np.abs(placed - survey.centres).max()
+
+
+def test_gps_gives_metres_in_the_utm_zone(survey):
+    reconstruction = survey.reconstruction()
+    placed = place_reconstruction(reconstruction, survey.metadata())
+    assert placed.georeference.crs == CRS and placed.up.tolist() == [0, 0, 1]
+    assert placed.georeference.source == "GPS of 12 photos" and placed.georeference.residual < 0.01
+    assert error(survey, reconstruction, placed.georeference) < 0.02
+    assert all(value == round(value) for value in placed.georeference.offset)
+
+
+def test_a_model_without_points_has_its_origin_among_the_cameras(survey):
+    reconstruction = survey.reconstruction()
+    for number in reconstruction.point3D_ids():
+        reconstruction.delete_point3D(number)
+    placed = place_reconstruction(reconstruction, survey.metadata())
+    assert error(survey, reconstruction, placed.georeference) < 0.02
+
+
+def test_another_crs_moves_the_origin_only(survey):
+    pytest.importorskip("pyproj", reason="pyproj, of the extra [geo], is not installed")
+    reconstruction = survey.reconstruction()
+    placed = place_reconstruction(reconstruction, survey.metadata(), crs="EPSG:6343")
+    assert placed.georeference.crs == "EPSG:6343"  # NAD83(2011), UTM zone 14: equal to metres
+    assert error(survey, reconstruction, placed.georeference) < 2
+
+
+def test_a_bad_fix_is_named(survey):
+    metadata = survey.metadata()
+    bad = survey.names[3]
+    metadata[bad] = replace(metadata[bad], latitude=metadata[bad].latitude + 0.01)
+    reconstruction = survey.reconstruction()
+    placed = place_reconstruction(reconstruction, metadata)
+    assert placed.georeference.source == \
+        f"GPS of 11 photos, without {bad}, whose positions are wrong"
+    assert error(survey, reconstruction, placed.georeference) < 0.05
+
+
+def test_altitudes_below_every_land_are_noted(survey):
+    metadata = {name: replace(known, altitude=known.altitude - 400)
+                for name, known in survey.metadata().items()}
+    placed = place_reconstruction(survey.reconstruction(), metadata)
+    assert "ground lies at -89 m" in placed.notes[-1] and "--gcp" in placed.notes[-1]
+
+
+def test_without_altitudes_the_cameras_level_the_scene(survey):
+    metadata = {name: replace(known, altitude=None) for name, known in survey.metadata().items()}
+    reconstruction = survey.reconstruction()
+    placed = place_reconstruction(reconstruction, metadata)
+    assert placed.notes[1] == "heights do not tell which way is up; the cameras do"
+    ground = np.array([point.xyz for point in reconstruction.points3D.values()])
+    assert np.ptp(np.quantile(ground[:, 2], (0.05, 0.95))) < 15 < np.ptp(ground[:, 0])
+
+
+def test_without_gps_the_scene_is_turned_as_viewers_expect(survey):
+    metadata = dict(list(survey.metadata().items())[:2])
+    for known, why in (({}, "no photo has GPS"), (metadata, "only 2 photos have GPS")):
+        reconstruction = survey.reconstruction()
+        placed = place_reconstruction(reconstruction, known)
+        assert placed.georeference is None and placed.notes == (f"not georeferenced: {why}",)
+        assert placed.up.tolist() == [0, -1, 0]
+        heights = -np.array([image.projection_center()[1]
+                             for image in reconstruction.images.values()])
+        ground = -np.array([point.xyz[1] for point in reconstruction.points3D.values()])
+        assert heights.min() > np.quantile(ground, 0.9)
+
+
+@pytest.mark.parametrize("stored_upright", [True, False])
+def test_portraits_stand_upright_however_they_are_stored(tmp_path, stored_upright):
+    """Photos of a telephone, which stores portraits as landscapes that EXIF turns."""
+    places = np.random.default_rng(0).normal(size=(50, 3))
+    views = []
+    for angle in np.linspace(0, np.pi, 12):
+        position = 6 * np.cos(angle), 6 * np.sin(angle), 1.0
+        camera = Camera.looking_at((0, 0, 0), position, width=48, height=64)
+        camera = camera.turned(0 if stored_upright else 3)
+        views.append(View(f"{len(views)}.jpg", camera, Path("none")))
+    write_colmap(tmp_path, views, places, np.zeros((50, 3), np.uint8),
+                 Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2))))
+    reconstruction = pycolmap.Reconstruction(tmp_path)
+    # the first scene is one whose photos were turned, and the metadata are of the originals
+    place_reconstruction(reconstruction, {
+        view.name: PhotoMetadata(64, 48, orientation=6) for view in views})
+    heights = [image.projection_center()[1] for image in reconstruction.images.values()]
+    assert heights == pytest.approx(12 * [-1])
+
+
+def control(survey, indices, shift=0.0):
+    return [ControlPoint(f"P{index}", tuple(survey.points[index]),
+                         tuple((name, x + shift, y) for name, x, y in survey.marks(index)))
+            for index in indices]
+
+
+def best_seen(survey, count):
+    return sorted(range(20, 200), key=lambda index: -len(list(survey.marks(index))))[:count]
+
+
+def test_control_points_give_the_place_without_gps(survey):
+    reconstruction = survey.reconstruction()
+    points = control(survey, best_seen(survey, 5))
+    unseen = ControlPoint("lost", (0.0, 0.0, 0.0), (("nowhere.jpg", 1.0, 1.0),))
+    placed = place_reconstruction(reconstruction, {}, crs=CRS, control=[*points, unseen])
+    assert placed.georeference.source.startswith("5 ground control points, without lost, which")
+    assert error(survey, reconstruction, placed.georeference) < 0.05
+
+
+def test_too_few_control_points_are_refused(survey):
+    points = control(survey, best_seen(survey, 4))
+    points[1:] = [replace(point, marks=point.marks[:1]) for point in points[1:]]
+    with pytest.raises(InputError, match=r"--gcp: 1 of 4 .*not located: P\d+, P\d+, P\d+\).*mark"):
+        place_reconstruction(survey.reconstruction(), {}, crs=CRS, control=points)
+
+
+def test_marks_in_the_pixels_of_larger_photos_are_refused(survey):
+    points = [replace(point, marks=tuple((name, 4 * x, 4 * y) for name, x, y in point.marks))
+              for point in control(survey, best_seen(survey, 5))]
+    with pytest.raises(InputError, match="in the pixels of the photos that were reconstructed"):
+        place_reconstruction(survey.reconstruction(), {}, crs=CRS, control=points)

@@ -1,0 +1,86 @@
+"""What maps are drawn with: cameras with parallel rays, and the depth at which half is covered."""
+
+import numpy as np
+import pytest
+
+from tests import cases
+from tests.checks import close
+from tests.kernels.chain import (
+    camera_of,
+    depth_order,
+    precision_of,
+    render,
+    renderer_of,
+    size_of,
+)
+from tests.reference.blend import blend, fragile_pixels
+from tests.reference.project import project
+from tests.rendering.test_slabs import downloaded, faint, in_slabs
+
+CHOICES = dict(orthographic=True, median_depth=True)
+
+
+def flat(case):
+    """The case with an orthographic camera that shows about the same."""
+    camera = case["camera"]
+    depths = case["rows"]["positions"] @ camera["rotation"][2] + camera["translation"][2]
+    scale = float(np.float32(1 / np.median(depths)))
+    case["camera"] = {**camera, "fx": camera["fx"] * scale, "fy": camera["fy"] * scale,
+                      "orthographic": True}
+    return case
+
+
+@pytest.mark.parametrize("name", ["plain", "ragged", "needles", "giants"])
+def test_image_and_median_depth(device, name):
+    case = flat(cases.gaussians(name))
+    splats = project(case["rows"], case["camera"], case["degree"], case["near"])
+    order, size = depth_order(splats), size_of(case)
+    fragile = fragile_pixels(splats, order, *size)
+    image, left, depth = blend(splats, order, *size, case["background"], with_depth=True,
+                               median=True)
+    _, _, frame = render(device, case, with_depth=True, **CHOICES)
+    assert sorted(frame.visible.download()) == sorted(order) and len(order) > 5
+    precision = precision_of(device)
+    close(np.where(fragile, image, frame.image.download()), image, precision, f"{name}: image")
+    fragile |= abs(left - 0.5) < 1e-4  # another splat may be the one in the middle
+    close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision,
+          f"{name}: depth")
+    assert (frame.blended.transmittance.download() < 0.5).any()
+
+
+def test_rays_are_parallel(item_device):
+    """Two gaussians above each other stand on the same pixels, and have the same size."""
+    case = flat(cases.gaussians("one"))
+    case["camera"].update(fx=2.0, fy=2.0, rotation=np.eye(3), translation=np.zeros(3))
+    images = []
+    for depth in (1.5, 9.0):
+        case["rows"]["positions"][:] = 1.25, -0.75, depth
+        images.append(render(item_device, case, **CHOICES)[2].image.download())
+    assert np.array_equal(*images) and np.ptp(images[0]) > 0.05
+
+
+@pytest.mark.parametrize("name", ["ragged", "giants"])
+def test_slabs_show_the_same(float_device, name):
+    case = flat(faint(name))
+    _, _, whole = render(float_device, case, with_depth=True, **CHOICES)
+    expected = downloaded(whole)
+    drawn = len(whole.visible)
+    for limit in (drawn, -(-drawn // 3)):
+        image, depth, left, slabs = in_slabs(float_device, case, limit, **CHOICES)
+        assert slabs == -(-drawn // limit)
+        for got, target in ((image, expected[0]), (left, expected[2])):
+            assert abs(got - target).max() <= 2e-6 * (1 + abs(target).max())
+        # every pixel stays lighter than one half: its depth is that of the last splat
+        decided = (expected[2] > 0.5) | (slabs == 1)
+        assert np.array_equal(depth[decided], expected[1][decided])
+
+
+def test_a_renderer_refuses_the_other_kind_of_camera_and_an_adjoint(item_device):
+    case = cases.gaussians("one")
+    renderer, rows, frame = render(item_device, flat(cases.gaussians("one")), **CHOICES)
+    with pytest.raises(ValueError, match="orthographic"):
+        renderer.pack(camera_of(case))
+    with pytest.raises(ValueError, match="orthographic"):
+        renderer_of(item_device, case).pack(camera_of(flat(case)))
+    with pytest.raises(ValueError, match="no adjoint"):
+        renderer.adjoint(rows, frame, frame.blended.image)

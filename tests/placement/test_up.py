@@ -1,0 +1,67 @@
+"""Which way is up, by cameras and points."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from clsplat.placement.up import gimbal_up, up_axis
+from tests.data.fields import field
+
+
+def test_up_does_not_depend_on_points_far_away():
+    rng = np.random.default_rng(0)
+    rolled = Rotation.random(60, random_state=1).as_matrix()  # cameras that do not show up
+    rolled[:, 2] = [0, 0, -1] + 0.01 * rng.normal(size=(60, 3))  # except by their viewing direction
+    points = np.concatenate([field().points, [0, 300, 200] + rng.normal(0, 5, (100, 3))])
+    assert up_axis(rolled, points)[2] > 0.999
+
+
+def looking(directions, ups):
+    """Rotations [V, 3, 3] of cameras that look in directions with the tops of images near ups."""
+    forward = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    right = np.cross(forward, ups)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def street(seed, count=40):
+    """Rotations of cameras that look around, somewhat downwards, with the horizon level to a
+    degree."""
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-1.2, 1.2, count)
+    directions = np.stack([np.cos(angle), np.sin(angle), rng.normal(-0.4, 0.05, count)], axis=1)
+    return looking(directions, [0, 0, 1] + rng.normal(0, 0.02, (count, 3)))
+
+
+def test_photos_in_portrait_do_not_change_up():
+    rotations = street(0)
+    quarter = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    rotations[:8] = quarter @ rotations[:8]
+    rng = np.random.default_rng(0)
+    assert up_axis(rotations, rng.normal(size=(500, 3)))[2] > np.cos(np.radians(1.5))
+
+
+def test_up_turns_with_the_scene():
+    turn = Rotation.random(random_state=3).as_matrix()
+    scene = field()
+    rotations, points = street(1), scene.points
+    assert np.allclose(up_axis(rotations @ turn.T, points @ turn.T),
+                       turn @ up_axis(rotations, points), atol=1e-6)
+
+
+@pytest.mark.parametrize("pitch, roll", [(-90, 0), (-60, 0), (0, 0), (-45, 20), (10, -5)])
+def test_gimbals_tell_gravity(pitch, roll):
+    """A gimbal turns about the vertical, then its pitch axis, then its viewing direction."""
+    rotations = []
+    for yaw in (0, 70, 200):
+        # body axes forward, right, down in the axes north, east, down
+        body = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
+        axes = body[:, [1, 2, 0]]  # right, down, forward
+        rotations.append(axes.T)
+    up = gimbal_up(np.array(rotations), np.full(3, pitch), np.full(3, roll))
+    assert np.allclose(up, [0, 0, -1])
+
+
+def test_gimbals_that_contradict_each_other_tell_nothing():
+    rotations = Rotation.random(9, random_state=0).as_matrix()
+    assert gimbal_up(rotations, np.zeros(9), np.zeros(9)) is None

@@ -1,0 +1,53 @@
+"""The schedule of 3DGS-MCMC: when it grows, and to how many gaussians."""
+
+import dataclasses
+
+import pytest
+
+from clsplat.options import TrainOptions, resolve
+from clsplat.schedule import SceneFacts, registry, scaled_steps
+from clsplat.schedule.mcmc import Mcmc
+from clsplat.schedule.simulate import largest, simulate
+
+START = 1000
+FACTS = SceneFacts((640, 480), START, 1.0, photos=None, pixels=10**8)
+
+
+def schedule_of(facts=FACTS, **given):
+    return Mcmc(scaled_steps(resolve({"schedule": "mcmc"}, given)), facts)
+
+
+def test_it_is_known_by_name_and_relocates():
+    assert registry.schedule_of("mcmc") is Mcmc and Mcmc.selection == "relocation"
+    assert not TrainOptions().position_noise and Mcmc.levels == (1.0,)
+
+
+@pytest.mark.parametrize("iterations, last", [(30000, 24900), (7000, 5800)])
+def test_rounds_in_the_first_five_sixths(iterations, last):
+    schedule = schedule_of(iterations=iterations)
+    plans = {i: schedule.plan(i) for i in range(1, iterations + 1)}
+    assert [i for i, plan in plans.items() if plan.grows] == list(range(601, last + 2, 100))
+    for plan in plans.values():
+        assert not (plan.gathers or plan.resets_opacity or plan.prunes_large or plan.regularises)
+
+
+def test_a_twentieth_more_up_to_the_cap():
+    schedule = schedule_of(mcmc_cap=1100)
+    assert schedule.target(601, START, 0) == 1050 and schedule.target(701, 1050, 9) == 1100
+    assert schedule.target(801, 1100, 0) == 1100
+    assert schedule.target(801, 5000, 0) == 5000  # the initial ones may be more
+    assert schedule_of(mcmc_growth=0.5).target(601, START, 0) == 1500
+
+
+@pytest.mark.parametrize("limits, most", [
+    ({}, int(START * 1.05**53)), ({"mcmc_cap": 3000}, 3000), ({"max_gaussians": 2000}, 2000)])
+def test_the_number_is_foretold(limits, most):
+    for pixels in (FACTS.pixels, 1):  # whatever the photos ask for
+        schedule = schedule_of(dataclasses.replace(FACTS, pixels=pixels), iterations=7000, **limits)
+        assert largest(simulate(schedule)) == pytest.approx(most, rel=0.01)
+
+
+def test_a_moved_end_moves_the_last_round():
+    schedule = schedule_of(iterations=7000)
+    schedule.options = dataclasses.replace(schedule.options, densify_until=1000)
+    assert schedule.plan(901).grows and not schedule.plan(1001).grows

@@ -1,0 +1,65 @@
+"""The levels of the SIG schedule, their share of a run, and how many gaussians they allow."""
+
+import dataclasses
+import math
+
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.schedule.sig import LEVELS, SMALLEST_SIDE, TILE, Sig, chosen_levels, level_shares
+from tests.schedule.driven_sig import FACTS, drive, lengths, options_of, rising, sig
+
+
+@pytest.mark.parametrize("side, expected", [
+    (SMALLEST_SIDE * LEVELS[0], LEVELS), (SMALLEST_SIDE * LEVELS[0] - 1, LEVELS[1:]),
+    (SMALLEST_SIDE * 2, (2.0, 1.0)), (SMALLEST_SIDE * 2 - 1, (1.0,)), (1, (1.0,))])
+def test_levels_too_small_to_matter_are_left_out(side, expected):
+    assert chosen_levels(options_of(levels=()), (side, side + 100)) == expected
+    assert chosen_levels(options_of(levels=()), (side + 100, side)) == expected
+
+
+@pytest.mark.parametrize("steps, expected", [
+    (30_000, LEVELS), (3000, LEVELS), (2000, (4.0, 3.0, 2.0, 1.0)), (1200, (3.0, 2.0, 1.0)),
+    (700, (2.0, 1.0)), (600, (2.0, 1.0)), (599, (1.0,)), (1, (1.0,))])
+def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
+    """The coarsest of 5, 4, 3, 2, 1 has 12 of 137 parts of the steps; that of 2, 1 has a third."""
+    options = options_of(levels=(), level_share="auto", iterations=steps)
+    assert chosen_levels(options, (640, 480)) == expected
+    asked = options_of(iterations=1)
+    assert chosen_levels(asked, (640, 480)) == asked.levels
+
+
+@pytest.mark.parametrize("overlap, pixels", [
+    (16.0, 40.0), (6.4, 16.0), (4.0, 10.0), (1.0, 10.0), (math.nan, 40.0)])
+def test_the_more_photos_overlap_the_more_pixels_a_gaussian_needs(overlap, pixels):
+    facts = dataclasses.replace(FACTS, overlap=overlap)
+    limit, reason = Sig.planned_limit(options_of(), facts)
+    assert limit == FACTS.pixels // pixels
+    assert reason.startswith(f"{limit:,}: one for each {pixels} training pixels, as ")
+    schedule = Sig(options_of(), facts)
+    assert schedule.target(1, 10**6, 10**6) == 10**6 and schedule.target(2, 1, 10**6) <= limit // 16
+    assert Sig.planned_limit(options_of(pixels_per_gaussian=50.0), facts)[0] == FACTS.pixels // 50
+    assert Sig.planned_limit(options_of(pixels_per_gaussian=0.0), facts)[0] is None
+
+
+def test_given_levels_are_taken_as_they_are():
+    levels = (7.5, 2.5, 1.0)
+    assert chosen_levels(options_of(levels=levels), (int(7.5 * TILE), 500)) == levels
+    assert sig(levels=levels).levels == levels
+    assert chosen_levels(options_of(levels=(1.0,)), (3, 3)) == (1.0,)
+
+
+def test_a_given_level_below_a_tile_is_refused():
+    with pytest.raises(InputError, match=r"^--levels 8: .* 80 x 15 pixels, .* tile of 16; use "):
+        chosen_levels(options_of(levels=(8.0, 1.0)), (640, 8 * TILE - 1))
+
+
+def test_each_level_may_take_what_its_resolution_is_of_all():
+    assert level_shares((4.0, 2.0, 1.0), "auto") == pytest.approx((1 / 7, 2 / 7))
+    assert level_shares((4.0, 2.0, 1.0), 0.6) == pytest.approx((0.2, 0.4))
+    assert level_shares((4.0, 2.0, 1.0), 0.0) == pytest.approx((0, 0))
+    assert level_shares((1.0,), "auto") == level_shares((1.0,), 0.5) == ()
+    schedule = sig(level_share="auto")
+    steps = lengths(drive(schedule, rising))
+    for level, share in ((4.0, 1 / 7), (2.0, 2 / 7), (1.0, 4 / 7)):
+        assert steps[level] == pytest.approx(share * 6000, abs=2 * schedule.observe_every)

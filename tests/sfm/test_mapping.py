@@ -1,0 +1,81 @@
+"""Matched photos get poses; what is damaged or falls apart is told."""
+
+import numpy as np
+import pycolmap
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.sfm import mapping
+from clsplat.sfm.database import create_database, partners
+from clsplat.sfm.mapping import good, map_photos, square, use_square_pixels
+from clsplat.sfm.photos import cameras_of
+from clsplat.sfm.record import reasons
+from tests.sfm.cases import Lines, source, synthetic
+
+
+def test_a_known_scene_is_found_again(tmp_path):
+    truth = synthetic(tmp_path / "d.db")
+    progress = Lines()
+    mapped = map_photos(tmp_path / "d.db", cameras_of([source()]), 6, progress)
+    model = mapped.reconstruction
+    assert mapped.method == "global" and mapped.elsewhere == ()
+    assert model.num_reg_images() == 6 and model.compute_mean_reprojection_error() < 0.1
+    assert progress.phases == ["global mapping"]
+    true, found = (np.array([image.projection_center() for _, image in sorted(
+        dict(scene.images).items())]) for scene in (truth, model))
+    distances = [np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(6, 1)]
+                 for places in (true, found)]
+    ratios = distances[0] / distances[1]
+    assert ratios.std() < 0.01 * ratios.mean()
+
+
+def test_incremental_mapping_follows_what_does_not_register_all(tmp_path, monkeypatch):
+    synthetic(tmp_path / "d.db")
+    monkeypatch.setattr(mapping, "_global", lambda *_: [])
+    progress = Lines()
+    mapped = map_photos(tmp_path / "d.db", cameras_of([source()]), 6, progress)
+    assert mapped.method == "incremental" and mapped.reconstruction.num_reg_images() == 6
+    assert progress.phases == ["global mapping", "incremental mapping"]
+    assert ("incremental mapping, photo", 6, 6) in progress.counts
+
+
+def test_a_photo_that_matches_no_other_does_not_ask_for_incremental_mapping(tmp_path):
+    synthetic(tmp_path / "d.db")
+    assert partners(tmp_path / "d.db") == dict.fromkeys(range(6), 5)
+    progress = Lines()
+    assert map_photos(tmp_path / "d.db", cameras_of([source()]), 7, progress).method == "global"
+    assert progress.phases == ["global mapping"]
+
+
+def test_photos_without_matches_are_refused(tmp_path):
+    create_database(tmp_path / "d.db", cameras_of([source(f"{i}.jpg") for i in range(3)]))
+    with pytest.raises(InputError, match="no photos could be placed"):
+        map_photos(tmp_path / "d.db", cameras_of([source()]), 3, Lines())
+
+
+def test_a_bad_fit_is_not_good():
+    model = synthetic()
+    assert good([model], 6) and not good([model], 7) and not good([], 0)
+
+
+def test_reasons_name_what_is_missing(tmp_path):
+    synthetic(tmp_path / "d.db", photos=3)
+    photos = [source(f"{index}.jpg") for index in range(3)]
+    why = reasons(tmp_path / "d.db", photos, {"0.jpg"}, [1], {"x.jpg": "damaged"})
+    assert set(why) == {"1.jpg", "2.jpg", "x.jpg"}
+    assert "another part" in why["1.jpg"] and "only 70 features" in why["2.jpg"]
+
+
+def test_cameras_whose_pixels_are_not_square_get_a_simpler_model(tmp_path):
+    model = synthetic()
+    assert square(model)
+    model.cameras[1] = pycolmap.Camera(model="OPENCV", width=320, height=240, camera_id=1,
+                                       params=[400, 300, 160, 120, 0, 0, 0, 0])
+    assert not square(model)
+    cameras = cameras_of([source(f"{index}.jpg") for index in range(8)])
+    create_database(tmp_path / "d.db", cameras)
+    use_square_pixels(tmp_path / "d.db", cameras)
+    database = pycolmap.Database.open(tmp_path / "d.db")
+    camera = database.read_camera(1)
+    database.close()
+    assert camera.model_name == "RADIAL" and camera.focal_length == pytest.approx(1.2 * 64)

@@ -1,0 +1,86 @@
+"""Which pairs are matched, by what is known of the photos."""
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.sfm import pairs
+from clsplat.sfm.pairs import choose_pairs, neighbours, positions, sequence, shared_features
+from tests.sfm.cases import Lines, source
+
+
+def located(count, spacing=1e-4):
+    return [source(f"{index:03d}.jpg", latitude=45.0, longitude=7 + spacing * index)
+            for index in range(count)]
+
+
+def test_few_photos_are_matched_all_with_all():
+    chosen = choose_pairs(None, [source() for _ in range(5)], "auto", False, Lines())
+    assert chosen.rows.tolist() == [[a, b] for a in range(5) for b in range(a + 1, 5)]
+    assert chosen.reason == "all 10 pairs of 5 photos"
+
+
+def test_neighbours_by_gps():
+    photos = located(60)
+    chosen = choose_pairs(None, photos, "auto", False, Lines())
+    assert "by GPS" in chosen.reason
+    apart = chosen.rows[:, 1] - chosen.rows[:, 0]
+    assert apart.min() == 1 and apart.max() <= pairs.NEIGHBOURS
+    assert {(0, 1), (30, 31), (58, 59), (20, 26)} <= set(map(tuple, chosen.rows.tolist()))
+    assert (0, 59) not in set(map(tuple, chosen.rows.tolist()))
+
+
+@pytest.mark.parametrize("spacing", [0.0, 1e-7])
+def test_gps_that_is_coarser_than_the_scene_is_not_used(monkeypatch, spacing):
+    """Photos around a house by a telephone: each would be matched with the first sixteen."""
+    monkeypatch.setattr(pairs, "_largest", lambda database, count: np.array(
+        count * [np.eye(2, 128)]))
+    photos = located(60, spacing)
+    assert choose_pairs(None, photos, "auto", False, Lines()).reason.endswith("of similar content")
+    assert "by GPS" in choose_pairs(None, photos, "gps", False, Lines()).reason
+
+
+def test_positions_are_metres_across_the_date_line():
+    photos = [source(latitude=60.0, longitude=longitude) for longitude in (179.999, -179.999)]
+    photos.append(source())
+    places = positions([*photos, photos[0], photos[1]])  # whose median is at the other side
+    assert np.linalg.norm(places[0] - places[1]) == pytest.approx(0.002 * 111320 / 2, rel=0.01)
+    assert np.isnan(places[2]).all()
+    assert (2, 0) not in set(neighbours(places, 3)) and (0, 1) in set(neighbours(places, 3))
+
+
+def test_gps_that_photos_lack_cannot_be_asked_for():
+    with pytest.raises(InputError, match="only 0 of 5 photos have GPS"):
+        choose_pairs(None, [source() for _ in range(5)], "gps", False, Lines())
+
+
+def test_a_sequence_reaches_ahead():
+    assert list(sequence(4, 2)) == [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]
+
+
+def test_videos_and_unknown_photos_are_compared_by_their_largest_features(monkeypatch):
+    rng = np.random.default_rng(0)
+    kinds = [rng.normal(size=(40, 128)).astype(np.float32) for _ in range(2)]
+    kinds = [kind / np.linalg.norm(kind, axis=1, keepdims=True) for kind in kinds]
+    monkeypatch.setattr(pairs, "_largest", lambda database, count: np.array([
+        kinds[index % 2] for index in range(count)]))
+    photos = [source() for _ in range(50)]
+    chosen = choose_pairs(None, photos, "auto", False, Lines())
+    assert chosen.reason.endswith("of similar content")
+    far = chosen.rows[chosen.rows[:, 1] - chosen.rows[:, 0] > pairs.BEFORE_AND_AFTER]
+    assert len(far) and not np.any((far[:, 1] - far[:, 0]) % 2)
+    film = choose_pairs(None, photos, "auto", True, Lines())
+    assert "follow each other" in film.reason and [0, 9] in film.rows.tolist()
+
+
+def test_shared_features():
+    rng = np.random.default_rng(1)
+    first = rng.normal(size=(30, 128)).astype(np.float32)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    other = rng.normal(size=(30, 128)).astype(np.float32)
+    other /= np.linalg.norm(other, axis=1, keepdims=True)
+    half = np.concatenate([first[:10], other[10:]])
+    equal, ten, none = shared_features(first, np.array([first[::-1], half, other]))
+    assert equal == 30 and 10 <= ten < 15 and none < 5
+    few = np.concatenate([first[:10], np.zeros_like(first[10:])])
+    assert shared_features(few, np.array([first, 0 * first])).tolist() == [10, 0]

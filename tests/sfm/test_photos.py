@@ -1,0 +1,143 @@
+"""Which files are photos, which share a camera, and which mask belongs to which."""
+
+import os
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.metadata import Calibration
+from clsplat.sfm.photos import cameras_of, find_photos, has_photos, is_video
+from tests.sfm.cases import folder_of, source
+
+EXIF = {"Make": "A", "Model": "B", "Exif:FocalLength": 5.0,
+        "Exif:FocalPlaneXResolution": 254.0, "Exif:FocalPlaneResolutionUnit": 2}
+
+
+def test_subfolders_are_searched_and_other_files_left_out(tmp_path):
+    folder_of(tmp_path, ["b/2.jpg", "a.png", "b/1.JPG", ".hidden/x.jpg", "._a.jpg"])
+    (tmp_path / "flight.txt").write_text("text")
+    (tmp_path / "broken.jpg").write_bytes(b"no photo")
+    photos, refused = find_photos(tmp_path)
+    assert [photo.name for photo in photos] == ["a.png", "b/1.JPG", "b/2.jpg"]
+    assert list(refused) == ["broken.jpg"] and "not an image" in refused["broken.jpg"]
+
+
+def test_photos_whose_names_are_not_utf_8_are_refused(tmp_path):
+    """As names they would be equal, and one of them be taken for the other."""
+    folder_of(tmp_path, ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg"])
+    for name, other in (("d.jpg", b"\xe4.jpg"), ("e.jpg", b"\xf6.jpg")):
+        os.rename(tmp_path / name, os.fsencode(tmp_path) + b"/" + other)
+    photos, refused = find_photos(tmp_path)
+    assert [photo.name for photo in photos] == ["a.jpg", "b.jpg", "c.jpg"]
+    assert refused == {"\ufffd.jpg": "its name is not UTF-8: rename it"}
+
+
+def test_raw_photos_are_named_unless_a_camera_wrote_both(tmp_path):
+    folder_of(tmp_path, ["1.JPG", "2.JPG", "3.JPG"])
+    for name in ("1.DNG", "4.heic"):
+        (tmp_path / name).write_bytes(b"raw")
+    photos, refused = find_photos(tmp_path)
+    assert len(photos) == 3
+    assert refused == {"4.heic": "camera RAW and HEIC are not read: convert it to JPEG"}
+
+
+def test_masks_are_found_by_either_name(tmp_path):
+    folder_of(tmp_path / "images", ["a.jpg", "b/c.jpg", "d.jpg"])
+    folder_of(tmp_path / "masks", ["a.jpg.png", "b/c.png"])
+    photos, _ = find_photos(tmp_path)
+    assert [photo.name for photo in photos] == ["a.jpg", "b/c.jpg", "d.jpg"]
+    masks = tmp_path / "masks"
+    assert [photo.mask for photo in photos] == [masks / "a.jpg.png", masks / "b/c.png", None]
+
+
+@pytest.mark.parametrize("name, given", [("ignore", True), ("masks", False)])
+def test_masks_below_the_photos_are_no_photos(tmp_path, name, given):
+    folder_of(tmp_path, ["a.jpg", "b.jpg", "c.jpg", f"{name}/a.png"])
+    photos, _ = find_photos(tmp_path, tmp_path / name if given else None)
+    assert len(photos) == 3 and photos[0].mask == tmp_path / name / "a.png"
+
+
+def test_a_folder_of_photos_may_be_named_masks(tmp_path):
+    """In Venice, for example."""
+    folder_of(tmp_path, ["a.jpg", "b.jpg", "masks/1.jpg", "masks/2.png"])
+    photos, _ = find_photos(tmp_path)
+    assert [photo.name for photo in photos] == ["a.jpg", "b.jpg", "masks/1.jpg", "masks/2.png"]
+
+
+def test_masks_of_another_shape_are_refused(tmp_path):
+    """Of portraits as they are shown, for example, and not as they are stored."""
+    folder_of(tmp_path / "images", ["a.jpg", "b.jpg", "c.jpg"])
+    folder_of(tmp_path / "masks", ["b.png"], size=(48, 64))
+    with pytest.raises(InputError, match="b.png: the mask has 48x64 pixels and its photo 64x48; m"):
+        find_photos(tmp_path)
+
+
+@pytest.mark.parametrize("mark", ["sfm.json", ".sfm/state.json", "options.json", "city.json"])
+def test_what_clsplat_has_written_below_the_photos_is_no_photo(tmp_path, mark):
+    """`clsplat train . -o run` in the folder of the photos."""
+    folder_of(tmp_path, ["a.jpg", "b.jpg", "c.jpg", "run/images/a.jpg", "run/renders/x.png"])
+    (tmp_path / "run" / mark).parent.mkdir(exist_ok=True)
+    (tmp_path / "run" / mark).touch()
+    photos, _ = find_photos(tmp_path)
+    assert [photo.name for photo in photos] == ["a.jpg", "b.jpg", "c.jpg"]
+
+
+@pytest.mark.parametrize("names, masks, words", [
+    (["a.jpg", "b.jpg"], None, "2 photos that can be read"),
+    (["a.heic", "b.dng"], None, "convert them to JPEG"),
+    (["a.jpg", "b.jpg", "c.jpg"], "elsewhere", "no such folder"),
+    (["a.jpg", "b.jpg", "c.jpg"], ".", "has a mask for none of the photos"),
+])
+def test_what_cannot_be_reconstructed_is_refused(tmp_path, names, masks, words):
+    readable = [name for name in names if name.endswith("jpg")]
+    folder_of(tmp_path / "in", readable or ["a/one.jpg"])
+    for name in names:
+        if not name.endswith("jpg"):
+            (tmp_path / "in" / name).write_bytes(b"raw")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=words):
+        find_photos(tmp_path / "in", masks and (tmp_path / "empty" if masks == "." else
+                                                tmp_path / masks))
+
+
+def test_a_file_is_no_folder_of_photos(tmp_path):
+    folder_of(tmp_path, ["a.jpg"])
+    for name, words in (("a.jpg", "is neither a folder nor a video"), ("b", "no such folder")):
+        with pytest.raises(InputError, match=f"{name}: {words}; give a folder with photos"):
+            find_photos(tmp_path / name)
+
+
+def test_photos_of_a_body_and_a_lens_share_a_camera(tmp_path):
+    folder_of(tmp_path, ["a/1.jpg", "b/2.jpg"], exif=EXIF)
+    folder_of(tmp_path, ["a/3.jpg"], exif={**EXIF, "Exif:FocalLength": 10.0})
+    folder_of(tmp_path, ["a/4.jpg"], size=(32, 24), exif=EXIF)
+    photos, _ = find_photos(tmp_path)
+    cameras = cameras_of(photos)
+    names = [[photos[row].name for row in camera.photos] for camera in cameras]
+    assert names == [["a/1.jpg", "b/2.jpg"], ["a/3.jpg"], ["a/4.jpg"]]
+    assert [camera.focal for camera in cameras] == pytest.approx([50, 100, 50])
+    assert {camera.focal_known for camera in cameras} == {True}
+
+
+def test_photos_without_metadata_share_the_camera_of_their_folder():
+    photos = [source("a/1.jpg"), source("a/2.jpg"), source("b/3.jpg"), source("a/4.jpg", 48, 64)]
+    cameras = cameras_of(photos)
+    assert [camera.photos for camera in cameras] == [(0, 1), (2,), (3,)]
+    assert cameras[0].focal == 1.2 * 64 and not cameras[0].focal_known
+    assert cameras[0].model == "SIMPLE_RADIAL"
+    assert cameras_of([source(f"{index}.jpg") for index in range(8)])[0].model == "OPENCV"
+    assert cameras_of(photos, "OPENCV_FISHEYE")[0].model == "OPENCV_FISHEYE"
+
+
+def test_the_makers_calibration_counts_first():
+    known = Calibration((60, 58), (31, 26), (-0.4, 0.3, 0.01, 0.02, -0.2))
+    camera, = cameras_of([source(camera="DJI", calibration=known, focal_pixels=70.0)])
+    assert (camera.model, camera.focal, camera.calibration) == ("OPENCV", 59, known)
+
+
+def test_what_train_takes_as_photos(tmp_path):
+    folder_of(tmp_path, ["in/deep/a.jpg"])
+    assert has_photos(tmp_path) and not has_photos(tmp_path / "none")
+    assert is_video(tmp_path / "a.MP4") and not is_video(tmp_path / "a.jpg")
+    assert np.all([not is_video(tmp_path), not has_photos(tmp_path / "in/deep/a.jpg")])

@@ -1,0 +1,339 @@
+"""The pipeline: refusals, what is kept of a killed reconstruction, and a whole one."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from click.testing import CliRunner
+
+from clsplat.cli.main import main
+from clsplat.errors import InputError
+from clsplat.georeference import Georeference
+from clsplat.io.georeference.files import write_georeference
+from clsplat.io.images import read_image, write_image
+from clsplat.io.scenes import read_scene
+from clsplat.placement.similarity import fitted
+from clsplat.sfm import reconstruct as module
+from clsplat.sfm.database import create_database
+from clsplat.sfm.mapping import Mapped
+from clsplat.sfm.photos import find_photos
+from clsplat.sfm.reconstruct import SfmOptions, is_finished, reconstruct
+from clsplat.sfm.unfinished import Unfinished
+from tests.sfm.cases import Lines, folder_of, picture, synthetic
+
+CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"
+LATITUDE, LONGITUDE = 45.0, 9.0  # of the sample city: on the middle meridian of UTM zone 32
+NORTHING = 4_982_950.4  # of the sample city's origin in that zone
+METRES_PER_DEGREE = 111132.0, 78847.0  # of latitude and longitude there
+
+
+def clsplat_(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def photos_of(tmp_path):
+    return folder_of(tmp_path / "in", ["a.jpg", "b.jpg", "c.jpg"])
+
+
+def test_outputs_of_others_are_refused(tmp_path):
+    photos, output = photos_of(tmp_path), tmp_path / "out"
+    output.mkdir()
+    (output / "letter.txt").write_text("dear")
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="was not made by `clsplat sfm`"):
+            reconstruct(photos, output, SfmOptions(), Lines(), overwrite)
+    assert [path.name for path in output.iterdir()] == ["letter.txt"]
+    (output / "letter.txt").rename(output / "sfm.json")
+    with pytest.raises(InputError, match="holds a reconstructed scene already"):
+        reconstruct(photos, output, SfmOptions(), Lines())
+
+
+def finished(folder, *names):
+    """A scene that `clsplat sfm` has made."""
+    folder_of(folder / "images", names)
+    (folder / "sfm.json").write_text("{}")
+    return folder
+
+
+@pytest.mark.parametrize("source, words", [
+    ("typo", "no such folder"), ("typo.mp4", "no such file|needs PyAV"),
+    ("few", "a reconstruction needs at least 3"), ("out/images", "out/images: is in .*/out, who")])
+def test_a_scene_is_replaced_only_if_there_are_photos(tmp_path, source, words):
+    output = finished(tmp_path / "out", "a.jpg", "b.jpg", "c.jpg")
+    folder_of(tmp_path / "few", ["a.jpg"])
+    with pytest.raises(InputError, match=words):
+        reconstruct(tmp_path / source, output, SfmOptions(), Lines(), overwrite=True)
+    with pytest.raises(InputError, match="out/images: is in .*/out, whose files are replaced"):
+        reconstruct(photos_of(tmp_path), output, SfmOptions(output / "images"), Lines(), True)
+    assert len(list((output / "images").iterdir())) == 3 and (output / "sfm.json").exists()
+
+
+def test_photos_without_detail_are_refused_in_one_line(tmp_path):
+    result = clsplat_("sfm", photos_of(tmp_path), "-o", tmp_path / "out")
+    assert result.exit_code == 2
+    assert f"error: {tmp_path / 'out'}: no photos could be placed" in result.output
+
+
+def test_a_scene_without_a_place_keeps_none_of_a_killed_command(tmp_path, monkeypatch):
+    """Which had control points, or another folder of photos."""
+    model = synthetic()
+    photos = folder_of(tmp_path / "in", [f"{index}.jpg" for index in range(6)], size=(320, 240))
+    monkeypatch.setattr(module, "_mapped", lambda unfinished, photos, refused, cameras, *_: (
+        create_database(unfinished.database, cameras), (Mapped(model, "global"), "all"))[1])
+    (tmp_path / "out" / ".sfm").mkdir(parents=True)
+    write_georeference(tmp_path / "out", Georeference("EPSG:32632", (1.0, 2.0, 3.0), "GPS", 0.1))
+    record = reconstruct(photos, tmp_path / "out", SfmOptions(), Lines())
+    assert record["registered"] == 6 and not record["georeferenced"]
+    assert read_scene(tmp_path / "out").georeference is None
+    assert is_finished(tmp_path / "out", photos)
+
+
+@pytest.mark.parametrize("free", [60_000, None])
+def test_a_full_disk_is_told_in_one_line(tmp_path, monkeypatch, free):
+    """While the database is written, and before pairs are matched."""
+    (tmp_path / "in").mkdir()
+    for index in range(3):
+        write_image(tmp_path / f"in/{index}.png", picture(seed=index))
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if free is None:
+        monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1 << 20))
+    else:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (free, limit[1]))
+    words = "disk is nearly full; free some" if free is None else "database.db: cannot be written"
+    try:
+        with pytest.raises(InputError, match=words):
+            reconstruct(tmp_path / "in", tmp_path / "out", SfmOptions(), Lines())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+
+
+def test_unknown_camera_models_are_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(InputError, match="--camera-model FAST: is none of"):
+        reconstruct(photos_of(tmp_path), tmp_path / "out", SfmOptions(camera_model="FAST"), Lines())
+    assert not (tmp_path / "out").exists()
+
+
+def test_check_points_need_control_points(tmp_path):
+    result = clsplat_("sfm", photos_of(tmp_path), "-o", tmp_path / "out", "--check-point", "P1")
+    assert result.exit_code == 2 and "give their file with --gcp" in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_kept_belongs_to_the_same_photos_and_options(tmp_path):
+    photos, _ = find_photos(photos_of(tmp_path))
+    (tmp_path / "scene").mkdir()
+    kept = Unfinished(tmp_path / "scene")
+    assert not kept.open(photos, {"matching": "auto"}, False)
+    kept.database.write_bytes(b"features")
+    assert kept.open(photos, {"matching": "auto"}, False) and kept.database.exists()
+    for others, options in ((photos[:2], {"matching": "auto"}), (photos, {"matching": "all"})):
+        with pytest.raises(InputError, match="of other photos or with other options"):
+            kept.open(others, options, False)
+    assert not kept.open(photos[:2], {"matching": "auto"}, True) and not kept.database.exists()
+
+
+def test_what_a_killed_removal_left_is_not_used(tmp_path):
+    """Without a state, nobody knows of which photos the features are."""
+    photos, _ = find_photos(photos_of(tmp_path))
+    kept = Unfinished(tmp_path)
+    kept.folder.mkdir()
+    kept.database.write_bytes(b"features of other photos")
+    assert not kept.open(photos, {"matching": "auto"}, False) and not kept.database.exists()
+
+
+def test_photos_that_were_undistorted_for_other_cameras_are_removed(tmp_path):
+    kept, model = Unfinished(tmp_path), synthetic()
+    kept.folder.mkdir()
+    kept.keep_photos_of(model)
+    photo = tmp_path / "images" / "a.jpg"
+    for change, remains in ((1 + 1e-9, True), (1.001, False)):
+        folder_of(tmp_path / "images", ["a.jpg"])
+        model.cameras[1].params = model.cameras[1].params * change
+        kept.keep_photos_of(model)
+        assert photo.exists() == remains
+
+
+def test_mapping_is_kept(tmp_path):
+    kept = Unfinished(tmp_path)
+    kept.folder.mkdir()
+    found = kept.mapped(lambda: Mapped(synthetic(), "global", (7,)))
+    again = kept.mapped(lambda: pytest.fail("mapped twice"))
+    assert again.method == found.method == "global" and again.elsewhere == (7,)
+    assert again.reconstruction.num_points3D() == 60
+
+
+def test_train_makes_a_scene_of_photos_once(tmp_path, monkeypatch):
+    photos, run = photos_of(tmp_path), tmp_path / "run"
+    asked = []
+
+    def made(source, output, options, progress, overwrite):
+        asked.append((source, output))
+        output.mkdir()
+        (output / "sfm.json").write_text(json.dumps({"source": str(source.resolve()),
+                                                     "photos": 3}))
+        raise InputError("enough")
+
+    monkeypatch.setattr("clsplat.sfm.reconstruct.reconstruct", made)
+    for options, words in ((("--test-offset", 9), "--test-offset"), ((), "already holds a run")):
+        if not options:  # the cheap checks come before the long work
+            (tmp_path / "taken").mkdir()
+            (tmp_path / "taken" / "point_cloud.ply").touch()
+        result = clsplat_("train", photos, "-o", tmp_path / "taken", *options)
+        assert result.exit_code == 2 and words in result.output and not asked
+    result = clsplat_("train", photos, "-o", run)
+    assert "photos without poses; makes a scene in" in result.output
+    assert asked == [(photos, tmp_path / "run_scene")]
+    result = clsplat_("train", photos, "-o", run)  # the scene has no model, as nothing made one
+    assert len(asked) == 1 and "no COLMAP model" in result.output
+    other = folder_of(tmp_path / "other", ["a.jpg"])
+    assert "was made of" in clsplat_("train", other, "-o", run).output
+    assert is_finished(tmp_path / "run_scene", photos)
+    folder_of(photos, ["north/d.jpg"])
+    result = clsplat_("train", photos, "-o", run)
+    assert result.exit_code == 2
+    assert f"was made of 3 photos of {photos}, which now has 4; remove it" in result.output
+
+
+def saved(path, pixels, **attributes):
+    """Write a JPEG with EXIF."""
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, oiio.UINT8)
+    spec.attribute("Compression", "jpeg:97")
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
+    assert output.close()
+
+
+def copied_city(folder, count=12):
+    """Photos of the sample city with GPS, whose heights are those of the city plus 100 m; and the
+    true scene."""
+    scene = read_scene(CITY)
+    folder.mkdir()
+    for view in scene.views[:count]:
+        east, north, up = view.camera.position + scene.offset
+        pixels = read_image(view.source)
+        spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, oiio.UINT8)
+        spec.attribute("Compression", "jpeg:97")
+        spec.attribute("Exif:FocalLengthIn35mmFilm", 30)
+        for name, value, reference in (("Latitude", LATITUDE + north / METRES_PER_DEGREE[0], "N"),
+                                       ("Longitude", LONGITUDE + east / METRES_PER_DEGREE[1], "E")):
+            minutes, seconds = divmod(value % 1 * 3600, 60)
+            spec.attribute(f"GPS:{name}", oiio.TypeDesc("float[3]"),
+                           (float(int(value)), minutes, seconds))
+            spec.attribute(f"GPS:{name}Ref", reference)
+        spec.attribute("GPS:Altitude", float(up + 100))
+        path = str((folder / view.name).with_suffix(".jpg"))
+        output = oiio.ImageOutput.create(path)
+        assert output.open(path, spec) and output.write_image(pixels) and output.close()
+    return scene
+
+
+@pytest.mark.slow
+def test_a_killed_reconstruction_continues_and_ends_in_metres(tmp_path):
+    truth = copied_city(tmp_path / "in")
+    command = [sys.executable, "-m", "clsplat", "sfm", str(tmp_path / "in"), "-o",
+               str(tmp_path / "out")]
+    for waited_for in (".sfm/database.db", ".sfm/pairs.txt", ".sfm/global", "images"):
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        while not (tmp_path / "out" / waited_for).exists():
+            assert process.poll() is None
+            time.sleep(0.01)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        assert not (tmp_path / "out/sfm.json").exists()
+    subprocess.run(command, check=True, capture_output=True)
+    record = json.loads((tmp_path / "out/sfm.json").read_text())
+    assert record["resumed"] and record["registered"] == record["photos"] == 12
+    assert record["reprojection_error_pixels"] < 0.5 and record["not_registered"] == {}
+    assert not (tmp_path / "out/.sfm").exists()
+    scene = read_scene(tmp_path / "out")
+    assert scene.georeference.crs == "EPSG:32632" and scene.georeference.residual < 1
+    assert scene.up.tolist() == [0, 0, 1]
+    found, true = (np.array([view.camera.position + whole.offset for view in whole.views[:12]])
+                   for whole in (scene, truth))
+    away = found + scene.georeference.offset - found.mean(axis=0) - (true - true.mean(axis=0))
+    away -= away.mean(axis=0)
+    # twelve small photos from one height leave the focal length, and so the bending, uncertain
+    assert np.linalg.norm(away, axis=1).max() < 0.04 * np.ptp(true, axis=0).max()
+
+
+def control_file(path, truth, count, marked):
+    """Points of the sample city that are marked in photos, by the true cameras, as CSV; every third
+    is a check point. Their names."""
+    views, lines = truth.views[:count], ["EPSG:32632", "name,x,y,z,pixel_x,pixel_y,image"]
+    seen = np.array([view.sees(truth.points) for view in views])
+    often = np.flatnonzero(seen.sum(axis=0) >= 4)
+    chosen = often[::max(1, len(often) // marked)][:marked]
+    for number in chosen:
+        east, north, up = truth.points[number] + truth.offset
+        for view in (view for view, sees in zip(views, seen[:, number]) if sees):
+            x, y = view.camera.project(truth.points[[number]])[0][0]
+            lines.append(f"P{number},{east + 500_000},{north + NORTHING},{up + 100},{x},{y},"
+                         f"{Path(view.name).with_suffix('.jpg')}")
+    path.write_text("\n".join(lines) + "\n")
+    return [f"P{number}" for number in chosen]
+
+
+@pytest.mark.slow
+def test_control_points_take_out_the_bending(tmp_path):
+    """The twelve photos of above, whose focal length is uncertain; the residual was 0.13 m."""
+    truth = copied_city(tmp_path / "in")
+    names = control_file(tmp_path / "gcp.csv", truth, 12, 15)
+    checks = [word for name in names[2::3] for word in ("--check-point", name)]
+    result = clsplat_("sfm", tmp_path / "in", "-o", tmp_path / "out", "--gcp",
+                      tmp_path / "gcp.csv", *checks)
+    assert result.exit_code == 0 and "5 check points, which took no part" in result.output
+    record = json.loads((tmp_path / "out/sfm.json").read_text())
+    roles = [each["role"] for each in record["control_points"]]
+    assert roles.count("control") == 10 and roles.count("check") == 5
+    scene = read_scene(tmp_path / "out")
+    assert scene.georeference.residual < 0.05 and scene.georeference.offset[2] > 90
+    found, true = (np.array([view.camera.position + whole.offset for view in whole.views[:12]])
+                   for whole in (scene, truth))
+    away = found + scene.georeference.offset - true - (500_000, NORTHING, 100)
+    assert np.linalg.norm(away, axis=1).max() < 0.4
+
+
+@pytest.mark.slow
+def test_mixed_photos(tmp_path):
+    """Two cameras in subfolders, portraits that EXIF turns, a copy, a blurred photo, and one of
+    another place."""
+    truth = read_scene(CITY)
+    (tmp_path / "in/wide").mkdir(parents=True)
+    (tmp_path / "in/tele").mkdir()
+    for index, view in enumerate(truth.views[:12]):
+        pixels = read_image(view.source)
+        turns, orientation = {2: (1, 6), 3: (3, 8)}.get(index, (0, 1))  # counter-clockwise
+        name = f"wide/{index:02d}.jpg" if index < 7 else f"tele/{index:02d}.jpg"
+        saved(tmp_path / "in" / name, np.rot90(pixels, turns) if index < 7 else
+              pixels[20:220, 40:280], Orientation=orientation)
+    shutil.copy(tmp_path / "in/wide/05.jpg", tmp_path / "in/wide/05 copy.jpg")
+    saved(tmp_path / "in/tele/elsewhere.jpg", picture(200, 240, seed=3))
+    folder_of(tmp_path / "in", ["grey.jpg"], size=(320, 240))
+    progress = Lines()
+    record = reconstruct(tmp_path / "in", tmp_path / "out", SfmOptions(), progress)
+    assert record["registered"] == 13 and len(record["cameras"]) == 3
+    assert record["not_registered"] == {
+        "grey.jpg": "has only 0 features: it is blurred or shows hardly any detail",
+        "tele/elsewhere.jpg": "matches no other photo"}
+    assert progress.phases[-1] == "global mapping"  # nothing to gain from another one
+    shutil.rmtree(tmp_path / "in")
+    views = {view.name: view for view in read_scene(tmp_path / "out").views}
+    pairs = [(view.camera, views[name].camera) for index, view in enumerate(truth.views[:12])
+             for name in (f"wide/{index:02d}.jpg", f"tele/{index:02d}.jpg") if name in views]
+    true, found = (np.array([camera.position for camera in cameras]) for cameras in zip(*pairs))
+    similarity = fitted(found, true)
+    assert np.linalg.norm(similarity(found) - true, axis=1).max() < 0.03 * np.ptp(true)
+    for camera, other in pairs:  # portraits stand upright
+        assert np.allclose(similarity.rotation @ other.rotation.T, camera.rotation.T, atol=0.1)

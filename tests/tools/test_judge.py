@@ -1,0 +1,213 @@
+"""The judge of schedules: which runs it makes, what it keeps, and what its page says."""
+
+import json
+import shlex
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError, Interrupted
+from clsplat.io.packed import write_packed
+from clsplat.io.scenes import read_scene
+from tests.data.tiny_training import CITY
+from tools.studies import judge
+from tools.studies.judge_page import Compared, Division, Result, time_to, write_page
+
+BASE = {"sig": 31.0, "constant": 30.0, "mcmc": 29.0}  # dB of a made-up run, at offset 0 and seed 0
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory):
+    """A folder of two packed sets."""
+    folder = tmp_path_factory.mktemp("sets")
+    city = read_scene(CITY)
+    for name in ("one", "two"):
+        write_packed(city, folder / f"{name}.npz", downscale=16)
+    return folder
+
+
+@pytest.fixture
+def trainings(monkeypatch):
+    """The options of each training, which ends at once."""
+    started = SimpleNamespace(options=[], fails=lambda options: False)
+
+    def train(scene, output, *, device, overwrite, **options):
+        started.options.append({"set": scene.name, **options})
+        if started.fails(options):
+            raise InputError("it cannot be")
+        output.mkdir(parents=True)
+        return SimpleNamespace(metrics=made_records(scene.name, options), record={
+            "opencl_device": "a device", "kernel_form": "item", "version": "0",
+            "commit": 5 * "01234567" + "-dirty"})
+
+    monkeypatch.setattr(judge.clsplat, "train", train)
+    monkeypatch.setattr(judge, "choose_device", lambda *_, **__: None)
+    return started
+
+
+def made_records(name, options):
+    """Three evaluations, of which the middle one is the best."""
+    end = (BASE[options["schedule"]] + options["test_offset"] / 10 + options["seed"] / 100
+           - 5 * (name == "two"))
+    for share, psnr in ((0.25, end - 4), (0.5, end + 0.3), (1.0, end)):
+        yield {"event": "eval", "iteration": int(share * options["iterations"]),
+               "train_seconds": 10 * share, "psnr_cc": psnr, "psnr": psnr - 1, "ssim": 0.8,
+               "ssim_cc": 0.9, "views": 4, "gaussians": 1000}
+
+
+def judged(out, *words):
+    judge.main([str(out), *map(str, words)])
+    page = (out / "judge.md").read_text()
+    return {tuple(row[:2]): row for row in (
+        [part.strip() for part in line.strip("|").split("|")] for line in page.splitlines()
+        if line.startswith("| "))}, page
+
+
+SMALL = ("-n", "100", "--offsets", "0,3", "--seeds", "2", "--schedules", "sig,constant,mcmc")
+
+
+def test_every_set_division_seed_and_schedule_once(tmp_path, sets, trainings, capsys):
+    words = (sets, *SMALL, "--", "--exposure", "on", "--device", "cpu")
+    _, page = judged(tmp_path, *words)
+    ran = [(o["set"], o["test_offset"], o["seed"], o["schedule"]) for o in trainings.options]
+    assert len(ran) == len(set(ran)) == 2 * 2 * 2 * 3
+    assert {(o["iterations"], o["test_every"], o["exposure"]) for o in trainings.options} == {
+        (100, 8, "on")}
+    assert ("24 of 24 runs; a device; form item; commit 01234567-dirty; flags of all runs: "
+            "--exposure on --device cpu") in page
+    assert not list((tmp_path / "runs").iterdir())
+    judged(tmp_path, *words)
+    assert len(trainings.options) == 24
+    assert "24 runs, 24 of them finished before" in capsys.readouterr().out
+    # the same run under another name is there, other options are another run
+    judged(tmp_path, sets, *SMALL[:6], "--schedules", "", "--baseline", "base", "--with",
+           "base: --schedule constant", "--with", "more: --schedule sig --rounds 5", "--",
+           "--exposure", "on")
+    assert [o["rounds"] for o in trainings.options[24:]] == [5] * 8
+
+
+def test_an_interrupt_ends_the_study(tmp_path, sets, trainings):
+    """It is no failed run, after which the next one would begin."""
+    def interrupted(options):
+        raise Interrupted("stopped after step 3")
+
+    trainings.fails = interrupted
+    with pytest.raises(Interrupted):
+        judged(tmp_path, sets, "-n", "10", "--seeds", "1", "--offsets", "0")
+    assert len(trainings.options) == 1
+
+
+def test_the_page_says_how_they_compare(tmp_path, sets, trainings):
+    rows, page = judged(tmp_path, sets, *SMALL, "--chosen", "one:0,two")
+    assert "Choices were made on: one (offsets 0); two (offsets 0, 3)." in page
+    assert "They are confirmed on: one (offsets 3)." in page
+    # 31 and 26 dB at offset 0, 0.3 dB more at 3, 0.01 dB more for the second seed
+    assert ("| sig | 8 | 28.66 | 27.66 | 0.9000 | 0.8000 | 1,000 | 10.0 | 0.007 | two 26.16 |"
+            ) in page
+    assert ("| mcmc | -1.00 ± 0.00 | -1.00 ± 0.00 | -1.00 | -1.00 ± 0.00 | one -1.00 | one -1.00 |"
+            in page)
+    assert "| sig | +1.00 ± 0.00 | +1.00 ± 0.00 | +1.00 | +1.00 ± 0.00 |" in page
+    against = next(line for line in page.splitlines() if line.startswith("| sig | +1.00"))
+    # its line from end - 4 to end + 0.3 reaches 1 dB less than its end at 3 / 4.3 of 2.5 s
+    assert against.endswith(f"| 1.00 | 1.00 | {0.25 + 0.25 * 3 / 4.3:.2f} (2 of 2) | one 0.30 |")
+    assert rows["two", "constant"][2:5] == ["4", "25.16", "24.16"]
+
+
+def test_a_column_that_is_not_complete_is_left_out(tmp_path, sets, trainings):
+    trainings.fails = lambda options: (options["schedule"], options["test_offset"]) == ("mcmc", 3)
+    with pytest.raises(InputError, match="one 100 steps, offset 3, seed 0 mcmc .it cannot be."):
+        judge.main([str(tmp_path), str(sets), *SMALL])
+    page = (tmp_path / "judge.md").read_text()
+    assert "### Means over 2 sets, 2 divisions" in page and "4 seeds of divisions are left" in page
+    assert "| sig | 4 | 28.51 |" in page  # offset 0 alone
+    trainings.fails = lambda options: False
+    before = len(trainings.options)
+    judged(tmp_path, sets, *SMALL)
+    assert len(trainings.options) == before + 4
+
+
+def test_a_seed_that_a_column_lacks_does_not_move_the_others(tmp_path, sets, trainings):
+    trainings.fails = lambda options: (options["schedule"], options["seed"]) == ("mcmc", 1)
+    with pytest.raises(InputError, match="seed 1 mcmc"):
+        judge.main([str(tmp_path), str(sets), *SMALL])
+    page = (tmp_path / "judge.md").read_text()
+    assert "4 seeds of divisions are left out" in page
+    assert "| sig | 4 | 28.65 |" in page  # (31 + 31.3 + 26 + 26.3) / 4, of the first seed
+
+
+def test_columns_with_equal_flags_are_one_run(tmp_path, sets, trainings):
+    rows, _ = judged(tmp_path, sets, *SMALL, "--with", "again: --schedule sig")
+    assert len(trainings.options) == 24
+    assert rows["one", "sig"][2:] == rows["one", "again"][2:]
+
+
+def test_parts_and_calls_are_merged(tmp_path, sets, trainings, monkeypatch):
+    for number in (1, 2):
+        judged(tmp_path, sets, *SMALL, "--part", f"{number}/2")
+    files = sorted(path.name for path in tmp_path.glob("*.jsonl"))
+    assert files == ["results-1-of-2.jsonl", "results-2-of-2.jsonl"]
+    assert len(trainings.options) == 24
+    with (tmp_path / files[0]).open("a") as lines:  # a call was killed while it wrote
+        lines.write('{"key": "x", "psn')
+    _, page = judged(tmp_path, sets, *SMALL)
+    assert len(trainings.options) == 24 and "24 of 24 runs" in page
+    (tmp_path / files[1]).unlink()
+    clock = iter(np.arange(0, 1000, 25.0))
+    monkeypatch.setattr(judge.time, "monotonic", lambda: next(clock))
+    judged(tmp_path, sets, *SMALL, "--minutes", "2")  # a run takes 25 s of this clock
+    assert 24 < len(trainings.options) < 36
+
+
+@pytest.mark.parametrize("words, complaint", [
+    (["--with", "sig"], "expects a name, a colon and flags"),
+    (["--baseline", "dash"], "is not one of sig, constant, mcmc"),
+    (["--chosen", "one,two:4"], "--chosen two:4: is no set of one, two, nor"),
+    (["--every", "3", "--offsets", "3"], "must be less than --test-every"),
+    (["--", "--rounds", "5"], "has no effect with"),
+    (["--with", "group: --schedule sig --form group"], "--device and --form: give them after --"),
+    (["--with", "cpu: --schedule sig --device cpu"], "--device and --form: give them after --"),
+])
+def test_what_cannot_be_is_refused_before_any_training(tmp_path, sets, trainings, words, complaint):
+    with pytest.raises(InputError, match=complaint):
+        judge.main([str(tmp_path), str(sets), *SMALL, *words])
+    assert not trainings.options and not list(tmp_path.iterdir())
+
+
+def test_where_there_are_no_sets(tmp_path, sets):
+    with pytest.raises(InputError, match="no such scene"):
+        judge.scenes_of([str(sets / "three.npz")])
+    with pytest.raises(InputError, match="neither a scene nor a folder of scenes"):
+        judge.scenes_of([str(tmp_path)])
+    with pytest.raises(InputError, match="two sets have this name"):
+        judge.scenes_of([str(sets), str(sets / "one.npz")])
+    assert [scene.name for scene in judge.scenes_of([f"{sets}:2", str(CITY)])] == [
+        "one-r2", "two-r2", "city"]
+
+
+def of_curve(name, curve, seed=0):
+    return Result(name, Division("set", 100, 0, seed), {
+        "psnr_cc": curve[-1][2], "train_seconds": curve[-1][1], "curve": curve})
+
+
+def test_the_time_to_the_end_of_the_baseline():
+    slow = of_curve("slow", [[50, 5.0, 20.0, 0, 0], [100, 10.0, 30.0, 0, 0]])
+    fast = of_curve("fast", [[50, 2.0, 29.0, 0, 0], [100, 4.0, 31.0, 0, 0]])
+    compared = Compared([slow, fast])
+    assert compared.of_set("fast", time_to("slow")) == {"set": pytest.approx(np.log(0.3))}
+    assert compared.of_set("slow", time_to("fast")) == {}  # never
+
+
+def test_a_page_without_results(tmp_path):
+    write_page(tmp_path / "judge.md", "constant", [], [], [], 9)
+    assert "0 of 9 runs" in (tmp_path / "judge.md").read_text()
+
+
+@pytest.mark.slow
+def test_a_real_judgement(tmp_path, sets):
+    _, page = judged(tmp_path, sets / "one.npz", *shlex.split(
+        "-n 6 --offsets 0,3 --seeds 1 --schedules constant,mcmc -- --sh-degree 0"))
+    assert "4 of 4 runs" in page and "### Against constant" in page
+    results = [json.loads(line) for line in (tmp_path / "results.jsonl").open()]
+    assert [r["options"]["test_offset"] for r in results] == [0, 0, 3, 3]
+    assert all(10 < r["psnr_cc"] < 60 and r["views"] == 4 for r in results)
