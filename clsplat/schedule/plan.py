@@ -135,7 +135,13 @@ class Schedule:
     @classmethod
     def planned_limit(cls, options: TrainOptions, facts: SceneFacts) -> tuple[int | None, str]:
         """(Limit, sentence for the user): up to how many gaussians the model may grow at the finest
-        level, None where the schedule has no limit; arguments as for `planned_levels`."""
+        level; None where the schedule has no limit.
+
+        Parameters
+        ----------
+        options : those of the training.
+        facts : what was measured of the scene.
+        """
         return None, "none: the schedule has no limit"
 
     @classmethod
