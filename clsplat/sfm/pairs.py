@@ -21,7 +21,7 @@ from clsplat.sfm.photos import SourcePhoto
 from clsplat.sfm.progress import Progress
 
 METHODS = ("auto", "gps", "sequence", "all")
-FEW_PHOTOS = 30  # so few are matched all with all, whatever is known
+FEW_PHOTOS = 20  # so few are matched all with all: hardly more than with SIMILAR of them
 LEAST_WITH_GPS = 0.9  # of the photos
 LEAST_REACH = 10.0  # metres, the error of GPS: nearer positions do not tell neighbours
 NEIGHBOURS = 16  # nearest positions with which a photo is matched
