@@ -9,6 +9,7 @@ changes of it, it changes with monkeypatch.
 
 import functools
 import os
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,18 @@ def pytest_generate_tests(metafunc):
             metafunc.parametrize(name, [
                 pytest.param(each, marks=pytest.mark.slow if each[2] in slow else (),
                              id=_label(each)) for each in combinations], indirect=True)
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+def pytest_collection_modifyitems(items):
+    """Of a test marked one_in(k), the fast suite runs every k-th of the cases that are not slow."""
+    cases = Counter()
+    for item in items:
+        marker = item.get_closest_marker("one_in")
+        if marker and not item.get_closest_marker("slow"):
+            if cases[item.function] % marker.args[0]:
+                item.add_marker("slow")
+            cases[item.function] += 1
 
 
 def _is_worth_it(entry, precision):

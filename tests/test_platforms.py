@@ -91,6 +91,7 @@ def test_every_module_can_be_imported(elsewhere):
 
 
 @pytest.mark.parametrize("words", [("--help",), ("devices",), ("train", "--help")], ids=" ".join)
+@pytest.mark.one_in(3)
 def test_commands_begin(elsewhere, words):
     done = elsewhere("-m", "clsplat", *words)
     assert done.returncode == 0, done.stderr

@@ -231,6 +231,7 @@ def test_notes_on_photos(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="names are Unicode there")
 @pytest.mark.parametrize("locale", [{}, {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0",
                                          "LC_ALL": "C"}])
+@pytest.mark.slow
 def test_paths_that_are_not_utf8(tmp_path, locale):
     """Neither the path of the scene nor the names in it."""
     made = renamed(lambda name: f"ü {name}")(tmp_path / "town")

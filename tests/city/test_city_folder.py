@@ -178,6 +178,7 @@ def test_where_links_are_refused(city, scene, gaussians, monkeypatch, refused):
     KeyboardInterrupt(), OSError(errno.ENOSPC, "disk full"),
     InputError("file: cannot be written (disk full); free some space")],
     ids=["interrupted", "full", "a full file"])
+@pytest.mark.one_in(5)
 def test_a_block_is_whole_or_not_there(city, scene, gaussians, monkeypatch, moment, trouble):
     def end(*_, **__):
         raise trouble

@@ -117,6 +117,7 @@ def test_what_the_machine_lacks_is_no_bug(error, said, code):
     assert result.exit_code == code and said in result.stderr and "bug" not in result.stderr
 
 
+@pytest.mark.slow
 def test_an_interrupt_in_a_destructor_is_not_lost(capfd, request):
     """Python shows exceptions of destructors, and goes on."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it

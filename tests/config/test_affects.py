@@ -41,6 +41,7 @@ def refuses(call, *arguments):
 
 
 @pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.one_in(5)
 def test_all_who_ask_whether_a_run_is_the_same_agree(name, tmp_path, monkeypatch):
     around = {} if name == "schedule" else {"schedule": serving(name)[0]}
     here = resolve({}, around)

@@ -62,6 +62,7 @@ def gradient_of(count):
 
 
 @pytest.mark.parametrize("name", [NAME, "needles", "opacities"])
+@pytest.mark.one_in(3)
 def test_the_published_sum(double_device, name):
     case = cases.gaussians(name)
     gradient = gradient_of(len(case["rows"]["positions"]))
@@ -73,6 +74,7 @@ def test_the_published_sum(double_device, name):
     assert (scores[visible] > 0).all() and scores.dtype == np.float64
 
 
+@pytest.mark.slow
 def test_single_precision_is_close(float_device):
     case = cases.gaussians(NAME)
     gradient, photo = gradient_of(25), photo_of(*size_of(case), 0)

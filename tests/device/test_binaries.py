@@ -133,6 +133,7 @@ def test_platforms_with_a_cache_of_their_own_are_left_alone(float_device, folder
     assert was_compiled(build(float_device)) and not folder.exists()
 
 
+@pytest.mark.slow
 def test_both_forms_of_the_blend_kernel_are_kept(float_device, folder):
     for form in ("item", "group"):
         device = Device(float_device.handle, form=form)

@@ -84,6 +84,7 @@ class Run:
 
 @ENGINES
 @DENSE
+@pytest.mark.one_in(3)
 def test_steps_on_varying_rows(device, engine, dense):
     run = Run(device, engine, 40, dense)
     for seen in (40, 25, 1, 0, 33):
@@ -122,6 +123,7 @@ def test_counts_around_the_group_size(device, dense):
 @ENGINES
 @DENSE
 @pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.one_in(5)
 def test_harmonics_that_are_not_active_stay(device, engine, dense, degree):
     run = Run(device, engine, 20, dense)
     before = run.rows["sh_rest"].download()

@@ -91,6 +91,7 @@ def test_a_larger_image(device):
     check(device, rows_of(300, 160, 120, seed=1), 160, 120, "160 x 120")
 
 
+@pytest.mark.slow
 def test_small_tiles(device, monkeypatch):
     monkeypatch.setattr(device, "tile", 8)
     check(device, rows_of(130, 61, 37, seed=2), 61, 37, "tiles of 8")

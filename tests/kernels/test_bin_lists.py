@@ -53,6 +53,7 @@ def specks(count, column, row, seed=0):
 
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("count", [RUN - 1, RUN, RUN + 1, 2 * RUN, 2 * RUN + 1])
+@pytest.mark.one_in(5)
 def test_lists_around_the_length_that_is_sorted_at_once(device, small_groups, count):
     rows, order = shuffled(specks(count, 1, 1, seed=count))
     binned = check(device, rows, 48, 48, f"{count} pairs", order)

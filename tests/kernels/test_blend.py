@@ -97,6 +97,7 @@ def test_the_colour_transform_of_a_view(device, size):
 
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("size", cases.IMAGE_SIZES, ids=str)
+@pytest.mark.one_in(5)
 def test_the_gain_of_the_lens_of_a_view(device, size):
     """Before the colour transform; a lens of another view differs."""
     rows = pack_splats(*cases.splats(40, *size))
@@ -115,6 +116,7 @@ def test_the_gain_of_the_lens_of_a_view(device, size):
 
 
 @pytest.mark.parametrize("with_depth, smooth", [(False, False), (True, True)])
+@pytest.mark.one_in(3)
 def test_without_depth_and_with_a_smooth_cutoff(device, with_depth, smooth):
     check(device, *cases.splats(60, 48, 40, seed=1), (48, 40), "plain", with_depth, smooth)
 
@@ -207,6 +209,7 @@ def test_no_cotangent_no_gradient(device):
     assert not actual.adjoint(np.zeros((3, 40, 48)), np.zeros((40, 48))).any()
 
 
+@pytest.mark.slow
 def test_small_tiles_give_the_same_image(group_device, monkeypatch):
     splats, order = cases.splats(200, 61, 37, seed=9, opacity=(0.05, 0.95))
     rows, precision = pack_splats(splats, order), precision_of(group_device)
@@ -227,6 +230,7 @@ SIZES = [(32, 32, 32), (32, 64, 32), (32, 128, 64), (64, 64, 64), (64, 96, 64)]
 
 @pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
 @pytest.mark.parametrize("count", [31, 33, 63, 64, 65, 127, 129, 257])
+@pytest.mark.one_in(5)
 def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, bucket, adjoint_group,
                                            count):
     """The last bucket and the last three splats that are summed together are full or not."""
@@ -239,6 +243,7 @@ def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, buck
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("tile", [8, 16])
 @pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
+@pytest.mark.one_in(5)
 def test_sizes_give_the_same_image(group_device, monkeypatch, wave, bucket, adjoint_group, tile):
     splats, order = cases.splats(150, 37, 29, seed=11, opacity=(0.05, 0.95))
     rows = pack_splats(splats, order)
@@ -260,6 +265,7 @@ def with_sizes(device, monkeypatch, wave, bucket, adjoint_group, tile=16):
 
 @pytest.mark.parametrize("wave", [32, 64])
 @pytest.mark.parametrize("kind", ["specks", "needles", "edges", "giants"])
+@pytest.mark.one_in(3)
 def test_sub_tiles_that_are_skipped_have_nothing_to_draw(group_device, monkeypatch, kind, wave):
     """The same bytes as without masks: for splats within a sub-tile, across many, and with an end
     of the ellipse within a hundredth of a pixel of pixel centres at the edge of a sub-tile."""

@@ -94,6 +94,7 @@ def a_pair(width, height, seed=0):
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("vignetting", [False, True])
 @pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.one_in(5)
 def test_gradient_and_steps(device, size, vignetting):
     run, (image, grad) = Run(device, vignetting=vignetting), a_pair(*size)
     run.step(1, image, grad)
@@ -292,6 +293,7 @@ def test_the_same_bytes_every_time(device, vignetting):
     assert all(a.tobytes() == b.tobytes() for a, b in zip(*results))
 
 
+@pytest.mark.slow
 def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
     device = float_device
     image, grad = (device.upload(values) for values in a_pair(173, 151))

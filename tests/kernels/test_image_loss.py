@@ -54,6 +54,7 @@ def test_value_and_gradient(device, size):
 
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.one_in(5)
 def test_value_and_gradient_with_a_mask(device, size):
     check(device, *a_pair(*size, 8), f"{size} with a mask", valid=cases.mask(*size))
 
@@ -122,6 +123,7 @@ def flat_pair(render_value, photo_value):
             np.full((3, 19, 23), photo_value, np.uint8))
 
 
+@pytest.mark.slow
 def test_black_saturated_and_far_too_bright_images(double_device):
     for values in FLAT:
         check(double_device, *flat_pair(*values), f"{values}")
@@ -149,6 +151,7 @@ def test_a_pixel_that_is_not_finite_stays_in_its_window(device):
     assert np.abs(lines - 20).max() <= 10 and np.abs(columns - 24).max() <= 10
 
 
+@pytest.mark.slow
 def test_groups_of_64_give_the_same_bytes(group_device, monkeypatch):
     pair = [group_device.upload(values) for values in a_pair(37, 49, 5)]
     expected = [r.download() for r in image_loss(group_device, *pair, WEIGHT)]

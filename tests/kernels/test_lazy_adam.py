@@ -130,6 +130,7 @@ class Lazy:
 
 
 @pytest.mark.parametrize("by_colour", [True, False])
+@pytest.mark.one_in(3)
 def test_lazy_rows_come_to_what_dense_adam_does_in_every_step(device, by_colour):
     """Over rounds of catching up, a growing degree and a position rate that falls; the rows may be
     looked at in between, which changes nothing."""
@@ -223,6 +224,7 @@ def coasted(device, begun, missed, scale):
 
 @pytest.mark.parametrize("scale", [1e6, 1.0, 1e-9, 1e-12, 1e-13, 3e-14, 1e-14, 1e-15, 1e-17])
 @pytest.mark.parametrize("begun, missed", [(1, 3), (3, 80), (100, 99), (301, 98), (3000, 100)])
+@pytest.mark.one_in(5)
 def test_epsilon_counts_as_far_as_stated(double_device, scale, begun, missed):
     """See cl/adam.cl."""
     actual, expected = coasted(double_device, begun, missed, scale)
@@ -299,6 +301,7 @@ def test_halves_come_back_as_they_are(device):
 
 
 @pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.one_in(3)
 def test_halves_decay_as_they_should(device, lazy):
     """Each step takes less than the last digit, and is right in the mean; lazily or not."""
     engine, rows = half_engine(device, 200, dense=True)

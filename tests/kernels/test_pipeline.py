@@ -24,6 +24,7 @@ ANTIALIASED = ("plain", "needles", "grazing")
     "name, antialiased",
     [pytest.param(name, False, marks=pytest.mark.slow if name == "many" else ())
      for name in cases.SCENES] + [(name, True) for name in ANTIALIASED])
+@pytest.mark.one_in(5)
 def test_image_and_gradients(device, name, antialiased):
     agrees_with_reference(device, name, antialiased)
 
@@ -46,6 +47,7 @@ def back(device, renderer, rows, frame, case):
 @pytest.mark.parametrize("antialiased, seeds", [
     (False, range(4)), (True, range(20, 22)),
     pytest.param(False, range(4, 20), marks=pytest.mark.slow)])
+@pytest.mark.one_in(3)
 def test_adjoint_is_the_transposed_derivative(double_device, antialiased, seeds):
     """<J v, w> = <v, J^T w>, with J v by central differences of fourth order."""
     for seed in seeds:

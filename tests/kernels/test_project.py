@@ -95,6 +95,7 @@ def check(device, case, antialiased, what):
 
 
 @pytest.mark.parametrize("name, antialiased", CASES)
+@pytest.mark.one_in(5)
 def test_splats_and_gradients(device, name, antialiased):
     check(device, cases.gaussians(name), antialiased, name)
 

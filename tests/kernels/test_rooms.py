@@ -73,6 +73,7 @@ def test_a_small_frame_with_a_room(device):
 
 
 @pytest.mark.parametrize("more", [0, 1000])
+@pytest.mark.one_in(3)
 def test_bands_with_a_room(device, more):
     case = cases.gaussians("giants", count=200)
     whole = Rendered(device, case)

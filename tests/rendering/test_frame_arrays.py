@@ -15,6 +15,7 @@ from tests.kernels.test_pipeline import cotangents
 @pytest.mark.parametrize("with_depth", [False, True])
 @pytest.mark.parametrize("name, count", [("giants", 400), ("many", 3000), ("specks", 2000)])
 @pytest.mark.parametrize("spare", [0, 100])
+@pytest.mark.one_in(5)
 def test_a_frame_allocates_what_is_listed(device, monkeypatch, name, count, with_depth, spare):
     """Where pairs, pixels or gaussians need most of the memory; for the frame alone, and up to the
     end of the adjoint."""

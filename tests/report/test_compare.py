@@ -336,6 +336,7 @@ def test_a_campaign_trains_all_and_compares(tmp_path, wanted, capsys):
     assert (tmp_path / "cmp" / "compare.html").exists()
 
 
+@pytest.mark.slow
 def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted, scenes):
     made_run(tmp_path / "sig.0", "sig", 0)
     started = made_run(tmp_path / "dash.0", "dash", 0, finished=False, checkpoint_every=7)

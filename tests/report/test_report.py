@@ -217,6 +217,7 @@ def test_text_of_figures_is_no_mathematics():
 
 @pytest.mark.parametrize("environment, works", [
     ({"MPLBACKEND": "nonsense"}, True), ({"MATPLOTLIBRC": "rc"}, False)])
+@pytest.mark.slow
 def test_the_environment_of_matplotlib(tmp_path, environment, works):
     (tmp_path / "rc").write_bytes(b"font.size: 9 # \xff\n")
     code = ("import os, clsplat.errors as e\ntry:\n    import clsplat.report.figures\n"

@@ -66,6 +66,7 @@ def test_a_schedule_in_one_file(clsplat, tmp_path):
 @pytest.mark.parametrize("name, words", [
     ("wrong", "not a subclass of clsplat.Schedule"), ("broken", "RuntimeError: no such thing"),
     ("nothing", "expects one of sig, constant, dash, taming, mcmc, broken, halves, wrong")])
+@pytest.mark.one_in(3)
 def test_what_is_no_schedule_is_one_line(clsplat, name, words):
     done = clsplat("train", CITY, "--schedule", name, "-n", "4", "-r", "8", "-o", "run")
     assert done.returncode == 2 and words in done.stderr, done.stderr

@@ -258,6 +258,7 @@ def test_without_rounds_growth_is_that_of_constant():
 
 
 @pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.one_in(3)
 def test_rounds_left_over_are_carried_by_the_release_only(preset):
     """Its extra rounds pile up, are never used up, and do not count as left over again."""
     count = 20

@@ -20,6 +20,16 @@ def test_few_photos_are_matched_all_with_all():
     assert chosen.reason == "all 10 pairs of 5 photos"
 
 
+def test_more_photos_are_matched_with_similar_ones(monkeypatch):
+    monkeypatch.setattr(pairs, "_largest", lambda database, count: np.array(
+        count * [np.eye(2, 128)]))
+    photos = [source() for _ in range(pairs.FEW_PHOTOS)]
+    assert choose_pairs(None, photos, "auto", False, Lines()).reason == "all 190 pairs of 20 photos"
+    photos.append(source())
+    chosen = choose_pairs(None, photos, "auto", False, Lines())
+    assert chosen.reason.endswith("of similar content") and len(chosen.rows) < 210
+
+
 def test_neighbours_by_gps():
     photos = located(60)
     chosen = choose_pairs(None, photos, "auto", False, Lines())

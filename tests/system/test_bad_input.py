@@ -212,6 +212,7 @@ def test_overwriting_waits_until_all_is_in_order(healthy, finished):
      ("--levels", "has no effect with --schedule constant", "leave it out")),
     (("--time-budget", "10m"), ("--time-budget", "-n", "leave one of them out")),
 ])
+@pytest.mark.one_in(5)
 def test_options_that_cannot_be_met(tmp_path, healthy, finished, words, naming):
     """Neither a new run is begun nor one that is there touched."""
     refused("train", healthy, "-o", tmp_path / "run", *TRAIN, *words, naming=naming)

@@ -50,6 +50,7 @@ def test_a_report_that_finds_the_disk_full_is_an_error_and_the_model_is_there(
 @pytest.mark.parametrize("moment, error", [
     ("evaluate_views", KeyboardInterrupt()), ("evaluate_views", InputError("a photo is gone")),
     ("draw_report", KeyboardInterrupt()), ("save_model", KeyboardInterrupt())], ids=repr)
+@pytest.mark.one_in(3)
 def test_the_last_moments_lose_nothing(whole, item_device, city, tmp_path, monkeypatch, moment,
                                        error):
     """Fault C6: Ctrl-C in the final evaluation came before the final checkpoint."""

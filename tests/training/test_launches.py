@@ -62,6 +62,7 @@ def of_a_replay(found):
 
 @pytest.mark.parametrize("schedule, batch, item, group", [
     *((schedule, 1, 20, 16) for schedule in OURS), ("taming", 2, 64, 56)])
+@pytest.mark.one_in(5)
 def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedule, batch, item,
                                   group):
     options = {"levels": (1.0,), "reproject": "off"} if schedule == "sig" else {}
@@ -73,6 +74,7 @@ def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedul
     assert batch > 1 or float_device.form == "item" or launches <= MOST
 
 
+@pytest.mark.slow
 def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
     """Its weight is another one in each step."""
     launches = of_a_replay(counted(float_device, city, tmp_path, **{

@@ -128,6 +128,7 @@ def test_moments_move_to_the_host_where_they_do_not_fit(float_device, monkeypatc
 
 
 @pytest.mark.parametrize("optimizer", ["sparse", "dense"])
+@pytest.mark.one_in(3)
 def test_engines_agree_over_five_steps(double_device, optimizer):
     """On the gradients of a render, with rates that change; in double, where Adam's division by a
     gradient of almost nothing does not turn rounding into a step."""
@@ -161,6 +162,7 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
 
 
 @ENGINES
+@pytest.mark.one_in(3)
 def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypatch):
     """Its moments too, while those that the view did not see go on by theirs."""
     device, case = float_device, cases.gaussians("degree_1")
@@ -235,6 +237,7 @@ def test_what_is_held_stays_though_it_has_moments(float_device, engine):
 
 
 @ENGINES
+@pytest.mark.one_in(3)
 def test_a_step_on_four_views_takes_the_mean_of_their_gradients(double_device, engine, monkeypatch):
     """Of three that are the same and one other, as the adjoint gave them one by one."""
     device, case = double_device, cases.gaussians("degree_1")

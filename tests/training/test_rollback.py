@@ -38,6 +38,7 @@ def spoil(step):
 
 @pytest.mark.parametrize("training", ["device", "numpy"], indirect=True)
 @pytest.mark.parametrize("grows", [True, False])
+@pytest.mark.one_in(3)
 def test_rows_and_moments_are_those_of_the_copy(training, grows):
     session, step = training.session, training.session.step
     kept, before = Rollback(step, session.iteration), state_of(step.model)

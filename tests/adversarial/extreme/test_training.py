@@ -74,6 +74,7 @@ def test_stiff(city, item_device, tmp_path, monkeypatch, name, schedule):
 @pytest.mark.parametrize("name", [
     pytest.param(name, marks=SLOW if name.startswith("crowd_") else ()) for name in CASES
     if CASES[name].expects in ("learns", "survives")])
+@pytest.mark.one_in(5)
 def test_what_cannot_be_good_is_said(city, tmp_path, name):
     case = CASES[name]
     scene, options = prepared(city, case, "constant", tmp_path)
