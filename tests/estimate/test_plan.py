@@ -73,7 +73,8 @@ def course_of(count, pixels, size=(512, 382), **options):
     (15689, 24, (512, 382), 7000, 117_220), (25683, 65, (509, 383), 30000, 316_781),
     (4400, 28, (320, 240), 7000, 53_677)], ids=["boruszyn", "caliterra", "city"])
 def test_runs_that_meet_their_ceiling_end_as_foretold(count, views, size, steps, ended):
-    segments = course_of(count, views * size[0] * size[1], size, iterations=steps)
+    segments = course_of(count, views * size[0] * size[1], size, iterations=steps,
+                         pixels_per_gaussian=40.0)
     assert largest(segments) == pytest.approx(ended, rel=0.01)
     assert sum(segment.steps for segment in segments) == steps
     levels = list(dict.fromkeys(segment.level for segment in segments))
@@ -218,7 +219,8 @@ def measured_peak(device, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [
-    {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600},
+    {"schedule": "sig", "levels": (2.0, 1.0), "downscale": 2.0, "iterations": 600,
+     "pixels_per_gaussian": 40.0},  # which it reaches
     {"schedule": "taming", "downscale": 4.0, "iterations": 400, "taming_budget": 4.0}], ids=str)
 def test_a_run_takes_what_was_foretold(tmp_path, item_device, monkeypatch, options):
     """Memory, which has the margins of rooms (training/rooms.py), within 20 %; of the time no more
