@@ -4,10 +4,10 @@ Training begins with small images. When the scene frequency has converged at a l
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
 than its pixels can determine. Pixels of several photos that show the same place are no new places,
 and a gaussian needs a number of places: the more photos overlap, the more pixels it needs, up to
-20, as many photos of a place also show more of it. The paper has no safeguards; ours: rounds of growth disturb the frequency, so it is tested only after
-them, several tests in a row must agree, and each coarser level has a deadline, a share of the run,
-so that the finest always gets its time. The tests `paper` and `release` have no safeguards, as
-published.
+20, as many photos of a place also show more of it. The paper has no safeguards; ours: rounds of
+growth disturb the frequency, so it is tested only after them, several tests in a row must agree,
+and each coarser level has a deadline, a share of the run, so that the finest always gets its time.
+The tests `paper` and `release` have no safeguards, as published.
 """
 
 import math

@@ -6,7 +6,8 @@ constants were fitted to runs of 7000 steps on caliterra (half and full size), b
 the city. There the prediction of the largest number of gaussians was 1.00 to 1.05 of the actual one
 with sig of 40 pixels a gaussian, 0.73 to 1.42 with constant, 0.52 to 1.01 with dash, 1.00 to 1.26
 with taming. Sig of 20 pixels often ends below its limit, on five photo sets at 0.77 to 0.95 of it,
-on the city after 600 steps at 0.54; the limit is what is foretold. Other scenes may be off by more. `--max-gaussians` bounds it. `python -m tools.studies.predicted` compares.
+on the city after 600 steps at 0.54; the limit is what is foretold. Other scenes may be off by more.
+`--max-gaussians` bounds it. `python -m tools.studies.predicted` compares.
 """
 
 from collections.abc import Callable, Iterator, Sequence
