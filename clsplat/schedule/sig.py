@@ -3,11 +3,11 @@
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
 than its pixels can determine. Pixels of several photos that show the same place are no new places,
-and a gaussian needs a number of places: the more photos overlap, the more pixels it needs, up to
-20, as many photos of a place also show more of it. The paper has no safeguards; ours: rounds of
-growth disturb the frequency, so it is tested only after them, several tests in a row must agree,
-and each coarser level has a deadline, a share of the run, so that the finest always gets its time.
-The tests `paper` and `release` have no safeguards, as published.
+and a gaussian needs a number of places: the more photos overlap, the more pixels it needs. The
+paper has no safeguards; ours: rounds of growth disturb the frequency, so it is tested only after
+them, several tests in a row must agree, and each coarser level has a deadline, a share of the run,
+so that the finest always gets its time. The tests `paper` and `release` have no safeguards, as
+published.
 """
 
 import math
@@ -33,7 +33,7 @@ GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are traine
 ROUND_STEPS = (100, 200)  # least and most between rounds of growth
 PLACES_A_GAUSSIAN = 2.5  # pixels that show different places
 LEAST_PIXELS_A_GAUSSIAN = 10.0  # where few photos overlap: it has 59 parameters, a pixel 3 values
-MOST_PIXELS_A_GAUSSIAN = 20.0  # many photos of a place tell more than each: docs/notebook/judge.md
+USUAL_OVERLAP = 16.0  # photos that show a place, where no sparse point tells
 LEAST_STEPS = 2 * ROUND_STEPS[0]  # of a level: in fewer, what it begins has no time to settle
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
@@ -336,9 +336,8 @@ def pixels_per_gaussian(options: "TrainOptions", overlap: float) -> float:
     requested: str | float = options.pixels_per_gaussian
     if isinstance(requested, float):
         return requested
-    if math.isnan(overlap):
-        return MOST_PIXELS_A_GAUSSIAN
-    return min(max(LEAST_PIXELS_A_GAUSSIAN, PLACES_A_GAUSSIAN * overlap), MOST_PIXELS_A_GAUSSIAN)
+    overlap = USUAL_OVERLAP if math.isnan(overlap) else overlap
+    return max(LEAST_PIXELS_A_GAUSSIAN, PLACES_A_GAUSSIAN * overlap)
 
 
 def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> float:

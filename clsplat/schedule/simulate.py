@@ -4,10 +4,8 @@ We assume that each level ends at the earliest test that its schedule allows, an
 gaussians densified in a round is proportional to a power of the photos' fine detail. The four
 constants were fitted to runs of 7000 steps on caliterra (half and full size), boruszyn, lund and
 the city. There the prediction of the largest number of gaussians was 1.00 to 1.05 of the actual one
-with sig of 40 pixels a gaussian, 0.73 to 1.42 with constant, 0.52 to 1.01 with dash, 1.00 to 1.26
-with taming. Sig of 20 pixels often ends below its limit, on five photo sets at 0.77 to 0.95 of it,
-on the city after 600 steps at 0.54; the limit is what is foretold. Other scenes may be off by more.
-`--max-gaussians` bounds it. `python -m tools.studies.predicted` compares.
+with sig, 0.73 to 1.42 with constant, 0.52 to 1.01 with dash, 1.00 to 1.26 with taming; other scenes
+may be off by more. `--max-gaussians` bounds it. `python -m tools.studies.predicted` compares.
 """
 
 from collections.abc import Callable, Iterator, Sequence

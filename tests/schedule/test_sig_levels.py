@@ -30,7 +30,7 @@ def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
 
 
 @pytest.mark.parametrize("overlap, pixels", [
-    (24.0, 20.0), (7.2, 18.0), (4.0, 10.0), (1.0, 10.0), (math.nan, 20.0)])
+    (16.0, 40.0), (6.4, 16.0), (4.0, 10.0), (1.0, 10.0), (math.nan, 40.0)])
 def test_the_more_photos_overlap_the_more_pixels_a_gaussian_needs(overlap, pixels):
     facts = dataclasses.replace(FACTS, overlap=overlap)
     limit, reason = Sig.planned_limit(options_of(), facts)
