@@ -24,6 +24,7 @@ from clsplat.rendering.options import RenderingOptions
 from clsplat.schedule.mcmc import McmcOptions
 from clsplat.schedule.registry import OURS, ScheduleOptions, others_that_load, schedule_of
 from clsplat.schedule.sig import SigOptions
+from clsplat.schedule.steps import PUBLISHED_LENGTH, chooses_steps
 from clsplat.schedule.taming import TamingOptions
 
 MOST_SECONDS = 366 * 24 * 3600.0  # in a time budget
@@ -51,8 +52,9 @@ def seconds_of(text: str) -> float:
 class RunOptions:
     """How long a run is, and what it writes on the way."""
 
-    iterations: int = option(30000, "Run", "training steps", short="-n", main=True, minimum=1,
-                             most=MOST_STEPS)
+    iterations: int = option(AUTO, "Run", "training steps; auto: 300 for each training photo, at "
+                             "least 7000 and at most 30000", short="-n", main=True,
+                             words={AUTO: AUTO}, minimum=1, most=MOST_STEPS)
     steps_scale: float = option(1.0, "Run", "multiply the number of steps, and every step count "
                                 "of the schedule, by this", minimum=1e-4, most=1e4)
     seed: int = option(0, "Run", "seed of all random choices; the same seed and device give the "
@@ -170,9 +172,10 @@ def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
         every = options.test_every or "none"
         raise InputError(f"--test-offset {options.test_offset}: must be less than --test-every, "
                          f"which is {every}")
-    if options.iterations * options.steps_scale > MOST_STEPS:
-        raise InputError(f"--steps-scale {options.steps_scale:g}: turns {options.iterations:,} "
+    steps = options.iterations if chooses_steps(options) else PUBLISHED_LENGTH
+    if steps * options.steps_scale > MOST_STEPS:
+        raise InputError(f"--steps-scale {options.steps_scale:g}: turns {steps:,} "
                          f"steps into more than {MOST_STEPS:,}; give a smaller factor")
-    if options.time_budget and options.iterations != RunOptions.iterations:
+    if options.time_budget and steps != PUBLISHED_LENGTH:  # the number of presets
         raise InputError("--time-budget: decides the number of steps, as -n does; leave one of "
                          "them out")

@@ -109,16 +109,16 @@ def test_help_has_each_group_once_with_defaults():
     text = parse("--help-all")[1]
     for heading in dict.fromkeys(field.metadata["group"] for field in FIELDS.values()):
         assert text.count(f"\n{heading}:\n") == 1
-    assert "[default: 30000]" in " ".join(text.split())
+    assert "[default: 1000]" in " ".join(text.split())
     for name in FIELDS:
         assert flag_name(name) in text
 
 
 @pytest.mark.parametrize("text, message", [
     ("iteration = 5", "unknown option 'iteration'"),
-    ("iterations = 2.5", "'iterations' expects a whole number of at least 1, got 2.5"),
-    ("iterations = true", "'iterations' expects a whole number of at least 1, got True"),
-    ("iterations = 0", "'iterations' expects a whole number of at least 1, got 0"),
+    ("iterations = 2.5", "'iterations' expects auto or a whole number of at least 1, got 2.5"),
+    ("iterations = true", "'iterations' expects auto or a whole number of at least 1, got True"),
+    ("iterations = 0", "'iterations' expects auto or a whole number of at least 1, got 0"),
     ("sh_degree = 4", "'sh-degree' expects auto or a whole number from 0 to 3, got 4"),
     ("ssim-weight = nan", "'ssim-weight' expects a number from 0 to 1"),
     ("optimizer = 'sgd'", "'optimizer' expects one of dense, sparse"),
@@ -353,7 +353,8 @@ def test_a_time_budget_and_a_number_of_steps_contradict():
     with pytest.raises(InputError, match="--time-budget: decides the number of steps, as -n does; "
                                          "leave one of them out"):
         resolve({"iterations": 500}, {"time_budget": "10m"})
-    assert resolve({}, {"time_budget": ""}).iterations == 30000  # none: nothing to refuse
+    assert resolve({}, {"time_budget": ""}).iterations == "auto"  # none: nothing to refuse
+    assert resolve({}, {"time_budget": "10m", "preset": "paper"}).iterations == 30_000
 
 
 # --- words

@@ -35,7 +35,7 @@ from clsplat.partition.outline import geojson
 from clsplat.partition.partition import Partition
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
-from clsplat.schedule import schedule_of
+from clsplat.schedule import chooses_steps, planned_steps, schedule_of
 from clsplat.training.block import block_options, decided_by, options_of_blocks, train_block
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
@@ -100,7 +100,8 @@ def begin_from_coarse(city: CityFolder, scene_path: Path | None = None
     options = dataclasses.replace(
         coarse, coarse=False, snapshots=False, downscale=max(1.0, coarse.downscale / COARSE_FACTOR),
         max_resolution=COARSE_FACTOR * coarse.max_resolution,
-        iterations=int(coarse.iterations / COARSE_SHARE))
+        iterations=(int(coarse.iterations / COARSE_SHARE) if chooses_steps(coarse) else
+                    coarse.iterations))
     begin(city, scene, options)
     return scene, options
 
@@ -117,18 +118,29 @@ def train_coarse(city: CityFolder, scene: Scene, options: TrainOptions, device: 
     with folder.locked():
         start = resume if folder.is_begun else train
         folder = folder if folder.is_begun else RunFolder.create(city.coarse)
-        start(scene, coarse_options(options), device, folder, progress)
+        start(scene, coarse_options(options, scene), device, folder, progress)
     return folder
 
 
-def coarse_options(options: TrainOptions) -> TrainOptions:
-    """The options of the coarse run: photos half as large as the blocks', and half of the steps."""
+def coarse_options(options: TrainOptions, scene: Scene) -> TrainOptions:
+    """The options of the coarse run: photos half as large as the blocks', and half of the steps.
+
+    Parameters
+    ----------
+    options, scene : the whole.
+    """
     return dataclasses.replace(
         options, coarse=True, downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
         snapshots="levels" in schedule_of(options.schedule).parts,
-        iterations=max(1, int(COARSE_SHARE * options.iterations)), eval_at=(), eval_every=0,
-        lpips="")
+        iterations=max(1, int(COARSE_SHARE * whole_steps(options, scene))), eval_at=(),
+        eval_every=0, lpips="")
+
+
+def whole_steps(options: TrainOptions, scene: Scene) -> int:
+    """The steps of one run of the whole scene with these options."""
+    training, _ = scene.split(options.test_every, options.test_offset)
+    return planned_steps(options, len(training))[0]
 
 
 def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
@@ -171,14 +183,14 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
-    exposures = coarse.exposures
+    exposures, steps = coarse.exposures, whole_steps(options, scene)
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
                                   observations=None)
         windows = find_windows(gaussians, scene, region, own.views)
         own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
         part = block_start(gaussians, scene, region, own.views)
-        given = block_steps(options, len(chosen) / len(views))
+        given = block_steps(options, steps * len(chosen) / len(views))
         if not any(view.depth for view in own.views):
             given["depth"] = ""
         city.write_block(
@@ -189,12 +201,11 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     return partition, counts
 
 
-def block_steps(options: TrainOptions, share: float) -> dict[str, Any]:
-    """The options, by name, of a block with this share of the views."""
-    steps = max(1, round(options.iterations * share))
+def block_steps(options: TrainOptions, steps: float) -> dict[str, Any]:
+    """The options, by name, of a block that takes this number of steps."""
     schedule = schedule_of(options.schedule)
-    shrunk = dataclasses.replace(options, iterations=steps, eval_at=(), eval_every=0, lpips="",
-                                 snapshots="levels" in schedule.parts,
+    shrunk = dataclasses.replace(options, iterations=max(1, round(steps)), eval_at=(),
+                                 eval_every=0, lpips="", snapshots="levels" in schedule.parts,
                                  **schedule.options_of_block(options))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}

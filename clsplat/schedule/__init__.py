@@ -8,6 +8,7 @@ Other packages register theirs (registry.py).
 
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule
 from clsplat.schedule.registry import OURS, schedule_of
-from clsplat.schedule.steps import laid_over, scaled_steps
+from clsplat.schedule.steps import chooses_steps, laid_over, planned_steps, scaled_steps
 
-__all__ = ["OURS", "Plan", "SceneFacts", "Schedule", "laid_over", "scaled_steps", "schedule_of"]
+__all__ = ["OURS", "Plan", "SceneFacts", "Schedule", "chooses_steps", "laid_over",
+           "planned_steps", "scaled_steps", "schedule_of"]

@@ -40,11 +40,13 @@ REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
 # the choices of the authors' paper and of their released code
 PAPER = {
+    "iterations": 30_000,
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
     "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
     "sphere_reach": 15.0, "reproject": "on", "exposure": "off"}
 RELEASE = {
+    "iterations": 30_000,
     "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
     "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "level_reset": False,
     "pixels_per_gaussian": 0.0, "prune_size": 0.05, "opacity_rate": 0.02,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from clsplat.config.option import MOST_STEPS
+from clsplat.config.option import AUTO, MOST_STEPS
 from clsplat.schedule.registry import schedule_of
 
 if TYPE_CHECKING:
@@ -14,6 +14,30 @@ if TYPE_CHECKING:
 STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densify_every",
                "reset_every")
 FULL_LENGTH = 7000  # steps; a shorter run has smaller step counts
+PUBLISHED_LENGTH = 30_000  # steps, of 3DGS (Kerbl et al. 2023)
+VISITS = 300  # steps a photo, after which held-out photos of small sets get worse: judge.md
+
+
+def chooses_steps(options: TrainOptions) -> bool:
+    """Whether the options have a number of steps, which is auto otherwise."""
+    return options.iterations != AUTO  # type: ignore[comparison-overlap]
+
+
+def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:
+    """The length of a run, before `steps_scale`, and a sentence with the reason.
+
+    Few photos are learned in fewer steps than many, and more steps over-fit them.
+
+    Parameters
+    ----------
+    options : those of the run.
+    photos : number of training photos.
+    """
+    if chooses_steps(options):
+        return options.iterations, f"{options.iterations:,}: requested"
+    steps = min(max(VISITS * photos, FULL_LENGTH), PUBLISHED_LENGTH)
+    return steps, (f"{steps:,}: {VISITS} for each of {photos:,} training photos, but at least "
+                   f"{FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
 
 
 def scaled_steps(options: TrainOptions) -> TrainOptions:

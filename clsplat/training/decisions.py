@@ -17,7 +17,7 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
-from clsplat.schedule import SceneFacts, schedule_of
+from clsplat.schedule import SceneFacts, planned_steps, scaled_steps, schedule_of
 from clsplat.schedule.simulate import largest, simulate
 from clsplat.training.facts import scene_facts
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM, model_bytes
@@ -53,7 +53,7 @@ class Decisions:
 
     Attributes
     ----------
-    options : with values instead of "auto" where the scene decides.
+    options : with values instead of "auto" where the scene decides, and with scaled steps.
     neighbours : indices of the source views of each training view; None if no loss term uses them.
     facts : what the schedule knows about the scene; gaussians begin at the sparse points.
     parts : name of a part -> its decision.
@@ -83,15 +83,18 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     ----------
     scene : at the size of training.
     views : the training views of the scene.
-    options : with scaled steps.
+    options : as the user gave them.
     device : of the training; None leaves the choice of the Adam engine to `model.Model`, which
         knows the initial gaussians only.
     """
+    steps, length = planned_steps(options, len(views))
+    options = scaled_steps(dataclasses.replace(options, iterations=steps))
     exposure = _exposure(scene, views, options)
     neighbours, reproject = _neighbours(scene, views, options)
     spread = view_spread(scene, scene.views)  # held-out views must be served, too
     facts, schedule = scene_facts(scene, views), schedule_of(options.schedule)
-    parts = {"levels": Decision(*schedule.planned_levels(options, facts)),
+    parts = {"steps": Decision(steps, length),
+             "levels": Decision(*schedule.planned_levels(options, facts)),
              "gaussians": Decision(*schedule.planned_limit(options, facts)),
              "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
              "exposure": exposure, "vignetting": _vignetting(scene, views, options, exposure),

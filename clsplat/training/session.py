@@ -24,7 +24,7 @@ from clsplat.partition.blocks import trainable
 from clsplat.rendering.pipeline import Renderer
 from clsplat.response import Lenses, Response
 from clsplat.scene import Scene, View
-from clsplat.schedule import Plan, Schedule, laid_over, scaled_steps, schedule_of
+from clsplat.schedule import Plan, Schedule, laid_over, schedule_of
 from clsplat.training.decisions import Decisions, find_decisions
 from clsplat.training.depth_maps import DepthMapsOnDevice
 from clsplat.training.initialise import initial_gaussians, initial_responses
@@ -116,7 +116,7 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
         raise InputError(f"{scene.name}: --test-offset {options.test_offset} holds out none of its "
                          f"{len(scene.views)} views; use a smaller number")
     return PreparedScene(scene, train_views, test_views,
-                         find_decisions(scene, train_views, scaled_steps(options), device))
+                         find_decisions(scene, train_views, options, device))
 
 
 class Session:

@@ -31,7 +31,7 @@ def made(tmp_path_factory):
     options = resolve({}, {"iterations": 20, "downscale": 8.0, "sh_degree": 1, "exposure": "off"})
     stages.begin(folder, scene, options)
     gaussians = Gaussians.from_points(scene.points, scene.colours, 1)
-    finish(folder.coarse, scene, stages.coarse_options(options), gaussians)
+    finish(folder.coarse, scene, stages.coarse_options(options, scene), gaussians)
     stages.cut_into_blocks(folder, scene, options,
                            PartitionOptions("blockgs", (2, 1), least_views=1), None)
     for block in folder.blocks():
@@ -321,7 +321,7 @@ def test_a_train_does_not_begin_in_a_city(city, capsys):
 @pytest.mark.parametrize("limit, small", [(0, 0), (1600, 800), (801, 401), (1, 1)])
 def test_the_coarse_run_has_photos_half_as_large_as_the_blocks(limit, small):
     options = resolve({}, {"max_resolution": limit, "downscale": 3.0})
-    coarse = stages.coarse_options(options)
+    coarse = stages.coarse_options(options, read_scene(CITY))
     assert (coarse.max_resolution, coarse.downscale) == (small, 6.0)
     view = read_scene(CITY).views[0].camera
     if limit != 1:

@@ -1,6 +1,7 @@
 """The command line: what it calls, what it prints, how it fails. No device is needed."""
 
 import dataclasses
+import importlib
 import json
 import subprocess
 import sys
@@ -48,6 +49,7 @@ def module(monkeypatch, name, **contents):
 @pytest.fixture
 def calls(monkeypatch):
     """The modules behind `train`, replaced by ones that record how they were called."""
+    importlib.import_module("clsplat.sfm.photos")  # imports what is replaced
     noted = []
 
     class FakeRun:

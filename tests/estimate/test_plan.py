@@ -369,4 +369,4 @@ def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):
                         lambda *_: (3000.0, [(1.0, 4400, 0.1)]))
     options = resolve({}, {"time_budget": "2m", "schedule": "taming", "exposure": "off"})
     forecast = Planned(city, options, item_device).forecast()
-    assert (forecast.steps, forecast.seconds) == (1200, 120)
+    assert (forecast.steps, forecast.seconds) == (8400 * 120 // 3000, 120)  # 28 photos

@@ -13,7 +13,7 @@ FACTS = SceneFacts((640, 480), 1000, 1.0, photos=None, pixels=10**8)
 
 def options_of(**given):
     """What `--schedule constant` makes of the given options, with scaled steps."""
-    return scaled_steps(resolve({"schedule": "constant"}, given))
+    return scaled_steps(resolve({"schedule": "constant", "iterations": 30000}, given))
 
 
 def steps(options, asked):
@@ -109,6 +109,7 @@ def test_what_is_not_told_is_the_schedule_s_own(schedule, until, every, scale):
         "schedule": schedule, "iterations": 7000, "steps_scale": scale}))
     assert scaled.densify_until == round(until * scale)
     assert scaled.densify_every == round(every * scale)
-    told = scaled_steps(resolve({}, {"schedule": schedule, "densify_until": 900,
-                                     "densify_every": 30, "steps_scale": scale}))
+    told = scaled_steps(resolve({}, {
+        "schedule": schedule, "iterations": 7000, "densify_until": 900, "densify_every": 30,
+        "steps_scale": scale}))
     assert (told.densify_until, told.densify_every) == (900 * scale, 30 * scale)

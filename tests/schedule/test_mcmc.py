@@ -14,7 +14,7 @@ FACTS = SceneFacts((640, 480), START, 1.0, photos=None, pixels=10**8)
 
 
 def schedule_of(facts=FACTS, **given):
-    return Mcmc(scaled_steps(resolve({"schedule": "mcmc"}, given)), facts)
+    return Mcmc(scaled_steps(resolve({"schedule": "mcmc", "iterations": 30000}, given)), facts)
 
 
 def test_it_is_known_by_name_and_relocates():

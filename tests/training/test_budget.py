@@ -43,7 +43,8 @@ class Simulated(Deadline):
     """A Deadline of a session without a device, whose steps take what a Clock says."""
 
     def __init__(self, seconds, clock, **options):
-        options = scaled_steps(resolve({}, {"time_budget": f"{seconds}s", **options}))
+        options = scaled_steps(resolve({}, {
+            "time_budget": f"{seconds}s", "iterations": 30000, **options}))
         schedule = schedule_of(options.schedule)(options, SceneFacts(
             size=(1600, 1200), count=COUNT, inverse_distance=20.0, photos=None,
             pixels=100 * 1600 * 1200))

@@ -11,7 +11,7 @@ from clsplat.covisibility.vignetting import DARKENS
 from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
-from clsplat.schedule import scaled_steps
+from clsplat.schedule import planned_steps, scaled_steps
 from clsplat.training import decisions, facts
 from clsplat.training.decisions import (
     SAMPLED_PHOTOS,
@@ -56,8 +56,16 @@ def test_nothing_is_left_open(city, drift):
         assert options.exposure in ("on", "off") and options.reproject in ("on", "off")
         assert options.vignetting in ("on", "off")
         unchanged = {"exposure": "off", "vignetting": "off", "reproject": "off"}
-        assert replace(options, **unchanged) == replace(resolve({}, {"schedule": schedule}),
-                                                        **unchanged)
+        # the city has 32 photos
+        chosen = scaled_steps(resolve({}, {"schedule": schedule, "iterations": 9600}))
+        assert replace(options, **unchanged) == replace(chosen, **unchanged)
+
+
+@pytest.mark.parametrize("photos, steps", [(2, 7000), (32, 9600), (99, 29_700), (5000, 30_000)])
+def test_the_number_of_steps_follows_the_photos(photos, steps):
+    assert planned_steps(resolve({}, {}), photos)[0] == steps
+    assert planned_steps(resolve({}, {"iterations": 60}), photos) == (60, "60: requested")
+    assert planned_steps(resolve({}, {"preset": "paper"}), photos)[0] == 30_000
 
 
 @pytest.mark.parametrize("measured, answer", [(DRIFTS, "on"), (0.99 * DRIFTS, "off"), (0, "off")])
@@ -261,7 +269,7 @@ def test_levels_are_named(city, drift):
 
 def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatch):
     drift(0.0)
-    options = scaled_steps(resolve({}, {"schedule": "taming", "iterations": 7000}))
+    options = resolve({}, {"schedule": "taming", "iterations": 7000})
     needed = 3 * 59 * 1.5 * 15 * 4400 * 4  # bytes, at the end
 
     def engine(memory, **changes):
