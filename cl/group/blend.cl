@@ -12,14 +12,7 @@
 #define WORDS (PIXELS / 32) // of a bit mask with a bit a staged splat
 
 // Switches that tools/studies/blend_variants.py times. Of a sub-tile that an ellipse reaches, some
-// pixel nearly always is inside, so by default no pixel branches: those outside have weight zero.
-#if PIXEL_BRANCH
-#define SKIP_UNLESS(LIVE)                                                                          \
-    if (!(LIVE))                                                                                   \
-        continue;
-#else
-#define SKIP_UNLESS(LIVE)
-#endif
+// pixel nearly always is inside, so no pixel branches: those outside have weight zero.
 #if NATIVE_DIVIDE
 #define DIVIDE(A, B) native_divide(A, B)
 #else
@@ -29,22 +22,23 @@
 #define TOGETHER 3 // splats whose sums the adjoint adds up at once, one lane a sum
 #endif
 
-// The staged columns of a splat, scaled so that power = (k.x dx + k.y dy) dx + k.z dy^2 and is to
-// be at least s.w.
+// The staged columns of a splat, scaled so that the power, for base two, is k.x dx^2 + k.y dx dy +
+// k.z dy^2, and is to be at least s.w.
 inline real4 staged_shape(real4 shape)
 {
-    return (real4)(shape.xyz, -0.5 * shape.w);
+    return (real4)(shape.xyz, (real)(-0.5 * LOG2_E) * shape.w);
 }
 
 inline real4 staged_conic(real4 conic)
 {
-    return (real4)(-0.5 * conic.x, -conic.y, -0.5 * conic.z, 0);
+    return (real)(-0.5 * LOG2_E) * (real4)(conic.x, 2 * conic.y, conic.z, 0);
 }
 
-inline real staged_power(real4 k, real dx, real dy)
-{
-    return (k.x * dx + k.y * dy) * dx + k.z * dy * dy;
-}
+// Forward and adjoint must agree on each bit of the power, so its operations are spelled out; the
+// first two are of a column of pixels.
+#define POWER_XX(K, DX) ((K).x * (DX) * (DX))
+#define POWER_X(K, DX) ((K).y * (DX))
+#define POWER(K, XX, X, DY) MAD(MAD((K).z, DY, X), DY, XX)
 
 // Checkpoints: real4[buckets, PIXELS] of (T, C) and, with depth, real[buckets, PIXELS] of depth, by
 // slots; of pixels that had not ended before the bucket.
@@ -109,13 +103,11 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
             while (bits) {
                 const int bit = clz(bits), j = word * 32 + bit;
                 bits ^= 0x80000000u >> bit;
-                const real4 s = shape[j];
+                const real4 s = shape[j], k = conic[j];
                 const real dx = x - s.x, dy = y - s.y;
-                const real power = staged_power(conic[j], dx, dy);
+                const real power = POWER(k, POWER_XX(k, dx), POWER_X(k, dx), dy);
                 const bool live = power >= s.w;
-                SKIP_UNLESS(live)
-                const real e = live ? exp_power(power) : 0;
-                const real w = cut_alpha(s.z * e) * t, next = t - w;
+                const real w = cut_alpha(s.z * exp2_where(live, power)) * t, next = t - w;
                 done = next < (real)TRANSMITTANCE_MIN;
                 if (done)
                     break;
@@ -155,6 +147,12 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
 }
 
 #define OWNED (PIXELS / ADJOINT_GROUP) // pixels of a lane
+#define STRIDE (ADJOINT_GROUP / WAVE)  // sub-tiles from one of them to the next
+#define OWNED_X (STRIDE < SUBTILES_X ? SUBTILES_X / STRIDE : 1) // columns of them
+#define OWNED_Y (OWNED / OWNED_X)                               // and rows
+#ifndef ROWS_AT_ONCE // sub-tiles, one below the other, that are skipped together or not
+#define ROWS_AT_ONCE (OWNED_Y > 1 ? 2 : 1)
+#endif
 #if TOGETHER * SUMS > ADJOINT_GROUP
 #error "too many sums for the lanes"
 #endif
@@ -200,6 +198,22 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
     barrier(CLK_LOCAL_MEM_FENCE);
 
     const uint open = open_subtiles;
+    real x[OWNED_X], y[OWNED_Y];
+#pragma unroll
+    for (int i = 0; i < OWNED_X; i++)
+        x[i] = x0 + slot_column(i * ADJOINT_GROUP + lane) + 0.5;
+#pragma unroll
+    for (int i = 0; i < OWNED_Y; i++)
+        y[i] = y0 + slot_row(i * OWNED_X * ADJOINT_GROUP + lane) + 0.5;
+    uint blocks[OWNED / ROWS_AT_ONCE]; // bit masks of the sub-tiles in each
+#pragma unroll
+    for (int block = 0; block < OWNED / ROWS_AT_ONCE; block++) {
+        blocks[block] = 0;
+        for (int part = 0; part < ROWS_AT_ONCE; part++) {
+            const int i = (block / OWNED_X * ROWS_AT_ONCE + part) * OWNED_X + block % OWNED_X;
+            blocks[block] |= 1u << (i * STRIDE + lane / WAVE);
+        }
+    }
     // in front of the splat: transmittance; cotangent . all from there on
     real t[OWNED], rest[OWNED];
     real3 grad[OWNED];
@@ -264,36 +278,45 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS, __global const uint *restrict counts
 #if WITH_DEPTH
             real s_z = 0;
 #endif
+            real dx[OWNED_X], power_x[OWNED_X], power_xx[OWNED_X];
 #pragma unroll
-            for (int i = 0; i < OWNED; i++) {
-                const int slot = i * ADJOINT_GROUP + lane;
-                if (!(hit >> slot / WAVE & 1))
+            for (int i = 0; i < OWNED_X; i++) {
+                dx[i] = x[i] - s.x;
+                power_x[i] = POWER_X(k, dx[i]);
+                power_xx[i] = POWER_XX(k, dx[i]);
+            }
+#pragma unroll
+            for (int block = 0; block < OWNED / ROWS_AT_ONCE; block++) {
+                const int column = block % OWNED_X, top = block / OWNED_X * ROWS_AT_ONCE;
+                if (!(hit & blocks[block]))
                     continue;
-                const real dx = x0 + slot_column(slot) + 0.5 - s.x;
-                const real dy = y0 + slot_row(slot) + 0.5 - s.y;
-                const real power = staged_power(k, dx, dy);
-                const bool live = power >= s.w && first + j <= last[i];
-                SKIP_UNLESS(live)
-                const real e = live ? exp_power(power) : 0, raw = s.z * e, alpha = cut_alpha(raw);
-                const real w = alpha * t[i];
-                real light = dot(light_of.xyz, grad[i]);
+#pragma unroll
+                for (int row = top; row < top + ROWS_AT_ONCE; row++) {
+                    const int i = row * OWNED_X + column;
+                    const real dy = y[row] - s.y;
+                    const real power = POWER(k, power_xx[column], power_x[column], dy);
+                    const bool live = power >= s.w && first + j <= last[i];
+                    const real e = exp2_where(live, power), raw = s.z * e;
+                    const real alpha = cut_alpha(raw), w = alpha * t[i];
+                    real light = dot(light_of.xyz, grad[i]);
 #if WITH_DEPTH
-                light += light_of.w * grad_z[i];
-                s_z += w * grad_z[i];
+                    light += light_of.w * grad_z[i];
+                    s_z += w * grad_z[i];
 #endif
-                rest[i] -= w * light;
-                const real grad_alpha = t[i] * light - DIVIDE(rest[i], 1 - alpha);
-                const real grad_raw = grad_alpha * cut_alpha_slope(raw);
-                const real grad_power = grad_raw * raw;
-                const real by_x = grad_power * dx, by_y = grad_power * dy;
-                s_colour += w * grad[i];
-                s_opacity += grad_raw * e;
-                s_x += by_x;
-                s_y += by_y;
-                s_xx += by_x * dx;
-                s_xy += by_x * dy;
-                s_yy += by_y * dy;
-                t[i] -= w;
+                    rest[i] -= w * light;
+                    const real grad_alpha = t[i] * light - DIVIDE(rest[i], 1 - alpha);
+                    const real grad_raw = grad_alpha * cut_alpha_slope(raw);
+                    const real grad_power = grad_raw * raw;
+                    const real by_x = grad_power * dx[column], by_y = grad_power * dy;
+                    s_colour += w * grad[i];
+                    s_opacity += grad_raw * e;
+                    s_x += by_x;
+                    s_y += by_y;
+                    s_xx += by_x * dx[column];
+                    s_xy += by_x * dy;
+                    s_yy += by_y * dy;
+                    t[i] -= w;
+                }
             }
 #define KEEP(SUM, VALUE) ((__local real *)sums[(j - base) * SUMS + (SUM)])[lane] = (VALUE)
             KEEP(SUM_COLOUR, s_colour.x);

@@ -30,7 +30,7 @@ void contribution(int width, int height, int tiles_x, int first_tile,
         const real power = -0.5 * (k.x * dx * dx + k.z * dy * dy) - k.y * dx * dy;
         real4 own = (real4)(0);
         if (i <= latest && power >= -0.5 * s.w) {
-            const real w = cut_alpha(s.z * exp_power(power)) * t;
+            const real w = cut_alpha(s.z * exp2_where(true, power * (real)LOG2_E)) * t;
             t -= w;
             own = (real4)(1, w, w * weight, sqrt(dx * dx + dy * dy));
         }

@@ -1,6 +1,6 @@
 // The exponential of the powers that matter, -6 to 0, of the width `vreal`. EXP_KIND, a choice at
-// build time: 0 exp, 1 native_exp, 3 to 6 the degree of our polynomial (docs/notebook/numerics.md).
-// Default: degree 4 in the item form, whose error is that of float; in the group form native_exp
+// build time: 0 exp2, 1 native_exp2, 3 to 6 the degree of our polynomial (docs/notebook/numerics.md).
+// Default: degree 4 in the item form, whose error is that of float; in the group form native_exp2
 // where it was seen accurate, else degree 6.
 #ifndef EXP_KIND
 #if FORM_ITEM
@@ -67,14 +67,17 @@ inline vreal exp2_scaled(vreal x, real scale)
 #endif
 }
 #else
-inline vreal exp_power(vreal x)
+// 2^x; 0 where not `live`, by what goes in: a branch around it would cost more.
+inline vreal exp2_where(bool live, vreal x)
 {
 #if REAL_IS_DOUBLE || EXP_KIND == 0
-    return exp(x);
+    return exp2(live ? x : (vreal)-INFINITY);
 #elif EXP_KIND == 1
-    return native_exp(x);
+    return native_exp2(live ? x : (vreal)-INFINITY);
 #else
-    const vreal t = max(x, (vreal)-87) * (vreal)1.4426950408889634;
+    if (!live)
+        return 0;
+    const vreal t = max(x, (vreal)-125);
     const vreal shifted = t + (vreal)ROUNDING;
     const vreal p = exp2_of_fraction(t - (shifted - (vreal)ROUNDING), 1);
     return p * AS_VREAL((AS_INTS(shifted) + 127) << 23);

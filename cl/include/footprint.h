@@ -26,12 +26,12 @@ inline vreal cut_alpha_slope(vreal raw)
 #endif
 }
 
+#define LOG2_E 1.4426950408889634
 #if FORM_ITEM
 // Declares what the rows of a tile share of a splat, its columns at the pixels x of type real16. In
 // a row at distance dy = y - mean_y, excess_x + dy (c dy - shear) is the excess: the binary
 // logarithm of alpha / ALPHA_MIN. Below zero a pixel is skipped; `alpha_of` is alpha before it is
 // cut.
-#define LOG2_E 1.4426950408889634
 #define SPLAT_IN_ROWS(INDEX)                                                                       \
     __global const real *splat = splats + (ulong)(INDEX) * SPLAT_REALS;                            \
     const real mean_y = splat[SPLAT_MEAN + 1];                                                     \

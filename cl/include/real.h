@@ -25,6 +25,13 @@ typedef int16 mask16;
 #define convert_real16 convert_float16
 #endif
 
+// A B + C: one operation where the device has it, and then the same in every kernel.
+#if REAL_IS_DOUBLE ? defined(FP_FAST_FMA) : defined(FP_FAST_FMAF)
+#define MAD(A, B, C) fma(A, B, C)
+#else
+#define MAD(A, B, C) ((A) * (B) + (C))
+#endif
+
 // Sum of the elements, always in this order, whatever the compiler would prefer.
 inline real sum16(real16 v)
 {

@@ -67,3 +67,4 @@ inline void tile_columns(Ellipse e, int row, int tiles_x, int *begin, int *end)
     *begin = max(0, to_tile(ceil((e.mean_x + left - 0.01 + 0.5) / TILE) - 1, tiles_x));
     *end = min(tiles_x, to_tile(floor((e.mean_x + right + 0.01 - 0.5) / TILE) + 1, tiles_x));
 }
+#pragma OPENCL FP_CONTRACT ON

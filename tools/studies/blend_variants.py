@@ -34,7 +34,8 @@ class Variant:
 VARIANTS = {
     "default": Variant(),
     "no sub-tile masks": Variant(defines=(("SUBTILE_MASK", 0),)),
-    "a branch a pixel": Variant(defines=(("PIXEL_BRANCH", 1),)),
+    "a row of sub-tiles at once": Variant(defines=(("ROWS_AT_ONCE", 1),)),
+    "four rows": Variant(defines=(("ROWS_AT_ONCE", 4),)),
     "native division": Variant(defines=(("NATIVE_DIVIDE", 1),)),
     "sums of 1 splat": Variant(defines=(("TOGETHER", 1),)),
     "sums of 2 splats": Variant(defines=(("TOGETHER", 2),)),
