@@ -11,8 +11,12 @@
 #endif
 #define WORDS (PIXELS / 32) // of a bit mask with a bit a staged splat
 
-// Switches that tools/studies/blend_variants.py times. Of a sub-tile that an ellipse reaches, some
-// pixel nearly always is inside, so no pixel branches: those outside have weight zero.
+// Of a sub-tile that an ellipse reaches, some pixel nearly always is inside, so no pixel branches:
+// those outside have weight zero. Division is native where it was seen accurate. Both switches are
+// timed by tools/studies/blend_variants.py.
+#ifndef NATIVE_DIVIDE
+#define NATIVE_DIVIDE (HAVE_NATIVE_DIVIDE && !REAL_IS_DOUBLE)
+#endif
 #if NATIVE_DIVIDE
 #define DIVIDE(A, B) native_divide(A, B)
 #else

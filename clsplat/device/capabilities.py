@@ -19,6 +19,11 @@ _NATIVE_EXP = """
 __kernel void probe(__global float *x) {
     x[get_local_id(0)] = native_exp2(-0.26f * (float)get_local_id(0));
 }"""
+_NATIVE_DIVIDE = """
+__kernel void probe(__global float *x) {
+    const float lane = get_local_id(0);
+    x[get_local_id(0)] = native_divide(lane - 7.3f, 0.03f * lane + 0.01f);
+}"""
 _PLAIN = """
 __kernel void probe(__global float *x) { x[get_local_id(0)] = exp(1.0f) + get_local_id(0); }"""
 
@@ -69,7 +74,8 @@ def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool
     """The preprocessor names of optional features, and whether each one works."""
     lane = np.arange(32, dtype=np.float32)
     tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
-             "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp2(-0.26 * lane))}
+             "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp2(-0.26 * lane)),
+             "HAVE_NATIVE_DIVIDE": (_NATIVE_DIVIDE, (lane - 7.3) / (0.03 * lane + 0.01))}
     works = {}
     for name, (source, expected) in tests.items():
         try:

@@ -36,7 +36,7 @@ VARIANTS = {
     "no sub-tile masks": Variant(defines=(("SUBTILE_MASK", 0),)),
     "a row of sub-tiles at once": Variant(defines=(("ROWS_AT_ONCE", 1),)),
     "four rows": Variant(defines=(("ROWS_AT_ONCE", 4),)),
-    "native division": Variant(defines=(("NATIVE_DIVIDE", 1),)),
+    "division as it is": Variant(defines=(("NATIVE_DIVIDE", 0),)),
     "sums of 1 splat": Variant(defines=(("TOGETHER", 1),)),
     "sums of 2 splats": Variant(defines=(("TOGETHER", 2),)),
     "buckets of 32": Variant({"bucket": 32}),
