@@ -56,7 +56,7 @@ NO_STOP = Variant("reference", "double without stop", precision="double",
 # knob -> the default's name, and the kind of its error: see `precision.measured`
 KNOBS = {
     "precision": ("float", "rounding"),
-    "exponential": ("degree 4 on CPUs, native_exp or degree 6 on GPUs", "rounding"),
+    "exponential": ("degree 4 on CPUs, native_exp2 or degree 6 on GPUs", "rounding"),
     "compiler flags": ("none", "rounding"),
     "storage": ("float", "rounding"),
     "alpha cutoff": ("1/255", "no_cutoff"),
@@ -67,7 +67,7 @@ VARIANTS = (
     DEFAULT,
     DOUBLE,
     Variant("exponential", "exp", (("EXP_KIND", 0),)),
-    Variant("exponential", "native_exp", (("EXP_KIND", 1),)),
+    Variant("exponential", "native_exp2", (("EXP_KIND", 1),)),
     *(Variant("exponential", f"degree {degree}", (("EXP_KIND", degree),))
       for degree in (3, 4, 5, 6)),
     *(Variant("compiler flags", flag, flags=(flag,))
