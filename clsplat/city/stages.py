@@ -19,7 +19,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import final_metrics
 from clsplat.io.atomic import replacing
-from clsplat.io.city import PARTITION, CityFolder
+from clsplat.io.city import PARTITION, BlockFolder, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.folders import make_folder
 from clsplat.io.run import CITY, RunFolder
@@ -230,7 +230,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
                  progress: Callable[[str], AbstractContextManager[Any]] | None = None,
                  ended: Callable[[Outcome, str], object] | None = None,
                  began: Callable[[str, str], object] | None = None) -> list[Outcome]:
-    """Train the blocks that are not finished; return the outcome of every block.
+    """Train the blocks that are not finished, the longest first; return the outcome of every block.
 
     Parameters
     ----------
@@ -240,7 +240,8 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
     ended : called with each outcome and such a title.
     began : called with the name of a block that begins and such a title.
     """
-    blocks = {block.path.name: block for block in city.blocks()}
+    blocks = {block.path.name: block
+              for block in sorted(city.blocks(), key=expected_work, reverse=True)}
     titles = {name: f"block {number} of {len(blocks)}" for number, name in enumerate(blocks, 1)}
     chosen = ("--device", devices[0]) if len(devices) == 1 else ()
     tasks = [Task(name, ("block", str(block.path.resolve()), "-q", *chosen),
@@ -257,6 +258,16 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
     return run(tasks, workers, scheduler, devices=devices, call=in_this_process,
                progress=ended and (lambda outcome: ended(outcome, titles[outcome.task.name])),
                began=began and (lambda name: began(name, titles[name])))
+
+
+def expected_work(block: BlockFolder) -> int:
+    """Steps of a block times the gaussians that it begins to train: its time, in some unit.
+
+    Several workers end at about the same time if they begin with the longest tasks (Graham 1969).
+    """
+    record = block.read("own", "margin")
+    steps = record["options"].get("iterations")  # checked when the block is trained
+    return (record["own"] + record["margin"]) * (steps if type(steps) is int else 1)
 
 
 def train_all_blocks(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
