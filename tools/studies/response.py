@@ -1,9 +1,10 @@
 """Train scenes with and without exposures; print what each rule for held-out photos gives.
 
-    python -m tools.studies.response OUT SCENE ... [--vignetting on]
+    python -m tools.studies.response OUT SCENE ... [--vignetting on] [--tone on] [--exposure on]
 
-A division holds out every 8th photo from an offset on. The rules: the identity; the mean of all
-training photos' transforms; the interpolation between those before and after; the one that is used
+A division holds out every 8th photo from an offset on. The rules: the model without any response,
+as it is exported; the identity as transform; the mean of all training photos' transforms; the
+interpolation between those before and after; the one that is used
 (clsplat/evaluation/held_out_responses.py); and the mean of the four nearest cameras, weighted by
 the inverse of their squared distance. Finished runs in OUT are used again.
 """
@@ -29,7 +30,7 @@ from clsplat.training import session
 
 EVERY = 8
 NEAREST = 4
-RULES = ("identity", "mean", "interpolated", "used", "nearest")
+RULES = ("model", "identity", "mean", "interpolated", "used", "nearest")
 
 
 def main(argv=None):
@@ -44,6 +45,9 @@ def main(argv=None):
                         "gives a photo few steps")
     parser.add_argument("--schedule", default="sig")
     parser.add_argument("--vignetting", default="off")
+    parser.add_argument("--tone", default="off")
+    parser.add_argument("--exposure", nargs="+", default=["off", "on"], help="on: leaves out the "
+                        "training without exposures")
     options = parser.parse_args(argv)
     session.Exposures = functools.partial(Exposures, rate=options.rate)
     device = choose_device("auto")
@@ -66,13 +70,17 @@ def division(options, device, scene, name):
     photos = [photo_of(view) for view in test]
     numbers = []
     for exposure in ("off", "on"):
-        folder = options.out / f"{name}-{options.schedule}-{exposure}-{options.vignetting}"
+        if exposure not in options.exposure:
+            numbers += [np.nan, np.nan]
+            continue
+        learned = {"vignetting": options.vignetting, "tone": options.tone}
+        folder = options.out / "-".join([name, options.schedule, exposure, *learned.values()])
         run = Run(RunFolder(folder))
         if not run.is_finished:
             run = clsplat.train(
                 scene, folder, device=device, overwrite=True, iterations=options.iterations,
                 downscale=options.downscale, schedule=options.schedule, exposure=exposure,
-                vignetting=options.vignetting if exposure == "on" else "off", eval_every=0)
+                eval_every=0, **(learned if exposure == "on" else {}))
         model = opened(device, run.finished_model, small, run.options)
         renders = [render_view(*model, view.camera) for view in test]
         if exposure == "off":
@@ -96,14 +104,15 @@ def responses_of(scene, train, test, learned):
     positions = np.array([view.camera.position for view in train])
 
     def of(transform, view):
-        return Response(transform, used.responses[view.name].vignetting)
+        return dataclasses.replace(used.responses[view.name], transform=transform)
 
     def nearest(view):
         distances = np.linalg.norm(positions - view.camera.position, axis=1)
         near = np.argsort(distances)[:NEAREST]
         return np.average(known[near], axis=0, weights=distances[near]**-2)
 
-    return {"identity": [of(np.eye(3, 4), view) for view in test],
+    return {"model": [Response() for _ in test],
+            "identity": [of(np.eye(3, 4), view) for view in test],
             "mean": [of(known.mean(axis=0), view) for view in test],
             "interpolated": [of(interpolated(names.index(view.name), places, known), view)
                              for view in test],
