@@ -135,12 +135,12 @@ inline void adam_row(const real *gradient, int count, uint step, real rate, __gl
 
 // One step on the row of `view`, and on those of its lens that are learned: numbers that only count
 // if all are finite; else all rows stay and `skipped` counts it. The loss has the penalties pull
-// mean((E - I)^2), pull mean((a, b, c)^2) of the vignetting and pull mean((a, b)^2) of the tone
-// curve beside the image's gradient, the sum of `partials`; the bias corrections go by the row's
-// own steps. Bends stay within TONE_MOST. m, v: real[V, TRANSFORM_REALS]; steps: uint[V]; lens_m,
-// lens_v, tone_m, tone_v: the same for lenses; lens_steps: uint[L]. One group, in both forms: each
-// of PARTS items adds up every PARTS-th row, and one item the rest. A frame that has failed changes
-// nothing.
+// mean((E - I)^2), pull mean((a, b, c)^2) of the vignetting and TONE_PULL pull mean((a, b)^2) of
+// the tone curve beside the image's gradient, the sum of `partials`; the bias corrections go by the
+// row's own steps. Bends stay within TONE_MOST. m, v: real[V, TRANSFORM_REALS]; steps: uint[V];
+// lens_m, lens_v, tone_m, tone_v: the same for lenses; lens_steps: uint[L]. One group, in both
+// forms: each of PARTS items adds up every PARTS-th row, and one item the rest. A frame that has
+// failed changes nothing.
 #define PARTS 16
 __kernel __attribute__((reqd_work_group_size(PARTS, 1, 1)))
 void exposure_step(uint view, real rate, real pull, __global const uint *restrict counts,
@@ -172,10 +172,12 @@ void exposure_step(uint view, real rate, real pull, __global const uint *restric
     tones += lens * TONE_TERMS;
     real gradient[EXPOSURE_SUMS];
     for (int k = 0; k < EXPOSURE_SUMS; k++) {
-        gradient[k] = k < TRANSFORM_REALS
-                          ? pull * 2 / TRANSFORM_REALS * (transforms[k] - (k % 5 == 0 ? 1 : 0))
-                      : k < TONE_SUM ? pull * 2 / VIGNETTING_TERMS * lenses[k - TRANSFORM_REALS]
-                                     : pull * 2 / TONE_TERMS * tones[k - TONE_SUM];
+        if (k < TRANSFORM_REALS)
+            gradient[k] = pull * 2 / TRANSFORM_REALS * (transforms[k] - (k % 5 == 0 ? 1 : 0));
+        else if (k < TONE_SUM)
+            gradient[k] = pull * 2 / VIGNETTING_TERMS * lenses[k - TRANSFORM_REALS];
+        else
+            gradient[k] = pull * (real)TONE_PULL * 2 / TONE_TERMS * tones[k - TONE_SUM];
         for (int p = 0; p < PARTS; p++)
             gradient[k] += sums[p][k];
         if (!isfinite(gradient[k] * gradient[k])) { // an infinite v would never heal

@@ -23,6 +23,7 @@ TRANSFORM_REALS: Final = 12  # of a colour transform, 3 x 4
 VIGNETTING_TERMS: Final = 3  # powers of the squared radius (clsplat/response.py)
 VIGNETTING_REALS: Final = VIGNETTING_TERMS + 1  # and the scale of the radius
 TONE_TERMS: Final = 2  # bends of a tone curve (clsplat/response.py)
+TONE_PULL: Final = 0.1  # of the pull of exposures: their differences alone show a curve, faintly
 TONE_MOST: Final = 1.0  # of a bend: slopes of a curve are between e^-2 and e^2
 GEOMETRY_REALS: Final = 12  # of what takes a pixel at a depth to another view (cl/reproject.cl)
 PAIR_SUMS: Final = 9  # of a pair in the blend adjoint; the depth channel has one more

@@ -51,7 +51,8 @@ class Exposures:
     views : how many views.
     rate : learning rate.
     pull : weight in the loss of mean((E - I)^2) over the 12 entries E of a view's transform, and of
-        the mean squares of the three numbers of its lens's vignetting and of the two of its curve.
+        the mean square of the three numbers of its lens's vignetting; a tenth of it is that of the
+        mean square of the two of its curve.
     initial : float64[V, 3, 4], the transforms [M | t] at the start; None: identities.
     learns : whether the responses change at all.
     lenses : of the views; None: no lens has vignetting or a tone curve.
