@@ -51,20 +51,21 @@ def main(argv=None):
     options = parser.parse_args(argv)
     session.Exposures = functools.partial(Exposures, rate=options.rate)
     device = choose_device("auto")
-    print("| scene, offset | off: plain | cc | on: cc | " + " | ".join(RULES) + " | weight |")
-    print("|---" * (5 + len(RULES)) + "|")
+    print("| scene, offset | off: plain | cc | on: cc | " + " | ".join(RULES) + " | weight | tone |")
+    print("|---" * (6 + len(RULES)) + "|")
     for path in options.scenes:
         whole = clsplat.Scene.read(path)
         for offset in options.offsets:
             held_out = frozenset(view.name for view in whole.views[offset::EVERY])
             scene = dataclasses.replace(whole, held_out=held_out)
             numbers = division(options, device, scene, f"{path.name}-{offset}")
-            print(f"| {path.name} {offset} | " + " | ".join(f"{n:.2f}" for n in numbers) + " |",
+            print(f"| {path.name} {offset} | " + " | ".join(f"{n:.2f}" for n in numbers[:-2])
+                  + f" | {numbers[-2]:.2f}, {numbers[-1]:.2f} |",
                   flush=True)
 
 
 def division(options, device, scene, name):
-    """The numbers of a row, dB, and the weight."""
+    """The numbers of a row, dB, the weight, and the bends of the first lens."""
     small = scene.reduced(options.downscale)
     train, test = small.split(EVERY)
     photos = [photo_of(view) for view in test]
@@ -86,13 +87,15 @@ def division(options, device, scene, name):
         if exposure == "off":
             numbers.append(mean_psnr(renders, photos))
             numbers.append(mean_psnr(map(fit_colour, renders, photos), photos))
-    rules, weight = responses_of(small, train, test, run.folder.load_exposures())
+    learned = run.folder.load_exposures()
+    rules, weight = responses_of(small, train, test, learned)
     shown = {rule: [np.clip(response.applied(render, view.camera), 0, 1)
                     for render, view, response in zip(renders, test, responses)]
              for rule, responses in rules.items()}
     fitted = map(fit_colour, shown["identity"], photos)
     return [*numbers, mean_psnr(fitted, photos),
-            *(mean_psnr(shown[rule], photos) for rule in RULES), weight]
+            *(mean_psnr(shown[rule], photos) for rule in RULES), weight,
+            *learned[train[0].name].tone]
 
 
 def responses_of(scene, train, test, learned):
