@@ -51,7 +51,8 @@ def main(argv=None):
     options = parser.parse_args(argv)
     session.Exposures = functools.partial(Exposures, rate=options.rate)
     device = choose_device("auto")
-    print("| scene, offset | off: plain | cc | on: cc | " + " | ".join(RULES) + " | weight | tone |")
+    print("| scene, offset | off: plain | cc | on: cc | "
+          + " | ".join(RULES) + " | weight | a, b |")
     print("|---" * (6 + len(RULES)) + "|")
     for path in options.scenes:
         whole = clsplat.Scene.read(path)
