@@ -341,6 +341,19 @@ def test_responses_are_what_the_kernels_apply(device):
     assert isinstance(without, Response) and not (without.has_vignetting or without.has_tone)
 
 
+def test_bends_stay_within_their_bound(device):
+    """Of bends at both bounds, a step of whatever sign moves some outwards."""
+    image, grad = a_pair(16, 16)
+    for sign in (1, -1):
+        run = Run(device, pull=0.0, tone=True)
+        bound = np.full((2, 2), sign * TONE_MOST)
+        run.exposures.tones.write(bound)
+        run.tone_state = bound, *run.tone_state[1:]
+        run.step(0, image, grad)
+        run.check("at the bound")
+        assert np.abs(run.exposures.tones.download()).max() == TONE_MOST
+
+
 def test_a_made_curve_is_learned_from_photos_of_other_exposure(item_device):
     """Of an image, and three photos of it as another curve makes them. The bend of brightness is
     hardly seen: a transform has nearly the same effect."""
