@@ -144,7 +144,7 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     return options
 
 
-EARLIER = {"vignetting": "off"}  # what runs did that do not record an option
+EARLIER = {"vignetting": "off", "tone": "off"}  # what runs did that do not record an option
 
 
 def recorded(record: dict[str, Any]) -> TrainOptions:

@@ -197,7 +197,7 @@ def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:
 
 
 def _lenses(prepared: PreparedScene) -> int:
-    """Lenses on the device, of which one is a token without vignetting."""
+    """Lenses on the device, of which one is a token where nothing is learned of them."""
     return len(prepared.lenses.rows) if prepared.lenses else 1
 
 
@@ -228,7 +228,7 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
     for term in terms:
         arrays += term.arrays(*image, "exposure" if exposes else "project adjoint")
     if exposes:
-        arrays += Exposures.frame_arrays(*image, options.vignetting == "on")
+        arrays += Exposures.frame_arrays(*image, options.vignetting == "on", options.tone == "on")
     if not ENGINES[options.engine].RECORDS:
         arrays = [array._replace(shape=(count,)) if array.name == "visible" else array
                   for array in arrays]  # without a Room: one slot a gaussian

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.response import Response, lens_kind, no_vignetting
+from clsplat.response import Response, lens_kind
 from clsplat.scene import View
 
 FEWEST_PHOTOS = 3  # from which a weight can be told
@@ -57,14 +57,13 @@ def predicted_responses(views: Iterable[View], learned: Mapping[str, Response] |
     transforms = np.array([learned[ordered[place].name].transform for place in known])
     mean, places = transforms.mean(axis=0), np.array(known)
     weight = interpolation_weight(places, transforms)
-    lenses = {lens_kind(ordered[place].camera): learned[ordered[place].name].vignetting
-              for place in known}
+    lenses = {lens_kind(ordered[place].camera): learned[ordered[place].name] for place in known}
     responses = dict(learned)
     for place, view in enumerate(ordered):
         if view.name not in learned:
             between = interpolated(place, places, transforms)
-            responses[view.name] = Response(mean + weight * (between - mean), lenses.get(
-                lens_kind(view.camera), no_vignetting()))
+            responses[view.name] = replace(lenses.get(lens_kind(view.camera), Response()),
+                                           transform=mean + weight * (between - mean))
     return Predicted(responses, weight)
 
 

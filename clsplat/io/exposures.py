@@ -13,21 +13,24 @@ from clsplat.io.regular import read_regular
 from clsplat.response import Response
 
 EXPOSURES = "exposures.json"
-TRANSFORM, VIGNETTING = 12, 4  # numbers of a view; those of its vignetting may be missing
+TRANSFORM, VIGNETTING, TONE = 12, 4, 2  # numbers of a view; the last ones may be missing
+COUNTS = tuple(np.cumsum((TRANSFORM, VIGNETTING, TONE)).tolist())
 
 
 def write_exposures(path: Path, responses: Mapping[str, Response]) -> None:
     """Write the responses of views by name, without rounding.
 
-    A view has twelve numbers, the rows [M | t] of its transform, and the four of its vignetting
-    where it has any.
+    A view has twelve numbers, the rows [M | t] of its transform; the four of its vignetting where
+    it has any, or a tone curve; and the two of its tone curve where it has one.
     """
     write_object(path, {name: _numbers(response) for name, response in responses.items()}, indent=0)
 
 
 def _numbers(response: Response) -> list[float]:
     numbers: list[float] = response.transform.ravel().tolist()
-    return numbers + (response.vignetting.tolist() if response.has_vignetting else [])
+    if response.has_vignetting or response.has_tone:
+        numbers += response.vignetting.tolist()
+    return numbers + (response.tone.tolist() if response.has_tone else [])
 
 
 def read_exposures(path: Path) -> dict[str, Response]:
@@ -41,11 +44,9 @@ def read_exposures(path: Path) -> dict[str, Response]:
 
 
 def _response(name: str, numbers: Any) -> Response:
-    if not (isinstance(numbers, list) and len(numbers) in (TRANSFORM, TRANSFORM + VIGNETTING)
+    if not (isinstance(numbers, list) and len(numbers) in COUNTS
             and all(type(number) in (int, float) for number in numbers)):
-        raise ValueError(f"{name[:80]!r} does not have {TRANSFORM} or {TRANSFORM + VIGNETTING} "
-                         "numbers")
-    transform = np.array(numbers[:TRANSFORM], np.float64).reshape(3, 4)
-    if len(numbers) == TRANSFORM:
-        return Response(transform)
-    return Response(transform, np.array(numbers[TRANSFORM:], np.float64))
+        raise ValueError(f"{name[:80]!r} does not have {', '.join(map(str, COUNTS[:-1]))} or "
+                         f"{COUNTS[-1]} numbers")
+    transform, *lens = np.split(np.array(numbers, np.float64), COUNTS[:-1])
+    return Response(transform.reshape(3, 4), *(part for part in lens if len(part)))

@@ -18,7 +18,8 @@ _IMAGE, _DEPTH = dict(image=("real", 3, "H", "W")), dict(depth=("real", "D", "E"
 _ENDS = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
 _EXPOSURE: dict[str, Any] = dict(
     view="uint", transforms=("real", "U", TRANSFORM_REALS), camera=("real", "J"),
-    lens_of=("uint", "K"), lenses=("real", "L", "M"), exposed=("real", "F", "G", "I"))
+    lens_of=("uint", "K"), lenses=("real", "L", "M"), tones=("real", "N", "O"),
+    exposed=("real", "F", "G", "I"))
 _BACKGROUND = dict(background=("real", 3))
 _CHECKPOINTS = dict(checkpoints=("real", "B", "X", 4), depth_checkpoints=("real", "C", "Y"))
 
@@ -53,6 +54,19 @@ class Vignetting(NamedTuple):
     lenses: Array
 
 
+class Tone(NamedTuple):
+    """The tone curve of the lens of a frame's view (clsplat/response.py).
+
+    Attributes
+    ----------
+    lens_of : uint[T], the lens of each view.
+    tones : real[L, 2].
+    """
+
+    lens_of: Array
+    tones: Array
+
+
 class Exposure(NamedTuple):
     """The response of the view of a frame.
 
@@ -61,11 +75,13 @@ class Exposure(NamedTuple):
     transforms : real[T, 12], the colour transforms of views.
     view : the row of the frame's view.
     vignetting : None: no lens has any.
+    tone : None: no lens has a tone curve.
     """
 
     transforms: Array
     view: int
     vignetting: Vignetting | None = None
+    tone: Tone | None = None
 
 
 @dataclass(eq=False)
@@ -139,20 +155,22 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                          device.empty((height, width), np.int32), device.empty(depth_shape),
                          device.empty(image) if exposure else None)
     nothing = result.depth.reshaped(1, *result.depth.shape)
-    transforms, view, vignetting = exposure or Exposure(device.empty((1, TRANSFORM_REALS)), 0)
-    camera, lens_of, lenses = vignetting or (background, pairs.counts, transforms)  # not read
+    transforms, view, vignetting, tone = exposure or Exposure(device.empty((1, TRANSFORM_REALS)), 0)
+    lens_of, tones = tone or (pairs.counts, transforms)  # not read
+    camera, lens_of, lenses = vignetting or (background, lens_of, transforms)
     result.checkpoints = result.depth_checkpoints = None  # free those of the band before
     if pairs.bucket_tiles is not None:
         states = len(pairs.bucket_tiles), device.tile**2
         result.checkpoints = device.empty((*states, 4))
         result.depth_checkpoints = device.empty(states if with_depth else (1, 1))
     device.launch(BLEND, (*defines, ("WITH_EXPOSURE", int(exposure is not None)),
-                          ("WITH_VIGNETTING", int(vignetting is not None))),
+                          ("WITH_VIGNETTING", int(vignetting is not None)),
+                          ("WITH_TONE", int(tone is not None))),
                   width=width, height=height, tiles_x=pairs.tiles_x, first_tile=pairs.tiles.start,
                   background=background, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,
                   splats=splats, image=result.image, transmittance=result.transmittance,
                   last_contributor=result.last_contributor, depth=result.depth, view=view,
-                  transforms=transforms, camera=camera, lens_of=lens_of, lenses=lenses,
+                  transforms=transforms, camera=camera, lens_of=lens_of, lenses=lenses, tones=tones,
                   exposed=nothing if result.exposed is None else result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
                   depth_checkpoints=result.depth_checkpoints)

@@ -8,19 +8,19 @@ from clsplat.errors import InputError
 from clsplat.io.city import DEPTH, BlockFolder
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.options import TrainOptions, checked, resolve
+from clsplat.options import EARLIER, TrainOptions, checked, resolve
 from clsplat.training.loop import resume, train
 from clsplat.training.progress import SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
-DECIDED = ("exposure", "vignetting", "sh_degree")
+DECIDED = ("exposure", "vignetting", "tone", "sh_degree")
 MAY_DIFFER = "init"  # a path in the block's folder, which may have been moved
 
 
 def decided_by(coarse: RunFolder) -> dict[str, Any]:
     """{option: value} that a coarse run has decided for all blocks."""
     decisions, path = coarse.read_options().get("decisions"), coarse.path / OPTIONS
-    known = {"vignetting": "off", **decisions} if isinstance(decisions, dict) else {}  # of old runs
+    known = {**EARLIER, **decisions} if isinstance(decisions, dict) else {}
     if not set(DECIDED) <= set(known):
         raise InputError(f"{path}: damaged (decisions is {str(decisions)[:20]!r}); remove "
                          f"{coarse.path}, and train it again")

@@ -98,8 +98,8 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
              "gaussians": Decision(*schedule.planned_limit(options, facts)),
              "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
              "exposure": exposure, "vignetting": _vignetting(scene, views, options, exposure),
-             "reproject": reproject}
-    decided = ("sh_degree", "exposure", "vignetting", "reproject")
+             "tone": _tone(options, exposure), "reproject": reproject}
+    decided = ("sh_degree", "exposure", "vignetting", "tone", "reproject")
     options = dataclasses.replace(options, **{name: parts[name].value for name in decided})
     if device is not None:
         parts["engine"] = _engine(facts, options, device)
@@ -169,19 +169,27 @@ def _exposure(scene: Scene, views: Sequence[View], options: TrainOptions) -> Dec
 def _vignetting(scene: Scene, views: Sequence[View], options: TrainOptions, exposure: Decision
                 ) -> Decision:
     """On only with exposures, with which it is learned."""
-    if exposure.value == "off":
-        if options.vignetting == "on":
-            raise InputError("--vignetting on: is learned with exposures only; add --exposure on")
-        return Decision("off", "off: exposures are not learned")
-    if options.vignetting == "off":
-        return Decision("off", "off: not requested")
-    if options.vignetting != AUTO:
-        return _requested(options.vignetting)
+    if exposure.value == "off" or options.vignetting != AUTO:
+        return _with_exposures("vignetting", options.vignetting, exposure)
     small = _small_photos(views)
     darker = corner_darkening(small, decoded(small), scene.points)
     value = "on" if darker >= DARKENS else "off"
     return Decision(value, f"{value}: the corners of {len(small)} photos are {100 * darker:.1f} % "
                     f"darker than their middle ({100 * DARKENS:.1f} % counts as vignetting)")
+
+
+def _tone(options: TrainOptions, exposure: Decision) -> Decision:
+    """On only with exposures, whose differences alone show it."""
+    return _with_exposures("tone", options.tone, exposure)
+
+
+def _with_exposures(name: str, value: str, exposure: Decision) -> Decision:
+    """The decision about a part of responses that is asked for, or is not."""
+    if exposure.value == "off":
+        if value == "on":
+            raise InputError(f"--{name} on: is learned with exposures only; add --exposure on")
+        return Decision("off", "off: exposures are not learned")
+    return Decision("off", "off: not requested") if value == "off" else _requested(value)
 
 
 def _small_photos(views: Sequence[View]) -> tuple[View, ...]:

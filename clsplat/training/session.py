@@ -73,8 +73,8 @@ class PreparedScene:
 
     @property
     def lenses(self) -> Lenses | None:
-        """The lenses of the training views; None where no vignetting is learned."""
-        if self.options.vignetting != "on":
+        """The lenses of the training views; None where nothing is learned of them."""
+        if self.options.vignetting != "on" and self.options.tone != "on":
             return None
         cameras = [view.camera for view in self.train_views]
         known = initial_responses(self.scene, self.train_views)
@@ -158,7 +158,8 @@ class Session:
             exposures = Exposures(
                 device, len(self.train_views), learns=initial is None,
                 initial=initial and np.array([response.transform for response in initial]),
-                lenses=prepared.lenses)
+                lenses=prepared.lenses, vignetting=options.vignetting == "on",
+                tone=options.tone == "on")
         self.step = Step(self.renderer, model, self.scene.extent, options, exposures,
                          prepared.trains)
         neighbours = self.decisions.neighbours

@@ -50,7 +50,8 @@ def gaussians(scene):
 
 
 def exposures_of(scene):
-    return {view.name: Response(np.eye(3, 4) + 0.01 * i / 3, np.array([0.1, -0.2, i / 3, 1.5]))
+    return {view.name: Response(np.eye(3, 4) + 0.01 * i / 3, np.array([0.1, -0.2, i / 3, 1.5]),
+                               np.array([i / 7, -0.1]))
             for i, view in enumerate(scene.views[:10])}
 
 
@@ -103,6 +104,7 @@ def test_a_block_is_a_scene(city, scene, gaussians, away):
     for name, response in read.exposures.items():
         assert np.array_equal(response.transform, expected[name].transform)
         assert np.array_equal(response.vignetting, expected[name].vignetting)
+        assert np.array_equal(response.tone, expected[name].tone)
     there = read_ply(block.initial, far.offset)
     assert np.allclose(there.positions, gaussians.positions, atol=1e-4)
     assert block.read() == {"number": 0, **city.identity(),

@@ -258,9 +258,11 @@ def test_the_merged_run_has_the_exposures_of_the_coarse_run(city, scene):
     device = SimpleNamespace(name="none", form="item")
     merge_city(city, scene, resolve({}, {}), device)
     assert RunFolder(city.path).load_exposures() is None
-    known = {scene.views[1].name: Response(1.1 * np.eye(3, 4), np.array([-0.1, 0, 0.2, 1.5]))}
+    known = {scene.views[1].name: Response(1.1 * np.eye(3, 4), np.array([-0.1, 0, 0.2, 1.5]),
+                                            np.array([0.1, -0.3]))}
     RunFolder(city.coarse).save_exposures(known)
     merge_city(city, scene, resolve({}, {}), device)
     (name, found), = RunFolder(city.path).load_exposures().items()
     assert name in known and np.array_equal(found.transform, known[name].transform)
     assert np.array_equal(found.vignetting, known[name].vignetting)
+    assert np.array_equal(found.tone, known[name].tone)

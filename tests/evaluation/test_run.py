@@ -79,9 +79,9 @@ def test_held_out_views_have_an_exposure_that_training_photos_tell(run, item_dev
 
 def test_a_run_goes_on_without_what_it_was_begun_before(run):
     record = run.record
-    del record["vignetting"]
+    del record["vignetting"], record["tone"]
     run.folder.write_options(record)
-    assert run.options == resolve({}, {**OPTIONS, "vignetting": "off"})
+    assert run.options == resolve({}, {**OPTIONS, "vignetting": "off", "tone": "off"})
 
 
 def test_another_scene_is_refused(run, tmp_path):

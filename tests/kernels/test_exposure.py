@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.constants import COUNT_FAILED, EXPOSURE_BLOCK
+from clsplat.constants import COUNT_FAILED, EXPOSURE_BLOCK, TONE_MOST, TONE_PULL
 from clsplat.loss.exposure import Exposures
 from clsplat.primitives.compact import new_counts
 from clsplat.rendering.project import pack_camera
@@ -21,6 +21,11 @@ RATE, PULL, VIEWS = 0.05, 0.3, 3
 LENS_OF = (0, 1, 0, 0, 0)  # of the views
 NAMES = ("transforms", "m", "v", "steps")
 LENS_NAMES = ("lenses", "lens_m", "lens_v", "lens_steps")
+TONE_NAMES = ("tones", "tone_m", "tone_v", "lens_steps")
+PARTS = {"plain": {}, "vignetting": {"vignetting": True}, "tone": {"tone": True},
+         "both": {"vignetting": True, "tone": True}}
+with_parts = pytest.mark.parametrize("parts", [PARTS["plain"], PARTS["both"]],
+                                     ids=["plain", "both"])
 
 
 def camera_of(width, height):
@@ -32,27 +37,36 @@ def camera_of(width, height):
 class Run:
     """Exposures with random transforms and lenses, and the same by the reference."""
 
-    def __init__(self, device, views=VIEWS, pull=PULL, seed=0, vignetting=False):
+    def __init__(self, device, views=VIEWS, pull=PULL, seed=0, vignetting=False, tone=False):
         self.device, self.pull, self.rng = device, pull, np.random.default_rng(seed)
         away = cases.single(self.rng.normal(0, 0.2, (views, 3, 4)))
         lenses = cases.single(np.column_stack([self.rng.normal(0, 0.3, (2, 3)), [0.8, 1.3]]))
-        self.vignetting = vignetting
+        tones = cases.single(self.rng.normal(0, 0.5, (2, 2)))
+        self.vignetting, self.tone = vignetting, tone
         self.exposures = Exposures(device, views, RATE, pull, lenses=Lenses(
-            np.array(LENS_OF[:views]), lenses) if vignetting else None)
+            np.array(LENS_OF[:views]), lenses, tones) if vignetting or tone else None,
+            vignetting=vignetting, tone=tone)
         zero = np.zeros(away.shape)
         self.state = np.eye(3, 4) + away, zero, zero, np.zeros(views, np.uint32)
         self.lens_state = lenses, np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2, np.uint32)
-        self.exposures.upload(dict(zip(NAMES[:3], (
-            values.reshape(views, 12) for values in self.state)), steps=self.state[3],
-            recentred=self.state[0], **dict(zip(LENS_NAMES, self.lens_state))))
+        self.tone_state = tones, np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, np.uint32)
+        self.exposures.upload({
+            **dict(zip(NAMES, (values.reshape(views, -1) for values in self.state))),
+            "steps": self.state[3], "recentred": self.state[0],
+            **dict(zip(LENS_NAMES, self.lens_state)), **dict(zip(TONE_NAMES, self.tone_state))})
+
+    def of_lens(self, lens):
+        """Its vignetting and its tone curve, as far as they are learned."""
+        return (self.lens_state[0][lens] if self.vignetting else np.zeros(4),
+                self.tone_state[0][lens] if self.tone else np.zeros(2))
 
     def step(self, view, image, grad):
         """The gradient by the image, checked; then a step by both."""
         lens = LENS_OF[view]
-        row = self.lens_state[0][lens] if self.vignetting else np.zeros(4)
+        row, tone = self.of_lens(lens)
         u = reference.radius(camera_of(*image.shape[:0:-1]), row)
-        expected, by_transform, by_lens = reference.apply_adjoint(
-            self.state[0][view], image, grad, row, u)
+        expected, by_transform, by_lens, by_tone = reference.apply_adjoint(
+            self.state[0][view], image, grad, row, u, tone)
         actual = stepped(
             self.exposures, view, self.device.upload(image), self.device.upload(grad))
         close(actual.download(), expected, precision_of(self.device), "gradient")
@@ -61,12 +75,17 @@ class Run:
             if self.vignetting:
                 self.lens_state = reference.lens_step(*self.lens_state, lens, by_lens, RATE,
                                                       self.pull)
+            if self.tone:
+                self.tone_state = reference.tone_step(*self.tone_state, lens, by_tone, RATE,
+                                                      TONE_PULL * self.pull, TONE_MOST)
 
     def check(self, what):
         saved = self.exposures.download()
         states = dict(zip(NAMES, self.state))
         if self.vignetting:
             states |= dict(zip(LENS_NAMES, self.lens_state))
+        if self.tone:
+            states |= dict(zip(TONE_NAMES, self.tone_state))
         assert set(saved) == {*states, "recentred"}
         for name, expected in states.items():
             if expected.dtype == np.uint32:
@@ -92,11 +111,11 @@ def a_pair(width, height, seed=0):
 
 
 @pytest.mark.oclgrind
-@pytest.mark.parametrize("vignetting", [False, True])
+@pytest.mark.parametrize("parts", PARTS.values(), ids=PARTS)
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.one_in(5)
-def test_gradient_and_steps(device, size, vignetting):
-    run, (image, grad) = Run(device, vignetting=vignetting), a_pair(*size)
+def test_gradient_and_steps(device, size, parts):
+    run, (image, grad) = Run(device, **parts), a_pair(*size)
     run.step(1, image, grad)
     run.check("a first step")
 
@@ -107,14 +126,14 @@ def test_sizes_stand_around_a_block():
     assert {1, *around} < set(pixels) and max(pixels) > 4 * EXPOSURE_BLOCK
 
 
-@pytest.mark.parametrize("vignetting", [False, True])
-def test_views_and_lenses_step_by_their_own_count(device, vignetting):
-    run = Run(device, vignetting=vignetting)
+@with_parts
+def test_views_and_lenses_step_by_their_own_count(device, parts):
+    run = Run(device, **parts)
     for seed, view in enumerate((2, 0, 2, 1, 0, 2)):
         run.step(view, *a_pair(33, 17, seed))
     run.check("six steps")
     assert run.state[3].tolist() == [2, 1, 3]
-    assert not vignetting or run.lens_state[3].tolist() == [5, 1]
+    assert not parts or run.exposures.lens_steps.download().tolist() == [5, 1]
 
 
 def test_first_and_late_steps_are_corrected(device):
@@ -159,29 +178,29 @@ def test_sums_over_a_million_pixels_keep_their_digits(device):
     close(10 * run.exposures.download()["m"][0], sums.ravel(), precision_of(device), "sums")
 
 
-@pytest.mark.parametrize("vignetting", [False, True])
+@with_parts
 @pytest.mark.parametrize("slot", ["image", "grad"])
-def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot, vignetting):
+def test_poison_leaves_the_row_and_other_pixels_alone(float_device, slot, parts):
     clean = dict(zip(("image", "grad"), a_pair(61, 37)))
     for label, value in cases.POISON.items():
         arrays = cases.poisoned(clean, slot, (1, 20, 30), value)
-        run = Run(float_device, vignetting=vignetting)
-        row = run.lens_state[0][0] if vignetting else np.zeros(4)
+        run = Run(float_device, **parts)
+        row, tone = run.of_lens(0)
         before = run.exposures.download()
         with np.errstate(all="ignore"):
             actual = stepped(run.exposures, 0, *(
                 float_device.upload(arrays[name]) for name in ("image", "grad"))).download()
             expected, *sums = reference.apply_adjoint(
                 run.state[0][0], arrays["image"], arrays["grad"], row,
-                reference.radius(camera_of(61, 37), row))
+                reference.radius(camera_of(61, 37), row), tone)
             usable = all(np.isfinite(np.float32(values)**2).all() for values in sums)
         after = run.exposures.download()
         assert all(np.isfinite(values).all() for values in after.values()), label
         assert after["steps"].tolist() == [int(usable), 0, 0], label
-        assert not vignetting or after["lens_steps"].tolist() == [int(usable), 0], label
+        assert not parts or after["lens_steps"].tolist() == [int(usable), 0], label
         assert run.exposures.skipped.last() == (not usable), label
         unchanged = [np.array_equal(after[name], before[name]) for name in before
-                     if name not in ("recentred", "lenses")]
+                     if name not in ("recentred", "lenses", "tones")]
         assert any(unchanged) != usable, label
         actual[:, 20, 30] = expected[:, 20, 30] = 0
         close(actual, expected, "float", label)
@@ -282,12 +301,12 @@ def test_what_is_saved_is_taken_over_and_goes_on_the_same(device):
     assert saved["steps"].tolist() == [0, 2, 0]
 
 
-@pytest.mark.parametrize("vignetting", [False, True])
-def test_the_same_bytes_every_time(device, vignetting):
+@with_parts
+def test_the_same_bytes_every_time(device, parts):
     image, grad = (device.upload(values) for values in a_pair(173, 151))
     results = []
     for _ in range(2):
-        exposures = Run(device, vignetting=vignetting).exposures
+        exposures = Run(device, **parts).exposures
         results.append([stepped(exposures, 0, image, grad).download(),
                         *exposures.download().values()])
     assert all(a.tobytes() == b.tobytes() for a, b in zip(*results))
@@ -300,7 +319,7 @@ def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
     results = []
     for group in (device.scan_group, 32, 128):
         monkeypatch.setattr(device, "scan_group", group)
-        exposures = Run(device, vignetting=True).exposures
+        exposures = Run(device, vignetting=True, tone=True).exposures
         results.append([stepped(exposures, 0, image, grad).download(),
                         *exposures.download().values()])
     for other in results[1:]:
@@ -309,13 +328,51 @@ def test_groups_of_any_size_give_the_same_bytes(float_device, monkeypatch):
 
 def test_responses_are_what_the_kernels_apply(device):
     """By the host and by the reference: what an evaluation shows is what was learned."""
-    run = Run(device, vignetting=True)
+    run = Run(device, vignetting=True, tone=True)
     camera, image = camera_of(40, 30), cases.images(40, 30)[0]
     for view, response in enumerate(run.exposures.responses()):
-        row = run.lens_state[0][LENS_OF[view]]
-        expected = reference.apply(run.state[0][view], image, row, reference.radius(camera, row))
+        row, tone = run.of_lens(LENS_OF[view])
+        expected = reference.apply(run.state[0][view], image, row, reference.radius(camera, row),
+                                   tone)
         actual = response.applied(image.transpose(1, 2, 0), camera).transpose(2, 0, 1)
         close(actual, expected, "float", "response")
-        assert response.has_vignetting
+        assert response.has_vignetting and response.has_tone
     without = Run(device).exposures.responses()[0]
-    assert isinstance(without, Response) and not without.has_vignetting
+    assert isinstance(without, Response) and not (without.has_vignetting or without.has_tone)
+
+
+def test_bends_stay_within_their_bound(device):
+    """Of bends at both bounds, a step of whatever sign moves some outwards."""
+    image, grad = a_pair(16, 16)
+    for sign in (1, -1):
+        run = Run(device, pull=0.0, tone=True)
+        bound = np.full((2, 2), sign * TONE_MOST)
+        run.exposures.tones.write(bound)
+        run.tone_state = bound, *run.tone_state[1:]
+        run.step(0, image, grad)
+        run.check("at the bound")
+        assert np.abs(run.exposures.tones.download()).max() == TONE_MOST
+
+
+def test_a_made_curve_is_learned_from_photos_of_other_exposure(item_device):
+    """Of an image, and three photos of it as another curve makes them. The bend of brightness is
+    hardly seen: a transform has nearly the same effect."""
+    image, gains, contrast = cases.images(64, 48, 3)[0], (0.7, 1.0, 1.3), 0.6
+    camera, pixels = camera_of(64, 48), image.transpose(1, 2, 0)
+    photos = [Response(np.eye(3, 4) * gain, tone=np.array([0, contrast])).applied(pixels, camera)
+              for gain in gains]
+    left, there = [], item_device.upload(image)
+    for tone in (True, False):
+        exposures = Exposures(item_device, 3, 5e-3, 0.0, lenses=Lenses.of_cameras(3 * [camera]),
+                              vignetting=False, tone=tone)
+        for number in range(600):
+            view = number % 3
+            away = exposures.responses()[view].applied(pixels, camera) - photos[view]
+            grad = item_device.upload(away.transpose(2, 0, 1) / away.size)
+            stepped(exposures, view, there, grad)
+        learned = exposures.responses()
+        left.append(np.sqrt(np.mean([(response.applied(pixels, camera) - photo)**2
+                                     for response, photo in zip(learned, photos)])))
+        if tone:
+            assert np.abs(learned[0].tone - [0, contrast]).max() < 0.25
+    assert left[0] < 0.6 * left[1] and left[1] > 0.02

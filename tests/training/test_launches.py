@@ -14,10 +14,10 @@ from tests.data.tiny_training import CITY, LEVELLED, STILL, options_of
 
 STEPS = 30
 MOST = 20  # launches and fills of a step of the group form
-# exposures with vignetting, statistics for growth and harmonics from the second step on; each
-# further degree would be other programs with the same launches
-ALL_ON = {"iterations": STEPS, "exposure": "on", "vignetting": "on", "sh_degree": 1, "sh_every": 1,
-          "densify_until": 10**6, **STILL}
+# exposures with vignetting and tone curve, statistics for growth and harmonics from the second step
+# on; each further degree would be other programs with the same launches
+ALL_ON = {"iterations": STEPS, "exposure": "on", "vignetting": "on", "tone": "on", "sh_degree": 1,
+          "sh_every": 1, "densify_until": 10**6, **STILL}
 
 
 @pytest.fixture(scope="module")
@@ -86,5 +86,6 @@ def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
 def test_without_what_is_optional(float_device, city, tmp_path, counted):
     """Neither exposures nor lazy rows that catch up."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant",
-                                   exposure="off", vignetting="off", optimizer="sparse"))
+                                   exposure="off", vignetting="off", tone="off",
+                                   optimizer="sparse"))
     assert launches == (17 if float_device.form == "item" else 13)

@@ -1,9 +1,10 @@
 """Train scenes with and without exposures; print what each rule for held-out photos gives.
 
-    python -m tools.studies.response OUT SCENE ... [--vignetting on]
+    python -m tools.studies.response OUT SCENE ... [--vignetting on] [--tone on] [--exposure on]
 
-A division holds out every 8th photo from an offset on. The rules: the identity; the mean of all
-training photos' transforms; the interpolation between those before and after; the one that is used
+A division holds out every 8th photo from an offset on. The rules: the model without any response,
+as it is exported; the identity as transform; the mean of all training photos' transforms; the
+interpolation between those before and after; the one that is used
 (clsplat/evaluation/held_out_responses.py); and the mean of the four nearest cameras, weighted by
 the inverse of their squared distance. Finished runs in OUT are used again.
 """
@@ -29,7 +30,7 @@ from clsplat.training import session
 
 EVERY = 8
 NEAREST = 4
-RULES = ("identity", "mean", "interpolated", "used", "nearest")
+RULES = ("model", "identity", "mean", "interpolated", "used", "nearest")
 
 
 def main(argv=None):
@@ -44,47 +45,58 @@ def main(argv=None):
                         "gives a photo few steps")
     parser.add_argument("--schedule", default="sig")
     parser.add_argument("--vignetting", default="off")
+    parser.add_argument("--tone", default="off")
+    parser.add_argument("--exposure", nargs="+", default=["off", "on"], help="on: leaves out the "
+                        "training without exposures")
     options = parser.parse_args(argv)
     session.Exposures = functools.partial(Exposures, rate=options.rate)
     device = choose_device("auto")
-    print("| scene, offset | off: plain | cc | on: cc | " + " | ".join(RULES) + " | weight |")
-    print("|---" * (5 + len(RULES)) + "|")
+    print("| scene, offset | off: plain | cc | on: cc | "
+          + " | ".join(RULES) + " | weight | a, b |")
+    print("|---" * (6 + len(RULES)) + "|")
     for path in options.scenes:
         whole = clsplat.Scene.read(path)
         for offset in options.offsets:
             held_out = frozenset(view.name for view in whole.views[offset::EVERY])
             scene = dataclasses.replace(whole, held_out=held_out)
             numbers = division(options, device, scene, f"{path.name}-{offset}")
-            print(f"| {path.name} {offset} | " + " | ".join(f"{n:.2f}" for n in numbers) + " |",
+            print(f"| {path.name} {offset} | " + " | ".join(f"{n:.2f}" for n in numbers[:-2])
+                  + f" | {numbers[-2]:.2f}, {numbers[-1]:.2f} |",
                   flush=True)
 
 
 def division(options, device, scene, name):
-    """The numbers of a row, dB, and the weight."""
+    """The numbers of a row, dB, the weight, and the bends of the first lens."""
     small = scene.reduced(options.downscale)
     train, test = small.split(EVERY)
     photos = [photo_of(view) for view in test]
     numbers = []
     for exposure in ("off", "on"):
-        folder = options.out / f"{name}-{options.schedule}-{exposure}-{options.vignetting}"
+        if exposure not in options.exposure:
+            numbers += [np.nan, np.nan]
+            continue
+        learned = {"vignetting": options.vignetting, "tone": options.tone}
+        folder = options.out / "-".join([name, options.schedule, exposure, *learned.values()])
         run = Run(RunFolder(folder))
         if not run.is_finished:
             run = clsplat.train(
                 scene, folder, device=device, overwrite=True, iterations=options.iterations,
                 downscale=options.downscale, schedule=options.schedule, exposure=exposure,
-                vignetting=options.vignetting if exposure == "on" else "off", eval_every=0)
+                eval_every=0, **(learned if exposure == "on" else {}))
         model = opened(device, run.finished_model, small, run.options)
         renders = [render_view(*model, view.camera) for view in test]
         if exposure == "off":
             numbers.append(mean_psnr(renders, photos))
             numbers.append(mean_psnr(map(fit_colour, renders, photos), photos))
-    rules, weight = responses_of(small, train, test, run.folder.load_exposures())
+    learned = run.folder.load_exposures()
+    rules, weight = responses_of(small, train, test, learned)
     shown = {rule: [np.clip(response.applied(render, view.camera), 0, 1)
                     for render, view, response in zip(renders, test, responses)]
              for rule, responses in rules.items()}
     fitted = map(fit_colour, shown["identity"], photos)
     return [*numbers, mean_psnr(fitted, photos),
-            *(mean_psnr(shown[rule], photos) for rule in RULES), weight]
+            *(mean_psnr(shown[rule], photos) for rule in RULES), weight,
+            *learned[train[0].name].tone]
 
 
 def responses_of(scene, train, test, learned):
@@ -96,14 +108,15 @@ def responses_of(scene, train, test, learned):
     positions = np.array([view.camera.position for view in train])
 
     def of(transform, view):
-        return Response(transform, used.responses[view.name].vignetting)
+        return dataclasses.replace(used.responses[view.name], transform=transform)
 
     def nearest(view):
         distances = np.linalg.norm(positions - view.camera.position, axis=1)
         near = np.argsort(distances)[:NEAREST]
         return np.average(known[near], axis=0, weights=distances[near]**-2)
 
-    return {"identity": [of(np.eye(3, 4), view) for view in test],
+    return {"model": [Response() for _ in test],
+            "identity": [of(np.eye(3, 4), view) for view in test],
             "mean": [of(known.mean(axis=0), view) for view in test],
             "interpolated": [of(interpolated(names.index(view.name), places, known), view)
                              for view in test],
