@@ -36,8 +36,9 @@ REASONS = {
         "that nothing uses."),
     "exponential": (
         "Degree 3 shows in the image's mean; from degree 4 on the error is that of float, and exp "
-        "has the same. Degree 6 is exact up to rounding, for two more multiply-adds. native_exp2 is "
-        "as accurate as the device makes it: the group form uses it where it was found accurate."),
+        "has the same. Degree 6 is exact up to rounding, for two more multiply-adds. native_exp2 "
+        "is as accurate as the device makes it: the group form uses it where it was found accurate."
+    ),
     "compiler flags": (
         "Fused multiply-adds and flushed denormals make no visible difference, and save too "
         "little time for a flag. -cl-fast-relaxed-math lets a compiler cancel the addition that "
