@@ -95,7 +95,7 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
              "gaussians": Decision(*schedule.planned_limit(options, facts)),
              "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
              "exposure": exposure, "vignetting": _vignetting(scene, views, options, exposure),
-             "reproject": reproject}
+             "robust": _robust(options), "reproject": reproject}
     decided = ("sh_degree", "exposure", "vignetting", "reproject")
     options = dataclasses.replace(options, **{name: parts[name].value for name in decided})
     if device is not None:
@@ -179,6 +179,14 @@ def _vignetting(scene: Scene, views: Sequence[View], options: TrainOptions, expo
     value = "on" if darker >= DARKENS else "off"
     return Decision(value, f"{value}: the corners of {len(small)} photos are {100 * darker:.1f} % "
                     f"darker than their middle ({100 * DARKENS:.1f} % counts as vignetting)")
+
+
+def _robust(options: TrainOptions) -> Decision:
+    """On only if requested; the run finds what is left out, and records how much."""
+    if options.robust == "on":
+        return Decision("on", "on: requested; the record `robust` of the run has the share of the "
+                        "pixels that are left out", requested=True)
+    return Decision("off", "off: not requested")
 
 
 def _small_photos(views: Sequence[View]) -> tuple[View, ...]:
