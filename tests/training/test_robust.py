@@ -22,12 +22,13 @@ from clsplat.training.robust import (
     outliers,
     packed,
     resampled,
+    residuals,
     spread,
     unpacked,
 )
 from tests.data.tiny_training import CITY, model_digest, records, resumed, trained
 
-WIDTH, HEIGHT, VIEWS = 70, 50, 7
+WIDTH, HEIGHT, VIEWS = 70, 50, 5
 
 
 @pytest.mark.parametrize("size", [(1, 1), (4, 4), (5, 3), (18, 23)], ids=str)
@@ -41,6 +42,18 @@ def test_means_of_cells(size):
         inside = values[:, *part][:, valid[part]]
         expected = inside.mean(axis=1) if inside.size else 0
         assert np.allclose(found[:, y, x], expected, rtol=1e-12)
+
+
+def test_differences_of_fine_texture_cancel():
+    image = np.full((3, 16, 16), 0.4)
+    view = Seen(0, None, np.full((3, 16, 16), 102, np.uint8), np.ones((16, 16), bool))
+    image[:, ::2] += 0.2
+    image[:, 1::2] -= 0.2
+    image[:, 8:, 8:] += 0.1
+    found = residuals(image, view)
+    assert np.allclose(found[:2], 0) and np.allclose(found[2:, 2:], 0.1)
+    image[0, 0, 0] = np.nan
+    assert found.shape == (4, 4) and residuals(image, view)[0, 0] == 0
 
 
 def test_outliers_are_coherent_seen_by_others_and_few():
@@ -115,6 +128,13 @@ def test_what_is_in_one_photo_only_is_found(wall):
     assert not any(each.any() for index, each in enumerate(cells) if index != 2)
     pixels = spread(cells[2], HEIGHT, WIDTH)
     assert pixels[12:28, 20:44].all() and pixels.sum() < 2 * 16 * 24
+
+
+def test_what_few_photos_show_is_not(wall):
+    renderer, rows, views = wall
+    views[2].photo[:, 12:28, 20:44] = np.array([250, 30, 200])[:, None, None]
+    assert found(wall)[2].any()
+    assert not np.any(found((renderer, rows, views[:robust.OTHERS])))
 
 
 def test_what_no_photo_agrees_with_is_not(wall):
