@@ -60,6 +60,12 @@ def test_nothing_is_left_open(city, drift):
                                                         **unchanged)
 
 
+def test_outliers_are_left_out_where_that_is_requested(city, drift):
+    drift(0.0)
+    assert found(city).reasons["robust"] == "off: not requested"
+    assert found(city, robust="on").reasons["robust"].startswith("on: requested; ")
+
+
 @pytest.mark.parametrize("measured, answer", [(DRIFTS, "on"), (0.99 * DRIFTS, "off"), (0, "off")])
 def test_exposures_are_learned_where_photos_drift(city, drift, measured, answer):
     drift(measured)
