@@ -18,6 +18,7 @@ from clsplat.loss.options import (
     ImageLossOptions,
     RegulariseOptions,
     ReprojectOptions,
+    RobustOptions,
 )
 from clsplat.optimise.options import OptimiseOptions
 from clsplat.rendering.options import RenderingOptions
@@ -96,9 +97,9 @@ class DeviceOptions:
 
 @dataclass(frozen=True)
 class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, McmcOptions, SphereOptions,
-                   SigOptions, OptimiseOptions, DepthOptions, ReprojectOptions, ExposureOptions,
-                   RegulariseOptions, ImageLossOptions, RenderingOptions, ScheduleOptions,
-                   SceneOptions, RunOptions):
+                   SigOptions, OptimiseOptions, DepthOptions, ReprojectOptions, RobustOptions,
+                   ExposureOptions, RegulariseOptions, ImageLossOptions, RenderingOptions,
+                   ScheduleOptions, SceneOptions, RunOptions):
     """Everything that decides a training; defaults are those of Kerbl et al. (2023).
 
     The help lists the groups from the last base to the first.

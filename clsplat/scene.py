@@ -44,6 +44,7 @@ class View:
     transparent : whether transparent pixels of the photo do not count.
     depth : the file of its depth map (io/depth.py); None: it has none.
     quarter_turns : how many clockwise quarter turns show the photo upright, by its EXIF.
+    weighed : whether a training may leave out pixels of the photo (training/robust.py).
     """
 
     name: str
@@ -54,6 +55,12 @@ class View:
     transparent: bool = False
     depth: Path | None = None
     quarter_turns: int = 0
+    weighed: bool = False
+
+    @property
+    def may_have_mask(self) -> bool:
+        """Whether `valid` may leave out pixels."""
+        return self.mask is not None or self.transparent or self.lens is not None
 
     def sees(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Which points lie in front of the camera and within the image, occluded or not.

@@ -38,6 +38,15 @@ class ExposureOptions:
 
 
 @dataclass(frozen=True)
+class RobustOptions:
+    """Pixels of photos that are left out, as something moved or glared."""
+
+    robust: str = option("off", "Loss", "leave out pixels of a photo that the model cannot explain "
+                         "though it explains the same place in other photos: people, cars, glare",
+                         main=True, choices=("off", "on"))
+
+
+@dataclass(frozen=True)
 class DepthOptions:
     """Depth maps that hold the training."""
 

@@ -46,6 +46,8 @@ class TrainingSample:
     photo : uchar[3, H, W], or uchar[4, H, W] with a mask (cl/image_loss.cl).
     source : a source view, if a term of this step compares with one.
     depth : real[H, W], its depth map, 0 where there is none; None: the view has no map.
+    own_mask : whether a mask of the photo is its own; one that has outliers only does not change
+        which gaussians the view sees.
     """
 
     view: int
@@ -53,6 +55,7 @@ class TrainingSample:
     photo: Array
     source: SourceView | None = None
     depth: Array | None = None
+    own_mask: bool = True
 
 
 @dataclass(eq=False)

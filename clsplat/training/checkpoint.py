@@ -15,6 +15,7 @@ from clsplat.options import checked
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
 from clsplat.training.recorder import broken
+from clsplat.training.robust import packed, unpacked
 from clsplat.training.session import Session
 
 Arrays = dict[str, NDArray[Any]]
@@ -52,6 +53,10 @@ class Checkpoint:
             parts["statistics"]["frozen"] = step.frozen.download()
         if step.exposures:
             parts["exposure"] = step.exposures.download()
+        if session.options.robust == "on":
+            parts["robust"] = {"disturbed_at": np.array(session.disturbed_at)}
+            if session.photos.ignored is not None:
+                parts["robust"]["cells"] = packed(session.photos.ignored)
         arrays = {f"{kind}.{name}": values for kind, fields in parts.items()
                   for name, values in fields.items()}
         bad = [name for name, values in arrays.items() if not _is_finite(values)]
@@ -81,6 +86,11 @@ class Checkpoint:
                                    if name.startswith("exposure.")})
             if session.source_views:
                 session.source_views.compare_colours()
+        if session.options.robust == "on":
+            session.disturbed_at = int(arrays["robust.disturbed_at"])
+        if "robust.cells" in arrays:
+            session.photos.ignore(unpacked(arrays["robust.cells"], [
+                (view.camera.height, view.camera.width) for view in session.photos.views]))
         step.skipped.load(state["skipped"])
         step.pixel_pairs, session.iteration = state["pixel_pairs"], state["iteration"]
         self.clock.load(state)

@@ -98,7 +98,8 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
              "gaussians": Decision(*schedule.planned_limit(options, facts)),
              "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
              "exposure": exposure, "vignetting": _vignetting(scene, views, options, exposure),
-             "tone": _tone(options, exposure), "reproject": reproject}
+             "tone": _tone(options, exposure), "robust": _robust(options),
+             "reproject": reproject}
     decided = ("sh_degree", "exposure", "vignetting", "tone", "reproject")
     options = dataclasses.replace(options, **{name: parts[name].value for name in decided})
     if device is not None:
@@ -190,6 +191,14 @@ def _with_exposures(name: str, value: str, exposure: Decision) -> Decision:
             raise InputError(f"--{name} on: is learned with exposures only; add --exposure on")
         return Decision("off", "off: exposures are not learned")
     return Decision("off", "off: not requested") if value == "off" else _requested(value)
+
+
+def _robust(options: TrainOptions) -> Decision:
+    """On only if requested; the run finds what is left out, and records how much."""
+    if options.robust == "on":
+        return Decision("on", "on: requested; the record `robust` of the run has the share of the "
+                        "pixels that are left out", requested=True)
+    return Decision("off", "off: not requested")
 
 
 def _small_photos(views: Sequence[View]) -> tuple[View, ...]:

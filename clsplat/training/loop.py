@@ -227,6 +227,8 @@ class Training:
         if session.options.snapshots and plan.level != session.level:
             with self.clock.paused():
                 save_snapshot(self.run, session)
+        if session.looks_for_outliers(plan):
+            self.recorder.log("robust", **session.ignore_outliers(plan.degree))
         if session.use_level(plan.level) and deadline:
             deadline.note_change()
         batch = session.options.batch
@@ -241,6 +243,8 @@ class Training:
                          "lower --prune-opacity, or allow larger --prune-size or --sphere-reach")
         if event:
             self.recorder.log("grow", **event)
+        if plan.resets_opacity:
+            session.disturbed_at = iteration
         frequency = self._observe()
         if deadline:
             deadline.estimate()

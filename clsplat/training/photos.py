@@ -15,6 +15,7 @@ from clsplat.device import Array, ArraySpec, Device
 from clsplat.io.views import read_photo
 from clsplat.options import TrainOptions
 from clsplat.scene import View
+from clsplat.training.robust import Cells, resampled, spread
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
 MOST_THREADS = 8  # that read photos; each needs memory for a part of one as floats
@@ -33,6 +34,8 @@ def decode(view: View) -> NDArray[np.uint8]:
     """Read a view's photo at its camera's size: [3, H, W], or if pixels do not count [4, H, W] with
     a plane that is 0 there and 255 elsewhere."""
     planes, valid = read_photo(view).transpose(2, 0, 1), view.valid()
+    if valid is None and view.weighed:
+        valid = np.ones(planes.shape[1:], bool)
     if valid is not None:
         planes = np.concatenate([planes, valid[None] * np.uint8(255)])
     return np.ascontiguousarray(planes)
@@ -78,7 +81,7 @@ def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
 
 def photo_array(view: View) -> ArraySpec:
     """The device array of a view's photo, with a mask if there may be one."""
-    planes = 4 if view.mask is not None or view.transparent or view.lens else 3
+    planes = 4 if view.may_have_mask or view.weighed else 3
     return ArraySpec((planes, view.camera.height, view.camera.width), np.uint8)
 
 
@@ -101,6 +104,8 @@ class Photos:
     ----------
     level, views : the present level, and the views at it.
     resident : whether the photos of this level stay on the device.
+    ignored : of views that are `weighed`, the cells whose pixels are left out besides those that do
+        not count anyway (robust.py); None: none were looked for yet.
     read_seconds : duration of the last change of level.
     """
 
@@ -114,6 +119,7 @@ class Photos:
         # (level, its photos)
         self._next: tuple[float, list[Future[NDArray[np.uint8]]]] | None = None
         self.level = 0.0  # none yet
+        self.ignored: list[Cells] | None = None
         if not self._fits(at_level(views, levels[0])):
             for _ in decoded(views):
                 pass
@@ -133,6 +139,9 @@ class Photos:
             photos = ((future.result() for future in expected[1])
                       if expected and expected[0] == level else decoded(self.views))
             self._arrays = [self.device.upload(photo) for photo in photos]
+        if self.ignored is not None:
+            self.ignore([resampled(cells, view.camera.height, view.camera.width)
+                         for cells, view in zip(self.ignored, self.views)])
         self.read_seconds = time.perf_counter() - begin
         following = [new for new in self._levels if new < level]
         if following and self._fits(at_level(self._full, following[0])):
@@ -151,8 +160,39 @@ class Photos:
         if self.resident:
             return self._arrays[index]
         pending = self._ahead.pop(index, None)
-        return self.device.upload(pending.result() if pending else decode(self.views[index]))
+        photo = pending.result() if pending else decode(self.views[index])
+        if self.ignored is not None:
+            _leave_out(photo[3], self.ignored[index])
+        return self.device.upload(photo)
+
+    def ignore(self, cells: list[Cells]) -> None:
+        """Leave out the pixels of these cells of each view from now on, and no others."""
+        self.ignored = cells
+        for array, view, ignored in zip(self._arrays, self.views, cells):
+            mask = _own_mask(view)
+            _leave_out(mask, ignored)
+            array.write(mask[None], 3)
+
+    def unweighed(self, index: int) -> NDArray[np.uint8]:
+        """A view's photo as `decode` returns it, where pixels are left out by its own mask only."""
+        if not self.resident:
+            return decode(self.views[index])
+        photo: NDArray[np.uint8] = self._arrays[index].download()
+        photo[3] = _own_mask(self.views[index])
+        return photo
 
     def close(self) -> None:
         """Stop reading ahead."""
         self._threads.shutdown(wait=False, cancel_futures=True)
+
+
+def _own_mask(view: View) -> NDArray[np.uint8]:
+    """The last plane of `decode` of a view that is `weighed`."""
+    valid = view.valid()
+    if valid is None:
+        valid = np.ones((view.camera.height, view.camera.width), bool)
+    return valid * np.uint8(255)
+
+
+def _leave_out(mask: NDArray[np.uint8], ignored: Cells) -> None:
+    mask[spread(ignored, *mask.shape)] = 0

@@ -6,7 +6,7 @@ A session has no files and no clock; of its progress it reports only what is bei
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,7 @@ from clsplat.training.initialise import initial_gaussians, initial_responses
 from clsplat.training.model import Model
 from clsplat.training.photos import Photos, decoded
 from clsplat.training.progress import SilentProgress
+from clsplat.training.robust import Seen, find_outliers, is_due, share_of
 from clsplat.training.source_views import SourceViews
 from clsplat.training.step import Step
 from clsplat.training.units import MOST_PENDING
@@ -109,6 +110,8 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
         raise InputError(f"{scene.name}: has a single photo; depth needs at least two from "
                          "different places, and 20 or more make a good model")
     train_views, test_views = scene.split(options.test_every, options.test_offset)
+    if options.robust == "on":
+        train_views = tuple(replace(view, weighed=True) for view in train_views)
     if not train_views:
         raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
                          "view; use a larger number, or none")
@@ -138,6 +141,8 @@ class Session:
     level : down-sampling factor of the training images.
     cameras : packed cameras of the training views at that level.
     options : may be replaced between steps (`lay_over`).
+    disturbed_at : step after which outliers were last looked for, a level began or opacities were
+        reset.
     """
 
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
@@ -217,6 +222,7 @@ class Session:
             self.depths.use(self.photos.views)
         self.cameras = [self.renderer.pack(camera) for camera in cameras]
         self.step.begin_level()
+        self.disturbed_at = self.iteration
         # pending steps hold their photos, which elsewhere come and go
         self.step.units.most_pending = MOST_PENDING if self.photos.resident else 1 + FEW_PHOTOS
         return True
@@ -236,7 +242,8 @@ class Session:
             source = SourceView(self.photos[other], self.source_views.geometries,
                                 self.source_views.colours, row)
         return TrainingSample(view, self.cameras[view], self.photos[view], source,
-                              self.depths[view] if self.depths else None)
+                              self.depths[view] if self.depths else None,
+                              self.train_views[view].may_have_mask)
 
     def expect(self, view: int, number: int, plan: Plan) -> None:
         """Begin to read the photos that `sample` will need; same arguments."""
@@ -275,6 +282,40 @@ class Session:
         count = len(self.train_views)
         chosen = rng.choice(count, min(SCORING_VIEWS, count), replace=False)
         return [(self.cameras[i], self.photos[i]) for i in chosen]
+
+    def looks_for_outliers(self, plan: Plan) -> bool:
+        """Whether `ignore_outliers` is due before the next step, which has this plan."""
+        options = self.decisions.options
+        return options.robust == "on" and is_due(
+            self.iteration - self.disturbed_at, options.iterations,
+            -(-len(self.train_views) // options.batch), plan.level != self.level)
+
+    def ignore_outliers(self, degree: int) -> dict[str, float]:
+        """Find the pixels of all training photos that are left out from now on; waits.
+
+        Parameters
+        ----------
+        degree : of the spherical harmonics that are used.
+
+        Returns
+        -------
+        For the record: the shares of all pixels, and of those of the photo with most.
+        """
+        self.model.catch_up()
+        self.step.release()  # these frames have other sizes
+        cells = find_outliers(self.renderer, self.model.rows, degree, self.step.exposures,
+                              self._seen)
+        self.device.trim()
+        self.photos.ignore(cells)
+        self.disturbed_at = self.iteration
+        return {"share": round(share_of(cells), 6),
+                "most": round(max(float(each.mean()) for each in cells), 6)}
+
+    def _seen(self) -> Iterator[Seen]:
+        """All training views at this level, with their photos."""
+        for index, camera in enumerate(self.cameras):
+            photo = self.photos.unweighed(index)
+            yield Seen(index, camera, photo[:3], photo[3] > 0)
 
     def lay_over(self, iterations: int) -> None:
         """Fit the whole schedule to a number of steps."""

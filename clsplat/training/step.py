@@ -211,7 +211,7 @@ class Step:
         if any(term.needs_map for term in terms):
             inputs["depth_map"] = sample.depth
         key = (slot, plan.degree, plan.gathers, tuple(term.name for term in terms),
-               sample.photo.shape, source and source.photo.shape)
+               sample.photo.shape, sample.own_mask, source and source.photo.shape)
         if graph := self._graphs.get(key):
             graph.replay(**inputs)
         else:
@@ -265,7 +265,8 @@ class Step:
             exposures.step(sample.view, partials, counts)
         gradients = self.renderer.adjoint(
             rows, frame, grad.image, grad.depth, grad.transmittance, self.frozen,
-            self._statistics.sums if plan.gathers else None, is_masked(sample.photo))
+            self._statistics.sums if plan.gathers else None,
+            is_masked(sample.photo) and sample.own_mask)
         if self.options.opacity_weight or self.options.scale_weight:
             regularise(rows, gradients, self.options.opacity_weight, self.options.scale_weight)
         return gradients

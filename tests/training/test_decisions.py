@@ -68,6 +68,12 @@ def test_the_number_of_steps_follows_the_photos(photos, steps):
     assert planned_steps(resolve({}, {"preset": "paper"}), photos)[0] == 30_000
 
 
+def test_outliers_are_left_out_where_that_is_requested(city, drift):
+    drift(0.0)
+    assert found(city).reasons["robust"] == "off: not requested"
+    assert found(city, robust="on").reasons["robust"].startswith("on: requested; ")
+
+
 @pytest.mark.parametrize("measured, answer", [(DRIFTS, "on"), (0.99 * DRIFTS, "off"), (0, "off")])
 def test_exposures_are_learned_where_photos_drift(city, drift, measured, answer):
     drift(measured)
