@@ -177,7 +177,8 @@ class Run:
         Parameters
         ----------
         path : where the scene is now; None: where the run has recorded it.
-        whole : at the size of its photos instead.
+        whole : at the size of its photos instead, and with the poses that it brings; otherwise
+            training views have the poses that the run has corrected.
 
         Raises
         ------
@@ -190,7 +191,10 @@ class Run:
             raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "
                              "that one with --scene")
         scene = undistorted(scene, self.folder.undistorted, make=False)
-        return scene if whole else scene.reduced(options.downscale, options.max_resolution)
+        if whole:
+            return scene
+        return scene.reduced(options.downscale, options.max_resolution).corrected(
+            self.folder.load_poses())
 
     def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
                ) -> tuple[Any, Any, int]:
