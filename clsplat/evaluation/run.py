@@ -243,13 +243,15 @@ class Run:
                     raise
 
     def evaluate(self, device: Device | None = None, *,
-                 lpips: str | PathLike[str] | None = None) -> Score:
+                 lpips: str | PathLike[str] | None = None, align: bool = False) -> Score:
         """Compare the finished model with the held-out photos.
 
         Parameters
         ----------
         device : an open device; None: the best that works.
         lpips : an ONNX file with an LPIPS network, whose score is wanted too.
+        align : whether the held-out photos are also compared from poses that are aligned with them
+            (`clsplat eval --align`).
 
         Returns
         -------
@@ -263,7 +265,7 @@ class Run:
             raise InputError(f"{self.path}: has no finished model yet; resume it first, or give "
                              "Run.model to clsplat.evaluate")
         return Score.of(evaluate_run(self, device or choose_device("auto"), save_images=False,
-                                     metrics=final_metrics(lpips)))
+                                     metrics=final_metrics(lpips), align=align))
 
     def __repr__(self) -> str:
         state = "finished" if self.is_finished else "not finished"
