@@ -23,8 +23,8 @@ PERCEPTUAL = ("flip", "flip_cc", "lpips", "lpips_cc")  # which older runs lack
               help="ONNX file of an LPIPS network, by which to compare as well; needs "
               "`pip install onnxruntime`.")
 @click.option("--align", is_flag=True,
-              help="Also compare from poses that are aligned with the photos on the finished model, "
-              "by the same rule for every run.")
+              help="Also compare from poses that are aligned with the photos on the finished "
+              "model, by the same rule for every run.")
 @moved_scene_flag
 def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bool,
              scene: Path | None) -> None:

@@ -19,6 +19,7 @@ from clsplat.evaluation.views import evaluate_run, final_metrics, opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models import read_model, read_notes
+from clsplat.io.poses import read_poses
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
@@ -45,7 +46,8 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
 
     Returns
     -------
-    The model in the frame of the scene, the scene at the size of the renders, and the options.
+    The model in the frame of the scene, the scene at the size of the renders, with the poses that
+    the run has corrected, and the options.
 
     Raises
     ------
@@ -56,6 +58,8 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
         options, model = run.options, run.finished_model
         place, images = run.folder.scene_path(scene_path), options.images
         scene = read_scene(place, images if scene_path is None or (place / images).is_dir() else "")
+        if run.record.get("fingerprint") == fingerprint(scene):
+            scene = scene.corrected(read_poses(run.path))
     elif scene_path is None:
         raise InputError(f"{path}: a file of gaussians has no cameras; name them with "
                          "--scene SCENE")
@@ -194,7 +198,7 @@ class Run:
         if whole:
             return scene
         return scene.reduced(options.downscale, options.max_resolution).corrected(
-            self.folder.load_poses())
+            read_poses(self.path))
 
     def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
                ) -> tuple[Any, Any, int]:

@@ -17,15 +17,18 @@ NUMBERS = 6  # of a view: its turn, and its shift
 LARGEST = 1e100
 
 
-def write_poses(path: Path, corrections: Mapping[str, Correction]) -> None:
+def write_poses(run: Path, corrections: Mapping[str, Correction]) -> None:
     """Write the corrections of views by name, without rounding: six numbers each, the turn and the
-    shift in world units."""
-    write_object(path, {name: [*each.turn.tolist(), *each.shift.tolist()]
+    shift in world units. `run` is the folder."""
+    write_object(run / POSES, {name: [*each.turn.tolist(), *each.shift.tolist()]
                         for name, each in corrections.items()}, indent=0)
 
 
-def read_poses(path: Path) -> dict[str, Correction]:
-    """Read what `write_poses` wrote; InputError if it is damaged."""
+def read_poses(run: Path) -> dict[str, Correction]:
+    """Read what `write_poses` wrote; InputError if it is damaged. A run without it has none."""
+    path = run / POSES
+    if not path.is_file():
+        return {}
     try:
         return {name: _correction(name, numbers)
                 for name, numbers in object_of(read_regular(path)).items()}

@@ -27,13 +27,12 @@ from clsplat.io.georeference import files as placement_files
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
-from clsplat.io.poses import POSES, read_poses, write_poses
+from clsplat.io.poses import POSES
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, record_of, write_object
 from clsplat.io.renders import Renders
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.undistort import FOLDER as UNDISTORTED
-from clsplat.placement.corrections import Correction
 from clsplat.response import Response
 from clsplat.scene import Scene
 
@@ -43,7 +42,8 @@ CHECKPOINT = "checkpoint.npz"
 MODEL = "point_cloud.ply"
 REPORT = "report.html"
 LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
-FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)  # in the order of their removal
+# in the order of their removal
+FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)
 CITY = "city.json"  # of a folder that `clsplat city` wrote: io/city.py reads it
 STATE = "state.json"  # the member of a checkpoint that holds everything but arrays
 
@@ -317,15 +317,6 @@ class RunFolder:
         """Load the responses of views by name, or None if the run learned none."""
         path = self.path / EXPOSURES
         return read_exposures(path) if path.is_file() else None
-
-    def save_poses(self, corrections: Mapping[str, Correction]) -> None:
-        """Replace the corrections of the poses of training views, by name, in world units."""
-        write_poses(self.path / POSES, corrections)
-
-    def load_poses(self) -> dict[str, Correction]:
-        """Load the corrections of poses by name; none if the run learned none."""
-        path = self.path / POSES
-        return read_poses(path) if path.is_file() else {}
 
     def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = (),
                    sphere: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""Learned corrections of the poses of training views, as the poses that a scene brings are not exact
+"""Learned corrections of the poses of training views, as those that a scene brings are not exact
 (cl/pose.cl)."""
 
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from clsplat.placement.corrections import Correction, without_common_motion
 from clsplat.rendering.frame_arrays import FrameArray
 
 LEARNED = ("poses", "m", "v", "steps")
-WARM_UP = 0.1  # of the run: so long poses stay, as the first gaussians tell nothing of them
-DECAY = 0.01  # the share of the rate that is left at the last step
-RATE = 5e-4  # radians, or shares of the depth, at the end of the warm-up
+WARM_UP = 0.3  # of the run: so long poses stay, as the first gaussians tell nothing of them
+DECAY = 0.03  # the share of the rate that is left at the last step
+RATE = 5e-4  # radians, or shares of the depth, right after the warm-up
 PULL = 1.0  # weight of half the squared correction in the loss
 
 _ROWS, _CAMERA = ("real", "V", POSE_REALS), ("real", CAMERA_REALS)
@@ -76,8 +76,7 @@ class Poses:
     def frame_arrays(seen: int) -> list[FrameArray]:
         """What a step allocates for a view that sees so many gaussians, or has room for them."""
         return [FrameArray("pose_terms", (seen, POSE_REALS), None, "project adjoint", "adam"),
-                FrameArray("partials", (_blocks(seen), POSE_REALS), None, "project adjoint",
-                           "adam")]
+                FrameArray("partials", (_blocks(seen), POSE_REALS), None, "pose", "pose")]
 
     def apply(self, view: int, camera: Array) -> Array:
         """`corrected`, which the next call overwrites on the device.

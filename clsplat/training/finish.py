@@ -7,6 +7,7 @@ from clsplat.errors import ClsplatError
 from clsplat.evaluation.views import pictures_of
 from clsplat.io.georeference.files import placement_comments
 from clsplat.io.model_values import mode_comment
+from clsplat.io.poses import write_poses
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.placement.corrections import Correction
@@ -21,8 +22,8 @@ def save_model(run: RunFolder, session: Session) -> None:
     if session.step.exposures:
         run.save_exposures(session.responses())
     if session.step.poses:
-        run.save_poses({name: Correction(each.turn, each.shift * session.scene.unit)
-                        for name, each in session.corrections().items()})
+        write_poses(run.path, {name: Correction(each.turn, each.shift * session.scene.unit)
+                               for name, each in session.corrections().items()})
     gaussians = session.model.download().scaled(session.scene.unit)
     run.save_model(gaussians, session.scene.offset, _comments(session),
                    session.options.sphere_columns)
