@@ -67,7 +67,7 @@ __kernel void pose_apply(uint view, real depth, __global const real *restrict ca
 
 // One step on the pose of `view`, whose given camera is `camera`, as exposure_step takes one: with
 // the penalty pull / 2 |pose|^2; a gradient that is not finite changes nothing and is counted. With
-// a rate of 0 nothing changes.
+// a rate of 0, in the warm-up, nothing changes.
 #define PARTS 16
 __kernel __attribute__((reqd_work_group_size(PARTS, 1, 1)))
 void pose_step(uint view, real rate, real pull, real depth, uint blocks,

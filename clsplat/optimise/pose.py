@@ -123,7 +123,10 @@ class Poses:
         The gaussians can follow a motion that all cameras have in common, so nothing but the pull
         prevents it; but held-out views keep the poses that they were given.
         """
-        kept = without_common_motion(self.cameras, self.corrections(), self.depth)
+        corrections = self.corrections()
+        if not any(each.turn.any() or each.shift.any() for each in corrections):
+            return  # in the warm-up; rounding would move them
+        kept = without_common_motion(self.cameras, corrections, self.depth)
         self.poses.write(np.array([[*each.turn, *(each.shift / self.depth)] for each in kept]))
 
     def download(self) -> dict[str, NDArray[Any]]:

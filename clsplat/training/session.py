@@ -296,7 +296,11 @@ class Session:
         rng = np.random.default_rng([self.options.seed, 3, self.iteration])
         count = len(self.train_views)
         chosen = rng.choice(count, min(SCORING_VIEWS, count), replace=False)
-        return [(self.cameras[i], self.photos[i]) for i in chosen]
+        if not self.step.poses:
+            return [(self.cameras[i], self.photos[i]) for i in chosen]
+        corrections = self.step.poses.corrections()
+        return [(self.renderer.pack(corrections[i].applied(self.photos.views[i].camera)),
+                 self.photos[i]) for i in chosen]
 
     def lay_over(self, iterations: int) -> None:
         """Fit the whole schedule to a number of steps."""
