@@ -15,9 +15,9 @@ from clsplat.rendering.frame_arrays import FrameArray
 
 LEARNED = ("poses", "m", "v", "steps")
 WARM_UP = 0.3  # of the run: so long poses stay, as the first gaussians tell nothing of them
-DECAY = 0.03  # the share of the rate that is left at the last step
+DECAY = 0.05  # the share of the rate that is left at the last step
 RATE = 5e-4  # radians, or shares of the depth, right after the warm-up
-PULL = 1.0  # weight of half the squared correction in the loss
+PULL = 100.0  # weight of half the squared correction in the loss, radians
 
 _ROWS, _CAMERA = ("real", "V", POSE_REALS), ("real", CAMERA_REALS)
 _PARTIALS = ("real", "P", POSE_REALS)

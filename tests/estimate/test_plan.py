@@ -144,7 +144,8 @@ def test_blocks_are_those_of_the_pool(own_device):
             0, block_bytes(size)) and block_bytes(size) >= size
 
 
-PARTS = [{"poses": "on"}, {"exposure": "on", "vignetting": "on", "reproject": "on", "moments": "half"},
+PARTS = [{"poses": "on"},
+         {"exposure": "on", "vignetting": "on", "reproject": "on", "moments": "half"},
          {"batch": 3},
          {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]
 
