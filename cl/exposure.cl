@@ -15,6 +15,7 @@
 #include "counts.h"
 #include "vignetting.h"
 #include "tone.h"
+#include "adam_row.h"
 
 #ifndef WITH_VIGNETTING
 #error "WITH_VIGNETTING must be 0 or 1"
@@ -117,21 +118,6 @@ inline real radius_of1(__global const real *camera, __global const real *lens, u
 #else
 #include "group/exposure.cl"
 #endif
-
-// One step of Adam (Kingma & Ba 2015) on a row of `count` numbers, whose `step`-th it is; the bias
-// corrections go from log(beta): in single precision 1 - 0.999^t loses digits.
-inline void adam_row(const real *gradient, int count, uint step, real rate, __global real *values,
-                     __global real *m, __global real *v)
-{
-    const real correction1 = -expm1(step * (real)LOG_BETA1);
-    const real correction2 = -expm1(step * (real)LOG_BETA2);
-    for (int k = 0; k < count; k++) {
-        const real g = gradient[k];
-        m[k] += (real)ONE_MINUS_BETA1 * (g - m[k]);
-        v[k] += (real)ONE_MINUS_BETA2 * (g * g - v[k]);
-        values[k] -= rate * (m[k] / correction1) / (sqrt(v[k] / correction2) + (real)ADAM_EPSILON);
-    }
-}
 
 // One step on the row of `view`, and on those of its lens that are learned: numbers that only count
 // if all are finite; else all rows stay and `skipped` counts it. The loss has the penalties pull

@@ -14,6 +14,9 @@
 #ifndef MASKED
 #define MASKED 0
 #endif
+#ifndef WITH_POSE
+#define WITH_POSE 0
+#endif
 #ifndef SUMS
 #define SUMS PAIR_SUMS
 #endif
@@ -91,6 +94,13 @@ __kernel void project(__global const uint *restrict counts,
 // and how many views saw it; a view with masked pixels (MASKED) did if the gradient is not zero.
 // Without these two choices the arrays are not touched.
 //
+// WITH_POSE: pose_terms: real[V, POSE_REALS], the share of each gaussian in the gradient by the
+// pose. The first three are by a small turn of all that the camera sees about its centre, camera
+// axes: what moves with the mean, p x grad_p, and what turns W in M = J W R S, which is as if the
+// gaussian itself had turned. The direction in which its harmonics are seen does not change in such
+// a turn. The last three are the gradient by the position, world: a shift of the camera is one of
+// all positions the other way. Zero where a gradient is not finite.
+//
 // A unit of work is done with this kernel, also one whose view sees nothing: the launch is of work
 // elements, at least 1.
 __kernel void project_adjoint(
@@ -107,7 +117,8 @@ __kernel void project_adjoint(
     __global real *restrict grad_log_scales, __global real *restrict grad_quaternions,
     __global real *restrict grad_means, __global uint *restrict active,
     __global uint *restrict skipped, __global const uint *restrict frozen,
-    __global real *restrict grad_norm_sum, __global uint *restrict seen_count)
+    __global real *restrict grad_norm_sum, __global uint *restrict seen_count,
+    __global real *restrict pose_terms)
 {
     GAUSSIANS_MEMORY
     const uint count = min(work, counts[COUNT_VISIBLE]);
@@ -181,6 +192,13 @@ __kernel void project_adjoint(
         grad_p.z += sum[SUM_DEPTH];
 #endif
         real3 grad_position = to_world(camera, grad_p);
+#if WITH_POSE
+        const real3 turn_world =
+            (real3)(dot(f.r0, grad_turn), dot(f.r1, grad_turn), dot(f.r2, grad_turn));
+        const real3 by_turn = cross(f.p, grad_p) + (real3)(dot(vload3(0, w), turn_world),
+                                                           dot(vload3(1, w), turn_world),
+                                                           dot(w3, turn_world));
+#endif
 
         // colour; where it is not drawn nothing flows
         real3 grad_colour = vload3(0, sum + SUM_COLOUR);
@@ -220,6 +238,10 @@ __kernel void project_adjoint(
         const bool moves = finite;
 #endif
         active[v] = moves ? row : NO_ROW;
+#if WITH_POSE
+        vstore3(finite ? by_turn : (real3)(0), 2 * v, pose_terms);
+        vstore3(finite ? grad_position : (real3)(0), 2 * v + 1, pose_terms);
+#endif
 #if WITH_STATISTICS
         if (moves) {
             grad_norm_sum[row] += length(grad_mean * (real2)(half_width, half_height));

@@ -25,6 +25,7 @@ VIGNETTING_REALS: Final = VIGNETTING_TERMS + 1  # and the scale of the radius
 TONE_TERMS: Final = 2  # bends of a tone curve (clsplat/response.py)
 TONE_PULL: Final = 0.1  # of the pull of exposures: their differences alone show a curve, faintly
 TONE_MOST: Final = 1.0  # of a bend: slopes of a curve are between e^-2 and e^2
+POSE_REALS: Final = 6  # of the correction of a pose (cl/pose.cl): 3 of a turn, 3 of a shift
 GEOMETRY_REALS: Final = 12  # of what takes a pixel at a depth to another view (cl/reproject.cl)
 PAIR_SUMS: Final = 9  # of a pair in the blend adjoint; the depth channel has one more
 FREQUENCY_TERMS: Final = 11  # columns of cl/frequency.cl
@@ -67,6 +68,7 @@ LANES: Final = 256  # of a sum, in whatever groups: the order of additions; no g
 PER_ITEM: Final = 8  # elements of a chunk that a work-item of the group form lists or sorts
 PROJECT_GROUP: Final = 64  # gaussians whose harmonics a group loads together
 EXPOSURE_BLOCK: Final = 2048  # pixels that a partial sum of the exposure's gradient covers
+POSE_BLOCK: Final = 1024  # gaussians that a partial sum of the pose's gradient covers
 
 SHARED: Final = MappingProxyType(
     {name: value for name, value in list(globals().items()) if name.isupper()})

@@ -20,7 +20,7 @@ from clsplat.loss.options import (
     ReprojectOptions,
     RobustOptions,
 )
-from clsplat.optimise.options import OptimiseOptions
+from clsplat.optimise.options import OptimiseOptions, PoseOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.schedule.mcmc import McmcOptions
 from clsplat.schedule.registry import OURS, ScheduleOptions, others_that_load, schedule_of
@@ -97,7 +97,8 @@ class DeviceOptions:
 
 @dataclass(frozen=True)
 class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, McmcOptions, SphereOptions,
-                   SigOptions, OptimiseOptions, DepthOptions, ReprojectOptions, RobustOptions,
+                   SigOptions, OptimiseOptions, PoseOptions, DepthOptions, ReprojectOptions,
+                   RobustOptions,
                    ExposureOptions, RegulariseOptions, ImageLossOptions, RenderingOptions,
                    ScheduleOptions, SceneOptions, RunOptions):
     """Everything that decides a training; defaults are those of Kerbl et al. (2023).
@@ -169,6 +170,9 @@ def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
             raise InputError(
                 f"{flag_name(known.name)}: has no effect with --schedule {options.schedule}; leave "
                 f"it out, or use --schedule {' or '.join(serving)}")
+    if options.poses == "on" and options.reproject != "off":
+        raise InputError("--poses on: does not go with --reproject, which compares photos by the "
+                         "poses that were given; leave one of them out")
     if options.test_offset >= max(1, options.test_every):
         every = options.test_every or "none"
         raise InputError(f"--test-offset {options.test_offset}: must be less than --test-every, "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.camera import Camera, Lens, scene_extent
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
+from clsplat.placement.corrections import Correction
 from clsplat.placement.first_view import first_view
 from clsplat.placement.up import up_axis
 from clsplat.response import Response
@@ -194,6 +195,15 @@ class Scene:
         """The cameras of the photos as they are shown, not as they are stored."""
         return [view.camera.turned(view.quarter_turns) for view in self.views]
 
+    def corrected(self, corrections: Mapping[str, Correction]) -> Scene:
+        """The scene with corrected poses.
+
+        Parameters
+        ----------
+        corrections : of views by name, in units of the scene; other views stay as they are.
+        """
+        return replace(self, views=corrected_views(self.views, corrections), given_up=self.up)
+
     def with_up(self, up: ArrayLike) -> Scene:
         """The same scene, in which a direction points up.
 
@@ -368,3 +378,16 @@ class Scene:
         return table({"scene": self.name, "views": f"{len(self.views)}, {size} pixels",
                       "points": f"{len(self.points):,}",
                       "extent": f"{self.extent:.4g} world units"})
+
+
+def corrected_views(views: Iterable[View], corrections: Mapping[str, Correction]
+                    ) -> tuple[View, ...]:
+    """Views with corrected poses; those of which no correction is known stay as they are.
+
+    Parameters
+    ----------
+    views : with their given poses.
+    corrections : by name, in the unit of the cameras.
+    """
+    return tuple(replace(view, camera=corrections[view.name].applied(view.camera))
+                 if view.name in corrections else view for view in views)

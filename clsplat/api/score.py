@@ -6,7 +6,7 @@ from clsplat.api.device import opened_device
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
 from clsplat.evaluation.score import Score
-from clsplat.evaluation.views import evaluate_views, final_metrics
+from clsplat.evaluation.views import depth_to_align, evaluate_views, final_metrics
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.slabs import open_model
 from clsplat.scene import Scene
@@ -15,7 +15,7 @@ from clsplat.scene import Scene
 def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = None,
              test_every: int = 8, test_offset: int = 0, near: float | None = None,
              antialiased: bool = False, background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-             lpips: str | PathLike[str] | None = None) -> Score:
+             lpips: str | PathLike[str] | None = None, align: bool = False) -> Score:
     """Compare renders of a model with the held-out photos of a scene.
 
     Parameters
@@ -27,6 +27,8 @@ def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = No
         views are compared.
     near, antialiased, background : as for `clsplat.render`.
     lpips : an ONNX file with an LPIPS network, whose score is wanted too (see `clsplat eval`).
+    align : whether the photos are also compared from poses that are aligned with them (see `clsplat
+        eval --align`).
 
     Returns
     -------
@@ -42,4 +44,5 @@ def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = No
     renderer, rows = open_model(opened_device(device), model.moved(scene.offset),
                                 scene.near(near or 0), antialiased, background)
     return Score.of(evaluate_views(renderer, rows, model.sh_degree, views,
-                                   metrics=final_metrics(lpips)))
+                                   metrics=final_metrics(lpips),
+                                   align=depth_to_align(scene) if align else 0.0))

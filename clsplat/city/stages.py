@@ -52,8 +52,11 @@ def begin(city: CityFolder, scene: Scene, options: TrainOptions) -> None:
     Raises
     ------
     InputError : the folder holds a city of another scene, or one with other options; or the
-        network of `options.lpips` cannot be read.
+        network of `options.lpips` cannot be read; or the options correct poses.
     """
+    if options.poses == "on":
+        raise InputError("--poses on: is for single runs; the blocks of a city would correct the "
+                         "same poses differently, so leave it out")
     final_metrics(options.lpips)  # a network that cannot be read is refused before the work
     record = {**scene_record(scene.path, city.path), "fingerprint": fingerprint(scene),
               "options": dataclasses.asdict(options)}

@@ -22,8 +22,12 @@ PERCEPTUAL = ("flip", "flip_cc", "lpips", "lpips_cc")  # which older runs lack
 @click.option("--lpips", type=click.Path(path_type=Path), metavar="FILE",
               help="ONNX file of an LPIPS network, by which to compare as well; needs "
               "`pip install onnxruntime`.")
+@click.option("--align", is_flag=True,
+              help="Also compare from poses that are aligned with the photos on the finished "
+              "model, by the same rule for every run.")
 @moved_scene_flag
-def evaluate(run: Path, device: str, images: bool, lpips: Path | None, scene: Path | None) -> None:
+def evaluate(run: Path, device: str, images: bool, lpips: Path | None, align: bool,
+             scene: Path | None) -> None:
     """Compare the held-out views of RUN with their photos.
 
     PSNR (dB), SSIM and FLIP (0 to 1, lower is better) are means over views, plain and after a
@@ -31,6 +35,10 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, scene: Pa
     views are rendered with one that follows from those of the training photos alone. For a
     synthetic city, floaters are the share of opacity that is more than 1, 3 and 10 pixels away from
     the true surface.
+
+    The given poses of held-out views are not exact, and a sharp model suffers most from that. With
+    --align each is moved a little against its photo, while the model stays as it is: this compares
+    runs with and without --poses.
     """
     from clsplat.device import choose_device
     from clsplat.evaluation.error_map import LEGEND
@@ -41,12 +49,14 @@ def evaluate(run: Path, device: str, images: bool, lpips: Path | None, scene: Pa
     folder.check_model()
     metrics = final_metrics(lpips)
     with folder.locked() if images else nullcontext():
-        result = evaluate_run(opened, choose_device(device), images, scene, metrics)
+        result = evaluate_run(opened, choose_device(device), images, scene, metrics,
+                              align)
         click.echo(summary(result))
         if images:
             from clsplat.report.run import renew_report
             if opened.is_finished:  # else its last evaluation was that of another model
-                folder.add_scores({key: result[key] for key in PERCEPTUAL if key in result})
+                folder.add_scores({key: value for key, value in result.items()
+                                   if key in PERCEPTUAL or "aligned" in key})
             click.echo(f"pictures: {folder.renders.folder}\n"
                        f"  from left to right: {', '.join(PANELS)} ({LEGEND})\n"
                        f"report: {renew_report(folder, result['pictures'])}")
@@ -58,9 +68,15 @@ def summary(result: dict[str, Any]) -> str:
     views = f"{result['views']} held-out view{'s' if result['views'] != 1 else ''}"
     names = [name for name in ("psnr", "ssim", "flip", "lpips") if name in result]
     lines = [f"{views:<20}" + "".join(f"{name.upper():>8}" for name in names)]
-    for label, suffix in (("plain", ""), ("colour-corrected", "_cc")):
+    kinds = [("plain", ""), ("colour-corrected", "_cc")]
+    if "aligned_degrees" in result:
+        kinds += [("aligned", "_aligned"), ("both", "_cc_aligned")]
+    for label, suffix in kinds:
         lines.append(f"{label:<20}" + "".join(
             f"{result[name + suffix]:>8.{2 if name == 'psnr' else 4}f}" for name in names))
+    if "aligned_degrees" in result:
+        lines.append(f"moved by {result['aligned_degrees']:.3f} degrees and "
+                     f"{result['aligned_shift']:.3%} of the depth in the mean")
     if "exposure_weight" in result:
         lines.append("exposure of held-out views: "
                      f"{Predicted(weight=result['exposure_weight'])}")

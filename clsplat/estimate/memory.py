@@ -20,6 +20,7 @@ from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import LossTerm
 from clsplat.loss.terms import terms_of
 from clsplat.optimise.batch import BatchMean
+from clsplat.optimise.pose import Poses
 from clsplat.rendering.bands import pair_limit
 from clsplat.rendering.bin import steps_of, tile_grid
 from clsplat.rendering.frame_arrays import STAGES, FrameArray, FrameSize, frame_arrays
@@ -192,6 +193,7 @@ def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:
             *(BatchMean.arrays(rows).values() if options.batch > 1 else ()),
             *(Exposures.arrays(len(views), _lenses(prepared)).values()
               if options.exposure == "on" else ()),
+            *(Poses.arrays(len(views)).values() if options.poses == "on" else ()),
             *(SourceViews.arrays(neighbours).values() if neighbours else ()),
             *([ArraySpec((count,), np.uint32)] if scene.region else ())]  # Step.frozen
 
@@ -229,6 +231,8 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
         arrays += term.arrays(*image, "exposure" if exposes else "project adjoint")
     if exposes:
         arrays += Exposures.frame_arrays(*image, options.vignetting == "on", options.tone == "on")
+    if options.poses == "on":
+        arrays += Poses.frame_arrays(seen)
     if not ENGINES[options.engine].RECORDS:
         arrays = [array._replace(shape=(count,)) if array.name == "visible" else array
                   for array in arrays]  # without a Room: one slot a gaussian

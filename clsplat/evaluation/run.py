@@ -19,6 +19,7 @@ from clsplat.evaluation.views import evaluate_run, final_metrics, opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models import read_model, read_notes
+from clsplat.io.poses import read_poses
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
@@ -45,7 +46,8 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
 
     Returns
     -------
-    The model in the frame of the scene, the scene at the size of the renders, and the options.
+    The model in the frame of the scene, the scene at the size of the renders, with the poses that
+    the run has corrected, and the options.
 
     Raises
     ------
@@ -56,6 +58,8 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
         options, model = run.options, run.finished_model
         place, images = run.folder.scene_path(scene_path), options.images
         scene = read_scene(place, images if scene_path is None or (place / images).is_dir() else "")
+        if run.record.get("fingerprint") == fingerprint(scene):
+            scene = scene.corrected(read_poses(run.path))
     elif scene_path is None:
         raise InputError(f"{path}: a file of gaussians has no cameras; name them with "
                          "--scene SCENE")
@@ -177,7 +181,8 @@ class Run:
         Parameters
         ----------
         path : where the scene is now; None: where the run has recorded it.
-        whole : at the size of its photos instead.
+        whole : at the size of its photos instead, and with the poses that it brings; otherwise
+            training views have the poses that the run has corrected.
 
         Raises
         ------
@@ -190,7 +195,10 @@ class Run:
             raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "
                              "that one with --scene")
         scene = undistorted(scene, self.folder.undistorted, make=False)
-        return scene if whole else scene.reduced(options.downscale, options.max_resolution)
+        if whole:
+            return scene
+        return scene.reduced(options.downscale, options.max_resolution).corrected(
+            read_poses(self.path))
 
     def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
                ) -> tuple[Any, Any, int]:
@@ -239,13 +247,15 @@ class Run:
                     raise
 
     def evaluate(self, device: Device | None = None, *,
-                 lpips: str | PathLike[str] | None = None) -> Score:
+                 lpips: str | PathLike[str] | None = None, align: bool = False) -> Score:
         """Compare the finished model with the held-out photos.
 
         Parameters
         ----------
         device : an open device; None: the best that works.
         lpips : an ONNX file with an LPIPS network, whose score is wanted too.
+        align : whether the held-out photos are also compared from poses that are aligned with them
+            (`clsplat eval --align`).
 
         Returns
         -------
@@ -259,7 +269,7 @@ class Run:
             raise InputError(f"{self.path}: has no finished model yet; resume it first, or give "
                              "Run.model to clsplat.evaluate")
         return Score.of(evaluate_run(self, device or choose_device("auto"), save_images=False,
-                                     metrics=final_metrics(lpips)))
+                                     metrics=final_metrics(lpips), align=align))
 
     def __repr__(self) -> str:
         state = "finished" if self.is_finished else "not finished"

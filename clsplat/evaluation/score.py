@@ -10,6 +10,8 @@ from typing import Any
 class Score:
     """Means over views; `_cc` after a quadratic fit of each render's colours to its photo.
 
+    `_aligned` is from poses that were aligned with the photos, None where that was not asked for.
+
     Attributes
     ----------
     views : how many views were rendered.
@@ -18,6 +20,10 @@ class Score:
     per_view : a dict for each view, with its `name` and all scores.
     flip, flip_cc : 0 to 1, lower is better (Andersson et al. 2020).
     lpips, lpips_cc : lower is better; None if no network was given.
+    psnr_aligned, psnr_cc_aligned, ssim_aligned, ssim_cc_aligned : as without the suffix.
+    flip_aligned, flip_cc_aligned, lpips_aligned, lpips_cc_aligned : as without the suffix.
+    aligned_degrees : mean angle by which a view was turned.
+    aligned_shift : mean distance by which a view was moved, as a share of the typical depth.
     exposure_weight : where the run learned exposures, the share of the interpolation between the
         training photos before and after in the exposure of held-out views; the rest is the mean of
         all. None: views are rendered as the model is.
@@ -34,6 +40,16 @@ class Score:
     lpips: float | None = None
     lpips_cc: float | None = None
     exposure_weight: float | None = None
+    psnr_aligned: float | None = None
+    psnr_cc_aligned: float | None = None
+    ssim_aligned: float | None = None
+    ssim_cc_aligned: float | None = None
+    flip_aligned: float | None = None
+    flip_cc_aligned: float | None = None
+    lpips_aligned: float | None = None
+    lpips_cc_aligned: float | None = None
+    aligned_degrees: float | None = None
+    aligned_shift: float | None = None
 
     @classmethod
     def of(cls, result: dict[str, Any]) -> Score:
@@ -56,4 +72,7 @@ class Score:
                                     ("LPIPS", self.lpips, self.lpips_cc)):
             if plain is not None and fitted is not None:
                 rows[name] = f"{plain:.4f} ({fitted:.4f} after the colour fit), lower is better"
+        if self.psnr_aligned is not None:
+            rows["PSNR from aligned poses"] = (
+                f"{self.psnr_aligned:.2f} dB ({self.psnr_cc_aligned:.2f} after the colour fit)")
         return table(rows)

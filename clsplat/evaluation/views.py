@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.errors import InputError
+from clsplat.evaluation.align import aligned
 from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.error_map import error_map
 from clsplat.evaluation.flip import flip
@@ -28,6 +29,7 @@ from clsplat.io.images import write_image
 from clsplat.io.regular import native
 from clsplat.io.views import read_photo
 from clsplat.options import TrainOptions
+from clsplat.placement.corrections import typical_depth
 from clsplat.rendering.slabs import open_model
 from clsplat.response import Response
 from clsplat.scene import Scene, View
@@ -60,7 +62,7 @@ def render_view(renderer: Any, rows: Any, degree: int, camera: Camera,
 def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
                    keep: Callable[..., object] | None = None,
                    metrics: Mapping[str, Metric] = METRICS,
-                   predicted: Predicted | None = None) -> dict[str, Any]:
+                   predicted: Predicted | None = None, align: float = 0.0) -> dict[str, Any]:
     """Compare renders from the cameras of views with their photos.
 
     Parameters
@@ -69,24 +71,37 @@ def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
     keep : called for every view with (view, image, fitted image, photo, which pixels count).
     metrics : by their names.
     predicted : the responses of the views; None: they are rendered as the model is.
+    align : world units, a typical depth, with which the pose of each view is also aligned with its
+        photo (align.py); 0: it is not.
 
     Returns
     -------
     {"views", "psnr", "ssim", "psnr_cc", "ssim_cc", ..., "per_view"}: means over views, dB and 0 to
     1; `_cc` after the quadratic colour fit of each render to its photo. Masked pixels do not count,
-    and a view without others is left out. With `predicted` also "exposure_weight", its weight.
+    and a view without others is left out. With `predicted` also "exposure_weight", its weight. With
+    `align` also all scores from the aligned poses, with the suffix `_aligned`, and the size of the
+    corrections: `aligned_degrees`, and `aligned_shift` as a share of the depth.
     """
     responses = predicted.responses if predicted else {}
     per_view: list[dict[str, Any]] = []
     names = [name + suffix for suffix in ("", "_cc") for name in metrics]
+    if align:
+        names += [f"{name}_aligned" for name in names] + ["aligned_degrees", "aligned_shift"]
     for view in views:
         image = render_view(renderer, rows, degree, view.camera, responses.get(view.name))
         photo, valid = photo_of(view), view.valid()
         if valid is not None and not valid.any():
             continue
         fitted = fit_colour(image, photo, valid)
-        scores = [metric(shown, photo, valid) for shown in (image, fitted)
-                  for metric in metrics.values()]
+        shown = [image, fitted]
+        if align:
+            correction = aligned(renderer, rows, degree, view, align)
+            moved = render_view(renderer, rows, degree, correction.applied(view.camera),
+                                responses.get(view.name))
+            shown += [moved, fit_colour(moved, photo, valid)]
+        scores = [metric(each, photo, valid) for each in shown for metric in metrics.values()]
+        if align:
+            scores += [correction.degrees, float(np.linalg.norm(correction.shift)) / align]
         per_view.append({"name": view.name, **dict(zip(names, scores))})
         if keep:
             keep(view, image, fitted, photo, valid)
@@ -148,7 +163,8 @@ def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOpt
 
 
 def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None,
-                 metrics: Mapping[str, Metric] = FINAL_METRICS) -> dict[str, Any]:
+                 metrics: Mapping[str, Metric] = FINAL_METRICS, align: bool = False
+                 ) -> dict[str, Any]:
     """Compare the finished model of a run with its held-out photos.
 
     Parameters
@@ -158,6 +174,7 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     save_images : whether PANELS are written into the run, side by side as PNG.
     scene_path : where the scene is now; None: where the run has recorded it.
     metrics : by their names.
+    align : whether to compare from aligned poses as well.
 
     Returns
     -------
@@ -184,12 +201,18 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     if save_images:
         run.folder.renders.note("test", [view.name for view in views])
     predicted = predicted_responses(scene.views, run.folder.load_exposures())
-    result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted)
+    result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
+                            depth_to_align(scene) if align else 0.0)
     if city:
         cameras = [view.camera for view in train]
         result.update(floater_share(city, gaussians, cameras, scene.offset))
     result["pictures"] = pictures_of(*model, views, train, result["per_view"], predicted)
     return result
+
+
+def depth_to_align(scene: Scene) -> float:
+    """The `align` of `evaluate_views` for the views of a scene."""
+    return typical_depth([view.camera for view in scene.views], scene.points)
 
 
 def training_pictures(run: Run, device: Device) -> Pictures:

@@ -24,7 +24,8 @@ KEYS = (
            "version", "commit", "schedule")),
     (dict, ("reasons", "decisions")))
 # numbers in the records of events; `lpips` is also an option, with a text
-SCORES = ("psnr", "psnr_cc", "ssim", "ssim_cc", "flip", "flip_cc", "lpips", "lpips_cc")
+PLAIN = ("psnr", "psnr_cc", "ssim", "ssim_cc", "flip", "flip_cc", "lpips", "lpips_cc")
+SCORES = (*PLAIN, *(f"{name}_aligned" for name in PLAIN), "aligned_degrees", "aligned_shift")
 
 
 def object_of(data: bytes) -> dict[str, Any]:

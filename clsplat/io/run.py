@@ -27,6 +27,7 @@ from clsplat.io.georeference import files as placement_files
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply, write_ply
+from clsplat.io.poses import POSES
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, record_of, write_object
 from clsplat.io.renders import Renders
@@ -41,7 +42,8 @@ CHECKPOINT = "checkpoint.npz"
 MODEL = "point_cloud.ply"
 REPORT = "report.html"
 LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
-FILES = (METRICS, CHECKPOINT, EXPOSURES, MODEL, REPORT, OPTIONS)  # in the order of their removal
+# in the order of their removal
+FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)
 CITY = "city.json"  # of a folder that `clsplat city` wrote: io/city.py reads it
 STATE = "state.json"  # the member of a checkpoint that holds everything but arrays
 

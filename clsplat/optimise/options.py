@@ -6,6 +6,14 @@ from clsplat.config.option import option
 
 
 @dataclass(frozen=True)
+class PoseOptions:
+    """Corrections of the poses of training views."""
+
+    poses: str = option("off", "Optimisation", "on: correct the poses of the training photos a "
+                        "little, beside the gaussians", choices=("off", "on"))
+
+
+@dataclass(frozen=True)
 class OptimiseOptions:
     """How gradients move the gaussians."""
 

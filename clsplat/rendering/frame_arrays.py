@@ -20,7 +20,7 @@ from clsplat.rendering.bin import HAS_BUCKETS, NEEDS_ORDER, tile_grid
 
 # of a training step, in order; a frame without an adjoint ends with "blend"
 STAGES = ("cull", "compact", "project", "depth sort", "count", "emit", "blend", "loss", "reproject",
-          "exposure", "blend adjoint", "project adjoint", "adam")
+          "exposure", "blend adjoint", "project adjoint", "pose", "adam")
 
 
 class FrameArray(NamedTuple):

@@ -118,6 +118,7 @@ class Gradients:
     rows : uint[V], the row of each gaussian, or NO_ROW where the gradient is not finite.
     visible : uint[V], the row of each gaussian, whatever its gradient.
     counts : uint[FRAME_COUNTS]; only the first counts[COUNT_VISIBLE] of the V exist.
+    pose_terms : real[V, 6], their shares in the gradient by the camera's pose, if it was asked for.
     """
 
     fields: Mapping[str, Array]
@@ -125,6 +126,7 @@ class Gradients:
     rows: Array
     visible: Array
     counts: Array
+    pose_terms: Array | None = None
 
 
 class Renderer:
@@ -247,7 +249,8 @@ class Renderer:
     def adjoint(self, rows: Rows, frame: Frame, grad_image: Array,
                 grad_depth: Array | None = None,
                 grad_transmittance: Array | None = None, frozen: Array | None = None,
-                statistics: tuple[Array, Array] | None = None, masked: bool = False) -> Gradients:
+                statistics: tuple[Array, Array] | None = None, masked: bool = False,
+                with_pose: bool = False) -> Gradients:
         """Gradients by the gaussians from gradients by a frame (backward pass).
 
         Parameters
@@ -256,7 +259,7 @@ class Renderer:
         frame : what `render` returned.
         grad_image : real[3, H, W].
         grad_depth, grad_transmittance : real[H, W], for a frame with depth; None: zero.
-        frozen, statistics, masked : as for `project_adjoint`.
+        frozen, statistics, masked, with_pose : as for `project_adjoint`.
         """
         if self.orthographic or self.median_depth:
             raise ValueError("orthographic frames and median depths have no adjoint")
@@ -272,11 +275,11 @@ class Renderer:
                 device, self._splat_grads(frame, frame.pairs_of(band), grads, earlier),
                 frame.counts, self._project_defines)
         splat_grads = self._splat_grads(frame, frame.pairs_of(last), grads, earlier)
-        fields, means, active = project_adjoint(
+        fields, means, active, pose_terms = project_adjoint(
             device, rows, frame.visible, frame.counts, frame.camera, frame.sh_degree,
             self._project_defines, splat_grads, self.skipped, frame.size, frozen, statistics,
-            masked)
-        return Gradients(fields, means, active, frame.visible, frame.counts)
+            masked, with_pose)
+        return Gradients(fields, means, active, frame.visible, frame.counts, pose_terms)
 
     def _splat_grads(self, frame: Frame, pairs: Pairs, grads: tuple[Array, Array, Array],
                      earlier: Array | None) -> SplatGrads:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.constants import CAMERA_REALS, FRAME_COUNTS, SPLAT_REALS
+from clsplat.constants import CAMERA_REALS, FRAME_COUNTS, POSE_REALS, SPLAT_REALS
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
 from clsplat.gaussians import LEARNED
 from clsplat.rendering.blend import Defines, SplatGrads
@@ -35,7 +35,8 @@ ADJOINT = Kernel("project.cl", "project_adjoint",
                  grad_positions=("real", "V", 3), **_BY_COLOUR, grad_opacity_logits=("real", "V"),
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1),
-                 frozen=("uint", "F"), grad_norm_sum=("real", "G"), seen_count=("uint", "H"))
+                 frozen=("uint", "F"), grad_norm_sum=("real", "G"), seen_count=("uint", "H"),
+                 pose_terms=("real", "Q", "W"))
 SUM_PAIRS = Kernel(
     "project.cl", "sum_pairs",
     Forms(item=each("V"), group=groups("V/PROJECT_GROUP", "PROJECT_GROUP")),
@@ -148,8 +149,9 @@ def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: A
 def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, camera: Array,
                     sh_degree: int, defines: Defines, splat_grads: SplatGrads, skipped: Array,
                     size: tuple[int, int] = (0, 0), frozen: Array | None = None,
-                    statistics: tuple[Array, Array] | None = None, masked: bool = False
-                    ) -> tuple[FieldGradients, Array, Array]:
+                    statistics: tuple[Array, Array] | None = None, masked: bool = False,
+                    with_pose: bool = False
+                    ) -> tuple[FieldGradients, Array, Array, Array | None]:
     """Gradients by the gaussians from gradients by their splats.
 
     Parameters
@@ -162,16 +164,20 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
     statistics : real[N] and uint[N], to which the lengths of the screen gradients, in NDC units,
         and the number of views are added; None: they are not needed.
     masked : whether pixels of the view do not count: then it saw those with a gradient.
+    with_pose : whether the gradient by the pose of the camera is needed.
 
     Returns
     -------
     The gradients by field; real[V, 2], by the means in pixels; uint[V], the row of each gradient,
-    or NO_ROW where it is not finite or left out.
+    or NO_ROW where it is not finite or left out; real[V, 6], the shares of the gaussians in the
+    gradient by the pose (cl/project.cl), or None.
     """
     choices: Defines = (("WITH_FROZEN", int(frozen is not None)),
                         ("WITH_STATISTICS", int(statistics is not None)))
     if masked and statistics:
         choices = (*choices, ("MASKED", 1))
+    if with_pose:
+        choices = (*choices, ("WITH_POSE", 1))
     summed, pairs = _summed(splat_grads)
     count, defines = len(visible), (*_of_degree(defines, sh_degree), *choices, *summed)
     stored = {f.name: device.empty((count, *rows[f.name].shape[1:])) for f in LEARNED
@@ -179,15 +185,17 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
     norms, seen = statistics or (stored["opacity_logits"], skipped)
     grad_colours, directions = device.empty((count, 3)), device.empty((count, 3))
     grad_means, active = device.empty((count, 2)), device.empty(count, np.uint32)
+    pose_terms = device.empty((count, POSE_REALS)) if with_pose else None
     device.launch(ADJOINT, defines, work=max(count, 1), half_width=size[0] / 2,
                   half_height=size[1] / 2, counts=counts, rows=visible, camera=camera,
                   **_learned(rows), **pairs, **{f"grad_{name}": g for name, g in stored.items()},
                   grad_colours=grad_colours, directions=directions, grad_means=grad_means,
                   active=active, skipped=skipped, frozen=skipped if frozen is None else frozen,
-                  grad_norm_sum=norms, seen_count=seen)
+                  grad_norm_sum=norms, seen_count=seen,
+                  pose_terms=grad_means if pose_terms is None else pose_terms)
     gradients = FieldGradients(device, stored, grad_colours, directions,
                                rows["sh_rest"].shape[1], defines, counts)
-    return gradients, grad_means, active
+    return gradients, grad_means, active, pose_terms
 
 
 def sum_pairs(device: Device, splat_grads: SplatGrads, counts: Array, defines: Defines) -> Array:

@@ -11,6 +11,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
+from clsplat.optimise.pose import LEARNED as POSES
 from clsplat.options import checked
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
@@ -57,6 +58,8 @@ class Checkpoint:
             parts["robust"] = {"disturbed_at": np.array(session.disturbed_at)}
             if session.photos.ignored is not None:
                 parts["robust"]["cells"] = packed(session.photos.ignored)
+        if step.poses:
+            parts["pose"] = step.poses.download()
         arrays = {f"{kind}.{name}": values for kind, fields in parts.items()
                   for name, values in fields.items()}
         bad = [name for name, values in arrays.items() if not _is_finite(values)]
@@ -91,6 +94,8 @@ class Checkpoint:
         if "robust.cells" in arrays:
             session.photos.ignore(unpacked(arrays["robust.cells"], [
                 (view.camera.height, view.camera.width) for view in session.photos.views]))
+        if step.poses:
+            step.poses.upload({name: arrays[f"pose.{name}"] for name in POSES})
         step.skipped.load(state["skipped"])
         step.pixel_pairs, session.iteration = state["pixel_pairs"], state["iteration"]
         self.clock.load(state)

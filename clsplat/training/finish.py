@@ -7,8 +7,10 @@ from clsplat.errors import ClsplatError
 from clsplat.evaluation.views import pictures_of
 from clsplat.io.georeference.files import placement_comments
 from clsplat.io.model_values import mode_comment
+from clsplat.io.poses import write_poses
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
+from clsplat.placement.corrections import Correction
 from clsplat.report.run import write_report
 from clsplat.training.frequency import VARIANTS, scene_frequency
 from clsplat.training.interrupt import was_interrupted
@@ -16,9 +18,12 @@ from clsplat.training.session import Session
 
 
 def save_model(run: RunFolder, session: Session) -> None:
-    """Write the finished model and the responses of its photos."""
+    """Write the finished model, the responses of its photos and the corrections of their poses."""
     if session.step.exposures:
         run.save_exposures(session.responses())
+    if session.step.poses:
+        write_poses(run.path, {name: Correction(each.turn, each.shift * session.scene.unit)
+                               for name, each in session.corrections().items()})
     gaussians = session.model.download().scaled(session.scene.unit)
     run.save_model(gaussians, session.scene.offset, _comments(session),
                    session.options.sphere_columns)
@@ -56,7 +61,7 @@ def draw_report(run: RunFolder, session: Session, per_view: list[dict[str, Any]]
     try:
         write_report(run, pictures=pictures_of(
             session.renderer, session.model.current_rows(), session.options.sh_degree,
-            session.test_views, session.train_views, per_view, session.predicted()))
+            session.test_views, session.corrected_views(), per_view, session.predicted()))
     except ClsplatError:
         raise
     except Exception as error:  # noqa: BLE001  (fonts, locales, matplotlib settings)

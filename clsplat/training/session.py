@@ -19,11 +19,13 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.depth import with_depths
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import SourceView, TrainingSample
+from clsplat.optimise.pose import Poses
 from clsplat.options import TrainOptions
 from clsplat.partition.blocks import trainable
+from clsplat.placement.corrections import Correction, typical_depth
 from clsplat.rendering.pipeline import Renderer
 from clsplat.response import Lenses, Response
-from clsplat.scene import Scene, View
+from clsplat.scene import Scene, View, corrected_views
 from clsplat.schedule import Plan, Schedule, laid_over, schedule_of
 from clsplat.training.decisions import Decisions, find_decisions
 from clsplat.training.depth_maps import DepthMapsOnDevice
@@ -104,6 +106,9 @@ def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -
     options : as the user gave them.
     device : of the training.
     """
+    if options.poses == "on" and scene.region:
+        raise InputError(f"{scene.name}: is a block of a city, whose blocks would correct the same "
+                         "poses differently; leave --poses out")
     scene = with_depths(scene, options.depth)
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     if len(scene.views) < 2:
@@ -165,7 +170,11 @@ class Session:
                 initial=initial and np.array([response.transform for response in initial]),
                 lenses=prepared.lenses, vignetting=options.vignetting == "on",
                 tone=options.tone == "on")
-        self.step = Step(self.renderer, model, self.scene.extent, options, exposures,
+        poses = None
+        if options.poses == "on":
+            cameras = [view.camera for view in self.train_views]
+            poses = Poses(device, cameras, typical_depth(cameras, self.scene.points))
+        self.step = Step(self.renderer, model, self.scene.extent, options, exposures, poses,
                          prepared.trains)
         neighbours = self.decisions.neighbours
         self.source_views = (SourceViews(device, neighbours, exposures, options.seed)
@@ -269,8 +278,22 @@ class Session:
         return {view.name: response for view, response in zip(
             self.train_views, self.step.exposures.responses())}
 
+    def corrections(self) -> dict[str, Correction]:
+        """The corrections of the poses of training views by name, in units of the scene; empty
+        where poses are not corrected."""
+        if not self.step.poses:
+            return {}
+        return {view.name: correction for view, correction in zip(
+            self.train_views, self.step.poses.corrections())}
+
+    def corrected_views(self) -> tuple[View, ...]:
+        """The training views with the corrected poses."""
+        return corrected_views(self.train_views, self.corrections())
+
     def recentre(self) -> None:
-        """Restore the initial mean of the exposures; called once an epoch."""
+        """Restore the initial mean of the exposures and of the poses; called once an epoch."""
+        if self.step.poses:
+            self.step.poses.recentre()
         if self.step.exposures:
             self.step.exposures.recentre()
             if self.source_views:
@@ -281,7 +304,15 @@ class Session:
         rng = np.random.default_rng([self.options.seed, 3, self.iteration])
         count = len(self.train_views)
         chosen = rng.choice(count, min(SCORING_VIEWS, count), replace=False)
-        return [(self.cameras[i], self.photos[i]) for i in chosen]
+        cameras = self.corrected_cameras()
+        return [(cameras[i], self.photos[i]) for i in chosen]
+
+    def corrected_cameras(self) -> list[Array]:
+        """Packed cameras of the training views at this level, with their poses as learned."""
+        if not self.step.poses:
+            return self.cameras
+        return [self.renderer.pack(correction.applied(view.camera)) for correction, view
+                in zip(self.step.poses.corrections(), self.photos.views)]
 
     def looks_for_outliers(self, plan: Plan) -> bool:
         """Whether `ignore_outliers` is due before the next step, which has this plan."""
@@ -313,7 +344,7 @@ class Session:
 
     def _seen(self) -> Iterator[Seen]:
         """All training views at this level, with their photos."""
-        for index, camera in enumerate(self.cameras):
+        for index, camera in enumerate(self.corrected_cameras()):
             photo = self.photos.unweighed(index)
             yield Seen(index, camera, photo[:3], photo[3] > 0)
 

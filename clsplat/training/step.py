@@ -24,6 +24,7 @@ from clsplat.loss.term import FrameGradient, LossTerm, TrainingSample
 from clsplat.loss.terms import terms_of
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.noise import add_noise
+from clsplat.optimise.pose import Poses, pose_rate
 from clsplat.optimise.rates import learning_rates
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Gradients, Renderer, Room
@@ -52,6 +53,7 @@ class Step:
     extent : world units; size of the scene.
     options : with scaled steps.
     exposures : colour transforms of the views; None: views have none.
+    poses : corrections of the poses of the views; None: they stay as they were given.
     trains : (positions, log_scales) float32[N, 3] -> bool[N], those that are trained; called
         at each round of growth; None: all are.
 
@@ -63,14 +65,15 @@ class Step:
     """
 
     def __init__(self, renderer: Renderer, model: Model, extent: float, options: TrainOptions,
-                 exposures: Exposures | None = None,
+                 exposures: Exposures | None = None, poses: Poses | None = None,
                  trains: Callable[..., NDArray[np.bool_]] | None = None) -> None:
         self.renderer, self._model, self.extent, self.options = renderer, model, extent, options
         self.device, self._exposures, self.trains = renderer.device, exposures, trains
+        self._poses = poses
         self.terms = terms_of(self.device, options)
         self._statistics = Statistics(self.device, model.count)
         self.skipped = SkippedGradients(
-            renderer.skipped, *([exposures.skipped] if exposures else []))
+            renderer.skipped, *(learned.skipped for learned in (exposures, poses) if learned))
         self.units, self._rooms = Units(self.device), Rooms(renderer)
         self._graphs: dict[Any, Graph] = {}
         self._batch: BatchMean | None = None
@@ -96,6 +99,12 @@ class Step:
         """The colour transforms of the views; None: views have none."""
         self.settle()
         return self._exposures
+
+    @property
+    def poses(self) -> Poses | None:
+        """The corrections of the poses of the views; None: they stay as they were given."""
+        self.settle()
+        return self._poses
 
     @property
     def statistics(self) -> Statistics:
@@ -131,8 +140,9 @@ class Step:
     def poll_skipped(self) -> bool:
         """Update `skipped`, and tell whether the first gradients were skipped; waits."""
         counts = self.settle()
-        views = int(counts[COUNT_DONE]) if self._exposures else 0  # each has one by its transform
-        return self.skipped.poll(_long(counts, COUNT_SUM_VISIBLE) + views)
+        # each view has one by its transform, and one by its pose
+        by_views = int(counts[COUNT_DONE]) * (bool(self._exposures) + bool(self._poses))
+        return self.skipped.poll(_long(counts, COUNT_SUM_VISIBLE) + by_views)
 
     # --- a step
 
@@ -154,7 +164,8 @@ class Step:
         measured: list[Measured] = [{} for _ in range(views)]
         rates = learning_rates(plan.decay, self.extent, self.options.opacity_rate)
         numbers = {**self._model.adam.numbers(iteration, rates),
-                   "noise": self.options.position_noise * rates["positions"]}
+                   "noise": self.options.position_noise * rates["positions"],
+                   "pose_rate": pose_rate((iteration - 1) / self.options.iterations)}
         for slot, sample in zip(range(views), samples):
             def work(slot: int = slot, sample: TrainingSample = sample) -> None:
                 measured[slot] = self._take(plan, sample, numbers, slot)
@@ -188,7 +199,7 @@ class Step:
         _, height, width = sample.photo.shape
         self._graphs.clear()
         self.device.trim()
-        self._rooms.enlarge(self._model.rows, sample.camera, width, height, with_depth)
+        self._rooms.enlarge(self._model.rows, self._camera_of(sample), width, height, with_depth)
 
     def _take(self, plan: Plan, sample: TrainingSample, numbers: Mapping[str, float], slot: int
               ) -> Measured:
@@ -217,7 +228,8 @@ class Step:
         else:
             with_depth = any(term.needs_depth for term in terms)
             _, height, width = sample.photo.shape
-            room = self._rooms.room(self._model.rows, sample.camera, width, height, with_depth)
+            room = self._rooms.room(self._model.rows, self._camera_of(sample), width, height,
+                                    with_depth)
             if not self._graphs:  # measuring left blocks of other sizes than frames need
                 self.device.trim()
             with self.device.record(**inputs) as graph:
@@ -232,9 +244,14 @@ class Step:
         """The work of a sample, kernel after kernel."""
         views, used = self.options.batch, self._used(plan.degree)
         measured: Measured = {}
+        given, sample = sample.camera, replace(sample, camera=self._camera_of(sample))
         self._model.adam.catch_up_seen(self._learned(), numbers, plan.degree, self.frozen,
                                        sample.camera, self.units.counts)
         gradients = self._gradients_of(plan, sample, measured, numbers, room)
+        if self._poses:
+            assert gradients.pose_terms is not None
+            self._poses.step(sample.view, numbers["pose_rate"], given, gradients.pose_terms,
+                             self.units.counts)
         if self._batch:
             self._batch.add(gradients, used)
             if slot < views - 1:
@@ -266,10 +283,16 @@ class Step:
         gradients = self.renderer.adjoint(
             rows, frame, grad.image, grad.depth, grad.transmittance, self.frozen,
             self._statistics.sums if plan.gathers else None,
-            is_masked(sample.photo) and sample.own_mask)
+            is_masked(sample.photo) and sample.own_mask, bool(self._poses))
         if self.options.opacity_weight or self.options.scale_weight:
             regularise(rows, gradients, self.options.opacity_weight, self.options.scale_weight)
         return gradients
+
+    def _camera_of(self, sample: TrainingSample) -> Array:
+        """The packed camera of a sample, with the corrected pose."""
+        if self._poses is None:
+            return sample.camera
+        return self._poses.apply(sample.view, sample.camera)
 
     def _learned(self) -> dict[str, Array]:
         rows = self._model.rows

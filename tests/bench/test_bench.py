@@ -66,7 +66,7 @@ def test_a_bad_count_is_told(text):
 @pytest.mark.slow
 @pytest.mark.parametrize("family", ["adam", "batch", "bin", "blend", "compact", "contribution",
                                     "cull", "exposure", "frequency", "gather", "image_loss",
-                                    "noise", "project", "reduce", "regularise", "render",
+                                    "noise", "pose", "project", "reduce", "regularise", "render",
                                     "reproject", "sort", "statistics", "step"])
 def test_each_family_prints_its_lines(family, monkeypatch, capsys):
     monkeypatch.setattr(measure, "measure_ceilings", lambda device: Ceilings(1e15, 1e18))

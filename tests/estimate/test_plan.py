@@ -144,7 +144,8 @@ def test_blocks_are_those_of_the_pool(own_device):
             0, block_bytes(size)) and block_bytes(size) >= size
 
 
-PARTS = [{}, {"exposure": "on", "vignetting": "on", "tone": "on", "reproject": "on",
+PARTS = [{"poses": "on"},
+         {"exposure": "on", "vignetting": "on", "tone": "on", "reproject": "on",
           "moments": "half", "robust": "on"},
          {"batch": 3},
          {"optimizer": "sparse", "sh_degree": 1, "engine": "numpy"}]

@@ -19,9 +19,11 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.images import read_image
 from clsplat.io.models import write_model
 from clsplat.io.ply import write_ply
+from clsplat.io.poses import write_poses
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import resolve
+from clsplat.placement.corrections import Correction
 from clsplat.report.run import lead
 from clsplat.response import Response
 from tests.data.tiny_training import CITY
@@ -75,6 +77,44 @@ def test_held_out_views_have_an_exposure_that_training_photos_tell(run, item_dev
     assert Score.of(result).exposure_weight == 0
     told = lead({}, [{"event": "eval", **result}])
     assert "0% interpolated between those before and after" in told
+
+
+def test_training_views_have_the_poses_that_the_run_corrected(run, scene):
+    """Where they are shown; a resumed training begins with the given ones and its checkpoint."""
+    train, test = run.scene().split(OPTIONS["test_every"])
+    moved = Correction(np.array([0.0, 0.01, 0.0]), np.array([0.0, 0.0, 0.5]))
+    write_poses(run.path, {view.name: moved for view in train})
+    given = {view.name: view.camera for view in train + test}
+    for shown in (run.scene(), to_render(run.path, None)[1]):
+        for view in shown.views:
+            expected = given[view.name]
+            if view.name in {view.name for view in train}:
+                expected = moved.applied(expected)
+                away = np.linalg.norm(expected.position - given[view.name].position)
+                assert away == pytest.approx(0.5)
+            assert np.array_equal(view.camera.rotation, expected.rotation)
+            assert np.allclose(view.camera.position, expected.position, atol=1e-9)
+    for view in run.scene(whole=True).views:
+        assert np.array_equal(view.camera.rotation, given[view.name].rotation)
+    for text in ('{"a": [1, 2]}', '{"a": [1, 2, 3, 4, 5, 1e300]}', "[]", "{"):
+        (run.path / "poses.json").write_text(text)
+        with pytest.raises(InputError, match="poses.json: not a file of corrected poses, or dam"):
+            run.scene()
+
+
+def test_scores_from_aligned_poses_stand_beside_the_others(run, item_device):
+    plain = run.evaluate(item_device)
+    result = evaluate_run(run, item_device, save_images=False, align=True)
+    score = Score.of(result)
+    assert (score.psnr, score.ssim_cc, score.flip) == (plain.psnr, plain.ssim_cc, plain.flip)
+    assert plain.psnr_aligned is None and plain.aligned_degrees is None
+    assert score.psnr_aligned != score.psnr and 0 < score.aligned_degrees < 2
+    assert 0 < score.aligned_shift < 0.05
+    lines = summary(result).splitlines()
+    assert [line.split()[0] for line in lines[1:5]] == ["plain", "colour-corrected", "aligned",
+                                                        "both"]
+    assert f"{score.psnr_cc_aligned:.2f}" in lines[4] and "degrees" in lines[5]
+    assert "aligned" not in summary(evaluate_run(run, item_device, save_images=False))
 
 
 def test_a_run_goes_on_without_what_it_was_begun_before(run):

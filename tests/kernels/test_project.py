@@ -49,7 +49,7 @@ class Projected:
         self.sums = cases.single(np.random.default_rng(3).normal(
             size=(len(self.visible), 9 + with_depth)))
         self.skipped = device.zeros(1, np.uint32)
-        gradients, self.grad_means, active = project_adjoint(
+        gradients, self.grad_means, active, _ = project_adjoint(
             device, rows, seen, counts, camera, case["degree"], defines,
             one_pair_each(device, self.sums), self.skipped)
         self.active = active.download()
@@ -167,7 +167,7 @@ def test_slots_past_the_visible_gaussians_are_not_touched(device):
         return made[-1]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(device, "empty", noted)
-        gradients, means, active = project_adjoint(
+        gradients, means, active, _ = project_adjoint(
             device, rows, seen, counts, camera, case["degree"], defines, sums, skipped)
     assert len(made) == 8 and all((array.download()[number:] == 77).all() for array in made)
     assert np.array_equal(active.download()[:number], exact.active)

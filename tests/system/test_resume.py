@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from clsplat.cli.main import main
 from clsplat.device import Device
 from clsplat.errors import InputError, Interrupted
+from clsplat.io.poses import read_poses
 from clsplat.io.run import RunFolder
 from clsplat.loss import image_loss
 from clsplat.training.loop import resume, train
@@ -150,12 +151,19 @@ def test_a_stopped_run_says_how_to_go_on_and_is_not_finished(item_device, city, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{"engine": "numpy"}, {"optimizer": "sparse"},
-                                     {"antialiased": True, "init": "random"}], ids=str)
+                                     {"antialiased": True, "init": "random"},
+                                     {"poses": "on"}], ids=str)
 def test_other_ways_to_train_resume_as_well(item_device, city, tmp_path, options):
     whole = trained(tmp_path / "whole", city, item_device, **options, iterations=90)
     run = trained(tmp_path / "run", city, item_device, **options, iterations=90, stop_at=53)
     resume(city, options_of(**options, iterations=90), item_device, run)
     assert model_digest(run) == model_digest(whole)
+    if "poses" in options:
+        corrected, expected = read_poses(run.path), read_poses(whole.path)
+        assert len(corrected) == 28 and all(  # and they have moved since the warm-up
+            0 < np.abs(each.turn).max() and np.array_equal(each.turn, expected[name].turn)
+            and np.array_equal(each.shift, expected[name].shift)
+            for name, each in corrected.items())
 
 
 @pytest.mark.slow

@@ -74,6 +74,13 @@ def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedul
     assert batch > 1 or float_device.form == "item" or launches <= MOST
 
 
+def test_corrected_poses(float_device, city, tmp_path, counted):
+    """The corrected camera, the sums of the gradient and the step of the pose."""
+    launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant", poses="on",
+                                   exposure="off", vignetting="off", optimizer="sparse"))
+    assert launches == (17 if float_device.form == "item" else 13) + 3
+
+
 @pytest.mark.slow
 def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
     """Its weight is another one in each step."""

@@ -1,0 +1,113 @@
+"""Small corrections of camera poses: what they do to a camera, and the motion that all have in
+common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from clsplat.camera import Camera
+from clsplat.placement.similarity import cross_matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """How the pose of a camera is corrected.
+
+    Attributes
+    ----------
+    turn : float64[3], radians; a rotation vector in the axes of the given camera, by which all that
+        the camera sees turns about its centre.
+    shift : float64[3], world units; by which its centre moves, in the axes of the given camera.
+    """
+
+    turn: NDArray[np.float64]
+    shift: NDArray[np.float64]
+
+    def applied(self, camera: Camera) -> Camera:
+        """The camera with the corrected pose.
+
+        Parameters
+        ----------
+        camera : as it was given.
+        """
+        turned = Rotation.from_rotvec(self.turn).as_matrix()
+        return replace(camera, rotation=turned @ camera.rotation,
+                       translation=turned @ (camera.translation - self.shift))
+
+    @property
+    def degrees(self) -> float:
+        """The angle of the turn, degrees."""
+        return float(np.degrees(np.linalg.norm(self.turn)))
+
+
+def correction_between(given: Camera, wanted: Camera) -> Correction:
+    """The correction that makes the pose of one camera that of another.
+
+    Parameters
+    ----------
+    given, wanted : cameras in the same world.
+    """
+    turn = Rotation.from_matrix(wanted.rotation @ given.rotation.T).as_rotvec()
+    return Correction(turn, given.rotation @ (wanted.position - given.position))
+
+
+def typical_depth(cameras: Sequence[Camera], points: ArrayLike) -> float:
+    """World units: the median over cameras of the median depth of the points that they see.
+
+    Parameters
+    ----------
+    cameras : of the views.
+    points : float[N, 3], world. Without one in an image, 1 is returned.
+    """
+    medians = []
+    for camera in cameras:
+        pixels, depths = camera.project(points)
+        seen = (depths > 0) & (pixels > 0).all(axis=1) & (
+            pixels < (camera.width, camera.height)).all(axis=1)
+        if seen.any():
+            medians.append(np.median(depths[seen]))
+    return float(np.median(medians)) if medians else 1.0
+
+
+def without_common_motion(given: Sequence[Camera], corrections: Sequence[Correction], depth: float
+                          ) -> list[Correction]:
+    """Corrections after the mean rigid motion of all cameras is taken out of them.
+
+    A world in which the gaussians and all cameras have moved alike gives the same photos. So no
+    photo tells that motion, but held-out views, blocks and maps would be displaced by it. It is the
+    one that explains the corrections best by least squares, where a turn counts as much as the
+    shift that it makes at a distance `depth`, and to first order in the corrections.
+
+    Parameters
+    ----------
+    given : the cameras as they were given.
+    corrections : of these.
+    depth : world units.
+    """
+    if not given:
+        return []
+    positions = np.array([camera.position for camera in given])
+    middle = positions.mean(axis=0)
+    rows, values = [], []
+    for camera, correction, arm in zip(given, corrections, positions - middle):
+        back = camera.rotation.T
+        # all that turns by a small vector a about the middle, and shifts by b: the centres by
+        # a x arm + b, and what a camera sees by -R a
+        rows += [np.hstack([-np.eye(3) * depth, np.zeros((3, 3))]),
+                 np.hstack([-cross_matrix(arm), np.eye(3)])]
+        values += [back @ correction.turn * depth, back @ correction.shift]
+    a, b = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0].reshape(2, 3)
+    turned = Rotation.from_rotvec(a).as_matrix()
+    result = []
+    for camera, correction in zip(given, corrections):
+        moved = correction.applied(camera)
+        rotation = moved.rotation @ turned
+        position = middle + turned.T @ (moved.position - middle - b)
+        result.append(correction_between(camera, replace(
+            moved, rotation=rotation, translation=-rotation @ position)))
+    return result
