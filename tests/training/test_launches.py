@@ -77,7 +77,8 @@ def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedul
 def test_corrected_poses(float_device, city, tmp_path, counted):
     """The corrected camera, the sums of the gradient and the step of the pose."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant", poses="on",
-                                   exposure="off", vignetting="off", optimizer="sparse"))
+                                   exposure="off", vignetting="off", tone="off",
+                                   optimizer="sparse"))
     assert launches == (17 if float_device.form == "item" else 13) + 3
 
 
