@@ -6,7 +6,8 @@
 // of each view in lenses; images and gradients: real[3, H, W], pixels = H W, of which a row has
 // `width`; partials: real[blocks, EXPOSURE_SUMS], sums over EXPOSURE_BLOCK pixels each (blocks of a
 // fixed size: the same order of additions on any number of cores, and short sums), by the
-// transform, then by the lens.
+// transform, then by the lens. WITH_FRONT, what was transformed is the image behind the front layer
+// of layers: uchar[7, H, W] (layers.h).
 #include "real.h"
 #include "each.h"
 #include "vector.h"
@@ -16,18 +17,30 @@
 #ifndef WITH_VIGNETTING
 #error "WITH_VIGNETTING must be 0 or 1"
 #endif
+#ifndef WITH_FRONT
+#define WITH_FRONT 0
+#endif
+#include "layers.h"
 #define EXPOSURE_SUMS (TRANSFORM_REALS + WITH_VIGNETTING * VIGNETTING_TERMS)
 
 // One pixel or 16 neighbours with squared radius u: the gradient by the untransformed colour, g M^T
 // grad, and the share in the sums of grad (x) [g c, 1] and (M^T grad . c) [u, u^2, u^3]. `image`,
-// `grad` and `grad_image` point at the pixel's red.
-#define DEFINE_PIXELS(NAME, TYPE, LOAD, STORE)                                                     \
+// `grad` and `grad_image` point at the pixel's red, `layers` at the pixel in their first plane.
+#define DEFINE_PIXELS(NAME, TYPE, LOAD, STORE, BYTES)                                              \
     inline void NAME(ulong plane, const real *e, __global const real *lens, TYPE u,                \
                      __global const real *image, __global const real *grad,                        \
-                     __global real *grad_image, TYPE *sums)                                        \
+                     __global const uchar *layers, __global real *grad_image, TYPE *sums)          \
     {                                                                                              \
-        const TYPE r = LOAD(0, image), g = LOAD(0, image + plane), b = LOAD(0, image + 2 * plane); \
+        TYPE r = LOAD(0, image), g = LOAD(0, image + plane), b = LOAD(0, image + 2 * plane);       \
         const TYPE gain = WITH_VIGNETTING ? GAIN(lens, u) : 1;                                     \
+        TYPE passed = gain;                                                                        \
+        if (WITH_FRONT) {                                                                          \
+            const TYPE clear = BYTES(layers + FRONT_CLEAR_PLANE * plane);                          \
+            r = clear * r + BYTES(layers + FRONT_PLANE * plane);                                   \
+            g = clear * g + BYTES(layers + (FRONT_PLANE + 1) * plane);                             \
+            b = clear * b + BYTES(layers + (FRONT_PLANE + 2) * plane);                             \
+            passed = clear * gain;                                                                 \
+        }                                                                                          \
         TYPE by_r = 0, by_g = 0, by_b = 0;                                                         \
         for (int k = 0; k < 3; k++) {                                                              \
             const TYPE by = LOAD(0, grad + k * plane), gained = by * gain;                         \
@@ -39,9 +52,9 @@
             sums[4 * k + 2] += gained * b;                                                         \
             sums[4 * k + 3] += by;                                                                 \
         }                                                                                          \
-        STORE(gain * by_r, 0, grad_image);                                                         \
-        STORE(gain * by_g, 0, grad_image + plane);                                                 \
-        STORE(gain * by_b, 0, grad_image + 2 * plane);                                             \
+        STORE(passed * by_r, 0, grad_image);                                                       \
+        STORE(passed * by_g, 0, grad_image + plane);                                               \
+        STORE(passed * by_b, 0, grad_image + 2 * plane);                                           \
         if (WITH_VIGNETTING) {                                                                     \
             TYPE by_term = by_r * r + by_g * g + by_b * b;                                         \
             for (int k = 0; k < VIGNETTING_TERMS; k++) {                                           \
@@ -51,7 +64,7 @@
         }                                                                                          \
     }
 DEFINE_RADIUS(radius1, real)
-DEFINE_PIXELS(pixels1, real, LOAD_ONE, STORE_ONE)
+DEFINE_PIXELS(pixels1, real, LOAD_ONE, STORE_ONE, ONE_BYTE)
 
 // The squared radius of pixel p; not computed where it is not used.
 inline real radius_of1(__global const real *camera, __global const real *lens, ulong p, uint width)

@@ -69,6 +69,7 @@ class Frame:
         pairs.
     blended : the image, and its depth and transmittance.
     with_depth : whether there is a depth channel.
+    layers : uchar[3 or 7, H, W], what was blended with as well; None: nothing.
     """
 
     camera: Array
@@ -82,6 +83,7 @@ class Frame:
     room: Room | None
     blended: Blended
     with_depth: bool
+    layers: Array | None = None
 
     @property
     def image(self) -> Array:
@@ -90,7 +92,8 @@ class Frame:
 
     @property
     def exposed(self) -> Array:
-        """real[3, H, W], the image with a colour transform, where one was given."""
+        """real[3, H, W], the image with a colour transform and behind the front layer, where
+        these were given."""
         return self.image if self.blended.exposed is None else self.blended.exposed
 
     @property
@@ -174,7 +177,7 @@ class Renderer:
 
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
                with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
-               exposure: Exposure | None = None) -> Frame:
+               exposure: Exposure | None = None, layers: Array | None = None) -> Frame:
         """Render gaussians from a camera.
 
         Parameters
@@ -188,6 +191,7 @@ class Renderer:
             they are too small fails (cl/include/counts.h). None: exact sizes; waits twice.
         counts : uint[FRAME_COUNTS], for a frame with a room; its sums and its failure go on.
         exposure : a response, with which the frame also is `exposed`.
+        layers : uchar[3 or 7, H, W], what lies behind and in front (`blend`); None: nothing.
         """
         device = self.device
         counts = new_counts(device) if counts is None else counts
@@ -209,10 +213,11 @@ class Renderer:
                 device, splats,
                 pairs or bin_splats(device, splats, counts, order, width, height, band,
                                     room=room and room.pairs),
-                width, height, self.background, self._blend_defines(with_depth), blended, exposure)
+                width, height, self.background, self._blend_defines(with_depth), blended, exposure,
+                layers)
         assert blended is not None  # an image has at least one band
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
-                     with_depth)
+                     with_depth, layers)
 
     def most_pairs(self, width: int, height: int, with_depth: bool) -> int:
         """The largest number of pairs that a band of a frame may have."""
@@ -285,9 +290,9 @@ class Renderer:
         if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             width, height = frame.size
             blend(device, frame.splats, pairs, width, height, self.background, defines,
-                  frame.blended)
+                  frame.blended, layers=frame.layers)
         return blend_adjoint(device, frame.splats, pairs, frame.blended, self.background, *grads,
-                             defines, earlier)
+                             defines, earlier, frame.layers)
 
     def _blend_defines(self, with_depth: bool) -> Defines:
         return blend_defines(with_depth, self.smooth_cutoff, self.median_depth)
