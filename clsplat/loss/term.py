@@ -46,6 +46,7 @@ class TrainingSample:
     photo : uchar[3, H, W], or uchar[4, H, W] with a mask (cl/image_loss.cl).
     source : a source view, if a term of this step compares with one.
     depth : real[H, W], its depth map, 0 where there is none; None: the view has no map.
+    layers : uchar[3 or 7, H, W], what surrounds a block (cl/include/layers.h); None: nothing.
     """
 
     view: int
@@ -53,6 +54,7 @@ class TrainingSample:
     photo: Array
     source: SourceView | None = None
     depth: Array | None = None
+    layers: Array | None = None
 
 
 @dataclass(eq=False)

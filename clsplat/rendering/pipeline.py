@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
+from clsplat.constants import TRANSFORM_REALS
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
@@ -195,6 +196,8 @@ class Renderer:
         """
         device = self.device
         counts = new_counts(device) if counts is None else counts
+        if layers is not None and exposure is None:  # what is in front shows where it is exposed
+            exposure = Exposure(device.upload(np.eye(3, 4).reshape(1, TRANSFORM_REALS)), 0)
         visible = self._visible(rows, camera, counts, room)
         splats, depth_keys = project(device, rows, visible, counts, camera, sh_degree,
                                      self._project_defines)

@@ -17,8 +17,8 @@ from clsplat.training.session import Session
 
 def save_model(run: RunFolder, session: Session) -> None:
     """Write the finished model and the responses of its photos."""
-    if session.step.exposures:
-        run.save_exposures(session.responses())
+    if responses := session.responses():
+        run.save_exposures(responses)
     gaussians = session.model.download().scaled(session.scene.unit)
     run.save_model(gaussians, session.scene.offset, _comments(session),
                    session.options.sphere_columns)
