@@ -32,7 +32,8 @@ ADJOINT = Kernel(
     "exposure.cl", "exposure_adjoint",
     Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), pixels="uint", width="uint",
     view="uint", blocks="uint", camera=("real", CAMERA_REALS), transforms=_ROWS, **_LENSES,
-    image=_IMAGE, grad=_IMAGE, layers=("uchar", "N", "O", "Q"), grad_image=_IMAGE, partials=("real", "P", "S"))
+    image=_IMAGE, grad=_IMAGE, layers=("uchar", "N", "O", "Q"), grad_image=_IMAGE,
+    partials=("real", "P", "S"))
 STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
               pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", "S"),
               blocks="uint", transforms=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"), **_LENSES,
@@ -131,10 +132,11 @@ class Exposures:
         blocks = -(-width * height // EXPOSURE_BLOCK)
         partials = device.empty((blocks, _sums(self.has_vignetting)))
         grad_image = device.empty(image.shape)
-        device.launch(ADJOINT, (*self._defines, *layer_defines(layers)[1:]), pixels=width * height, width=width, view=view,
-                      blocks=blocks, camera=camera, transforms=self.transforms,
-                      lens_of=self.lens_of, lenses=self.lenses, image=image, grad=grad,
-                      layers=layers_or(self.lenses, layers), grad_image=grad_image, partials=partials)
+        device.launch(ADJOINT, (*self._defines, *layer_defines(layers)[1:]),
+                      pixels=width * height, width=width, view=view, blocks=blocks, camera=camera,
+                      transforms=self.transforms, lens_of=self.lens_of, lenses=self.lenses,
+                      image=image, grad=grad, layers=layers_or(self.lenses, layers),
+                      grad_image=grad_image, partials=partials)
         return grad_image, partials
 
     @property

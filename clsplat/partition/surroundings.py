@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from clsplat.scene import Scene
 
 # A surrounding gaussian that enters a block's reach by so many of its standard deviations is drawn
-# with the block. docs/notebook/city.md: more of them do not make views more like those of the whole
-# model, since what is drawn with the block is then drawn before or after layers to which it belongs.
+# with the block. With more of them, views resemble those of the whole model less, as each is then
+# drawn before or after layers to which it belongs (docs/notebook/city.md).
 HELD_DEVIATIONS = 1.0
 
 
@@ -48,7 +48,7 @@ def enters_reach(scene: Scene, gaussians: Gaussians, deviations: float = HELD_DE
                                       np.minimum(grown.high, ends[1])))
         gaps = np.abs((next_to - centres) @ space.rotation.T)
     extents = scene.unit * deviations * deviations_along(gaussians, space.rotation)
-    entering: NDArray[np.bool_] = (gaps <= extents).all(axis=1)
+    entering: NDArray[np.bool_] = np.all(gaps <= extents, axis=1)
     return entering | scene.reached(gaussians.positions)
 
 

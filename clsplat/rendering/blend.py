@@ -7,6 +7,7 @@ import numpy as np
 
 from clsplat.constants import FRAME_COUNTS, PAIR_SUMS, SPLAT_REALS, TRANSFORM_REALS
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
+from clsplat.errors import ShapeError
 from clsplat.rendering.bin import Pairs
 
 BACK_PLANES, FRONT_AND_BACK_PLANES = 3, 7  # of layers (cl/include/layers.h)
@@ -164,7 +165,10 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         states = len(pairs.bucket_tiles), device.tile**2
         result.checkpoints = device.empty((*states, 4))
         result.depth_checkpoints = device.empty(states if with_depth else (1, 1))
-    device.launch(BLEND, (*defines, *layer_defines(layers), ("WITH_EXPOSURE", int(exposure is not None)),
+    if layers is not None and layers.shape[1:] != (height, width):
+        raise ShapeError(f"layers of {layers.shape[1:]} for an image of {(height, width)}")
+    device.launch(BLEND, (*defines, *layer_defines(layers),
+                          ("WITH_EXPOSURE", int(exposure is not None)),
                           ("WITH_VIGNETTING", int(vignetting is not None))),
                   width=width, height=height, tiles_x=pairs.tiles_x, first_tile=pairs.tiles.start,
                   background=background, ranges=pairs.ranges, sorted_splats=pairs.sorted_splats,

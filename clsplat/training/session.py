@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.device import Array, Device
+from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
 from clsplat.gaussians import Gaussians
