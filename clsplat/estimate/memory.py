@@ -207,7 +207,7 @@ def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], 
     count = sum(layer_array(view, True).nbytes(device.real) for view in shown)
     size = FrameSize(most, most, int(PAIRS_A_SPLAT * most) + 1, widest.camera.width,
                      widest.camera.height)
-    pool = Pool(device.real, True)
+    pool = Pool(device.real, False)
     pool.add([array for array in frame_arrays(device, size, around.sh_degree)
               if STAGES.index(array.first) <= STAGES.index("blend")])
     rows = Model.arrays([field.name for field in LEARNED], around.sh_degree, most)

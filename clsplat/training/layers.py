@@ -78,7 +78,6 @@ class Layers:
                 self._arrays.append(self.device.upload(planes))
             else:
                 self._keep(planes)
-        self.device.trim()  # frames of a training have other sizes
 
     def _keep(self, planes: Planes) -> None:
         """Write planes to the temporary file."""
@@ -134,7 +133,10 @@ def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, view: Vi
         renderer, rows = open_model(device, chosen, near, options.antialiased, background)
         blended = renderer.render(rows, renderer.pack(view.camera), width, height,
                                   chosen.sh_degree).blended
-        return blended.image.download(), blended.transmittance.download()[None]
+        image, clear = blended.image.download(), blended.transmittance.download()[None]
+        del renderer, rows, blended
+        device.trim()  # the next frame has other sizes
+        return image, clear
 
     back = eight_bits(drawn(behind, options.background)[0])
     if behind.all():
