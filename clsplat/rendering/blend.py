@@ -13,6 +13,8 @@ from clsplat.rendering.bin import Pairs
 BACK_PLANES, FRONT_AND_BACK_PLANES = 3, 7  # of layers (cl/include/layers.h)
 Defines = tuple[tuple[str, int], ...]  # names and values of the build-time choices of a kernel
 
+READS_BACKGROUND = Forms(item=True, group=False)  # the adjoint, where the image does not tell
+
 _SIZE = dict(width="int", height="int", tiles_x="int", first_tile="int")
 _LISTS = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
 _SPLATS = dict(splats=("real", "V", SPLAT_REALS))
@@ -199,7 +201,7 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
     _, height, width = blended.image.shape
     columns = PAIR_SUMS + dict(defines)["WITH_DEPTH"]
     pair_grads = device.empty((pairs.count, columns))
-    behind = layer_defines(layers)[:1] if device.form == "item" else ()
+    behind = layer_defines(layers)[:1] if READS_BACKGROUND.of(device) else ()
     device.launch(ADJOINT, (*defines, *behind), width=width, height=height, tiles_x=pairs.tiles_x,
                   first_tile=pairs.tiles.start, background=background,
                   layers=layers_or(background, layers), ranges=pairs.ranges,
