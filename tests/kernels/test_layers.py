@@ -71,7 +71,7 @@ class Drawn:
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("planes, vignetting", [(3, False), (7, False), (7, True)])
 @pytest.mark.parametrize("size", SIZES, ids=str)
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(7)
 def test_image_and_gradients(device, size, planes, vignetting):
     """As C = F + T (C_block + T_block B); nothing reads the background, which is nan."""
     splats, order = cases.splats(40, *size)
@@ -126,6 +126,7 @@ def test_what_is_opaque_in_front_hides_the_block_and_its_poison(float_device):
         assert np.array_equal(actual, expected)
 
 
+@pytest.mark.slow
 def test_a_frame_in_bands_has_the_same_bytes(device):
     case = cases.gaussians("plain")
     width, height = size_of(case)
