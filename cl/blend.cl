@@ -17,6 +17,8 @@
 // the final transmittance, so that a loss may read their ratio; otherwise these arrays are not
 // touched. MEDIAN_DEPTH makes it z_i of the splat that takes T to one half, or of the last one that
 // is blended before that; without an adjoint.
+// WITH_LAYERS takes the background of each pixel from layers: uchar[3 or 7, H, W] (layers.h), and
+// WITH_FRONT puts `exposed` behind their front layer, before gain and transform; `image` stays.
 #include "real.h"
 #include "each.h"
 #include "splat.h"
@@ -45,6 +47,15 @@ DEFINE_TONE(, vreal)
 #else
 #define tone(X, CURVE) (X)
 #endif
+#ifndef WITH_LAYERS
+#define WITH_LAYERS 0
+#endif
+#ifndef WITH_FRONT
+#define WITH_FRONT 0
+#endif
+#if WITH_LAYERS
+#include "layers.h"
+#endif
 #ifndef MEDIAN_DEPTH
 #define MEDIAN_DEPTH 0
 #endif
@@ -64,6 +75,7 @@ DEFINE_TONE(, vreal)
     __global real *restrict depth, uint view, __global const real *restrict transforms,            \
     __global const real *restrict camera, __global const uint *restrict lens_of,                   \
     __global const real *restrict lenses, __global const real *restrict tones,                     \
+    __global const uchar *restrict layers,                                                         \
     __global real *restrict exposed
 #define BLEND_ADJOINT_ARGUMENTS                                                                    \
     int width, int height, int tiles_x, int first_tile, __global const uint *restrict ranges,      \

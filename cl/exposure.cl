@@ -8,7 +8,8 @@
 // of each view in lenses; images and gradients: real[3, H, W], pixels = H W, of which a row has
 // `width`; partials: real[blocks, EXPOSURE_SUMS], sums over EXPOSURE_BLOCK pixels each (blocks of a
 // fixed size: the same order of additions on any number of cores, and short sums), by the
-// transform, then by the lens's vignetting, then by its tone curve.
+// transform, then by the lens's vignetting, then by its tone curve. WITH_FRONT, what was transformed
+// is the image behind the front layer of layers: uchar[7, H, W] (layers.h).
 #include "real.h"
 #include "each.h"
 #include "vector.h"
@@ -23,6 +24,10 @@
 #ifndef WITH_TONE
 #error "WITH_TONE must be 0 or 1"
 #endif
+#ifndef WITH_FRONT
+#define WITH_FRONT 0
+#endif
+#include "layers.h"
 #define TONE_SUM (TRANSFORM_REALS + WITH_VIGNETTING * VIGNETTING_TERMS) // the first of the curve's
 #define EXPOSURE_SUMS (TONE_SUM + WITH_TONE * TONE_TERMS)
 
@@ -53,15 +58,18 @@
 // the share in the sums. With l = f^-1(c), z = M (g l) + t and G = f'(z) grad, the gradient is
 // (f^-1)'(c) g M^T G; the sums are of G (x) [g l, 1], of (M^T G . l) [u, u^2, u^3], and for a
 // parameter p of f of grad . df/dp(z) + g M^T G . d(f^-1)/dp(c). `image`, `grad` and `grad_image`
-// point at the pixel's red.
-#define DEFINE_PIXELS(NAME, SUFFIX, TYPE, LOAD, STORE)                                             \
+// point at the pixel's red, `layers` at the pixel in their first plane.
+#define DEFINE_PIXELS(NAME, SUFFIX, TYPE, LOAD, STORE, BYTES)                                      \
     inline void NAME(ulong plane, const real *e, __global const real *lens, const real *curve,     \
                      TYPE u, __global const real *image, __global const real *grad,                \
-                     __global real *grad_image, TYPE *sums)                                        \
+                     __global const uchar *layers, __global real *grad_image, TYPE *sums)          \
     {                                                                                              \
         TYPE light[3], by[3], slopes[3], by_curve[3][TONE_TERMS];                                  \
+        const TYPE clear = WITH_FRONT ? BYTES(layers + FRONT_CLEAR_PLANE * plane) : 1;             \
         for (int k = 0; k < 3; k++) {                                                              \
             light[k] = LOAD(0, image + k * plane);                                                 \
+            if (WITH_FRONT)                                                                        \
+                light[k] = clear * light[k] + BYTES(layers + (FRONT_PLANE + k) * plane);           \
             if (WITH_TONE)                                                                         \
                 light[k] = to_light##SUFFIX(light[k], curve, slopes + k, by_curve[k]);             \
             by[k] = 0;                                                                             \
@@ -92,7 +100,7 @@
                     sums[TONE_SUM + j] += result * by_curve[k][j];                                 \
                 result *= slopes[k];                                                               \
             }                                                                                      \
-            STORE(result, 0, grad_image + k * plane);                                              \
+            STORE(WITH_FRONT ? clear * result : result, 0, grad_image + k * plane);                \
         }                                                                                          \
         if (WITH_VIGNETTING) {                                                                     \
             TYPE by_term = by[0] * light[0] + by[1] * light[1] + by[2] * light[2];                 \
@@ -104,7 +112,7 @@
     }
 DEFINE_RADIUS(radius1, real)
 DEFINE_CURVE(1, real)
-DEFINE_PIXELS(pixels1, 1, real, LOAD_ONE, STORE_ONE)
+DEFINE_PIXELS(pixels1, 1, real, LOAD_ONE, STORE_ONE, ONE_BYTE)
 
 // The squared radius of pixel p; not computed where it is not used.
 inline real radius_of1(__global const real *camera, __global const real *lens, ulong p, uint width)

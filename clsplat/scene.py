@@ -132,6 +132,8 @@ class Scene:
     held_out : names of the test views, if the data set defines them; otherwise None.
     region : the region that a block of a larger scene owns; otherwise None.
     exposures : view name -> response of a block's view, from the coarse run.
+    surroundings : the file of the gaussians around a block that its views show as layers; None:
+        all that they show is trained or frozen.
     notes : messages for the user about parts of the files that are not used or were interpreted.
     georeference : where the original coordinates lie on the earth; None: unknown.
     given_up : float64[3], the unit vector that points up, if the files or the user tell; None: it
@@ -149,6 +151,7 @@ class Scene:
     held_out: frozenset[str] | None = None
     region: Region | None = None
     exposures: dict[str, Response] | None = None
+    surroundings: Path | None = None
     notes: tuple[str, ...] = ()
     georeference: Georeference | None = None
     given_up: NDArray[np.float64] | None = None

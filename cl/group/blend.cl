@@ -129,10 +129,20 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
     }
     if (inside) {
         const long plane = (long)width * height, pixel = (long)row * width + column;
+#if WITH_LAYERS
+        c += t * (real3)(ONE_BYTE(layers + pixel), ONE_BYTE(layers + plane + pixel),
+                         ONE_BYTE(layers + 2 * plane + pixel));
+#else
         c += t * vload3(0, background);
+#endif
         image[pixel] = c.x;
         image[plane + pixel] = c.y;
         image[2 * plane + pixel] = c.z;
+#if WITH_FRONT
+        __global const uchar *front = layers + FRONT_PLANE * plane + pixel;
+        c = ONE_BYTE(layers + FRONT_CLEAR_PLANE * plane + pixel) * c +
+            (real3)(ONE_BYTE(front), ONE_BYTE(front + plane), ONE_BYTE(front + 2 * plane));
+#endif
 #if WITH_TONE
         real curve[TONE_TERMS];
         load_curve(tones, lens_of[view], curve);

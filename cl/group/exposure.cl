@@ -10,7 +10,8 @@ void exposure_adjoint(uint pixels, uint width, uint view, uint blocks,
                       __global const uint *restrict lens_of, __global const real *restrict lenses,
                       __global const real *restrict tones,
                       __global const real *restrict image, __global const real *restrict grad,
-                      __global real *restrict grad_image, __global real *restrict partials)
+                      __global const uchar *restrict layers, __global real *restrict grad_image,
+                      __global real *restrict partials)
 {
     __local real scratch[LANES];
     const ulong block = get_group_id(0), begin = block * EXPOSURE_BLOCK;
@@ -28,7 +29,7 @@ void exposure_adjoint(uint pixels, uint width, uint view, uint blocks,
     FOR_LANES(i, own, min((ulong)EXPOSURE_BLOCK, pixels - begin)) {
         const ulong p = begin + i;
         pixels1(pixels, e, lens, curve, radius_of1(camera, lens, p, width), image + p, grad + p,
-                grad_image + p, sums[own]);
+                layers + p, grad_image + p, sums[own]);
     }
     for (int k = 0; k < EXPOSURE_SUMS; k++) {
         for (uint own = 0; own < GROUP_LANES; own++)

@@ -25,6 +25,18 @@ inline real16 load_row(__global const real *row, int columns)
     return vload16(0, values);
 }
 
+#if WITH_LAYERS
+inline real16 load_layer(__global const uchar *row, int columns)
+{
+    if (columns >= TILE)
+        return SIXTEEN_BYTES(row);
+    real values[16];
+    for (int i = 0; i < 16; i++)
+        values[i] = i < columns ? ONE_BYTE(row + i) : 0;
+    return vload16(0, values);
+}
+#endif
+
 inline void store_indices(int16 value, __global int *row, int columns)
 {
     if (columns >= TILE) {
@@ -181,12 +193,25 @@ void blend(BLEND_ARGUMENTS)
     for (int r = 0; r < rows; r++) {
         const long pixel = (long)(y0 + r) * width + x0;
         const real16 rest = fabs(t_of[r]);
+#if WITH_LAYERS
+        real16 red = red_of[r] + rest * load_layer(layers + pixel, columns);
+        real16 green = green_of[r] + rest * load_layer(layers + plane + pixel, columns);
+        real16 blue = blue_of[r] + rest * load_layer(layers + 2 * plane + pixel, columns);
+#else
         real16 red = red_of[r] + rest * background[0];
         real16 green = green_of[r] + rest * background[1];
         real16 blue = blue_of[r] + rest * background[2];
+#endif
         store_row(red, image + pixel, columns);
         store_row(green, image + plane + pixel, columns);
         store_row(blue, image + 2 * plane + pixel, columns);
+#if WITH_FRONT
+        __global const uchar *front = layers + FRONT_PLANE * plane + pixel;
+        const real16 clear = load_layer(layers + FRONT_CLEAR_PLANE * plane + pixel, columns);
+        red = clear * red + load_layer(front, columns);
+        green = clear * green + load_layer(front + plane, columns);
+        blue = clear * blue + load_layer(front + 2 * plane, columns);
+#endif
 #if WITH_TONE
         red = untone(red, curve);
         green = untone(green, curve);
@@ -220,7 +245,8 @@ void blend(BLEND_ARGUMENTS)
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
-                   __global const real *restrict background)
+                   __global const real *restrict background,
+                   __global const uchar *restrict layers)
 {
     const int tile = get_global_id(0), place = first_tile + tile;
     const int x0 = place % tiles_x * TILE, y0 = place / tiles_x * TILE;
@@ -250,8 +276,14 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
         grad_red[r] = load_row(grad_image + pixel, columns);
         grad_green[r] = load_row(grad_image + plane + pixel, columns);
         grad_blue[r] = load_row(grad_image + 2 * plane + pixel, columns);
+#if WITH_LAYERS
+        behind[r] = grad_red[r] * load_layer(layers + pixel, columns) +
+                    grad_green[r] * load_layer(layers + plane + pixel, columns) +
+                    grad_blue[r] * load_layer(layers + 2 * plane + pixel, columns);
+#else
         behind[r] = grad_red[r] * background[0] + grad_green[r] * background[1] +
                     grad_blue[r] * background[2];
+#endif
 #if WITH_DEPTH
         grad_z[r] = load_row(grad_depth + pixel, columns);
         behind[r] += load_row(grad_transmittance + pixel, columns);

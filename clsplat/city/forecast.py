@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.gaussians import LEARNED
-from clsplat.io.city import CityFolder
+from clsplat.io.city import LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.report.page import Table
@@ -98,13 +98,16 @@ def block_table(city: CityFolder, device: Device, counts: Iterable[int]) -> Tabl
         size = initial[block.path.name] / initial[largest.path.name]
         steps = record["options"]["iterations"] / forecast.steps
         rows.append((block.path.name, f"{count:,}", f"{record['margin']:,}",
-                     f"{record['surroundings']:,}", f"{record['views']}",
+                     f"{record['surroundings']:,}", f"{record.get(LAYERS, 0):,}",
+                     f"{record['views']}",
                      f"{record['options']['iterations']:,}",
                      f"{growth * initial[block.path.name]:,.0f}",
                      f"{size * forecast.memory.total / MIB:,.0f}",
                      f"{steps * forecast.seconds / 60:.1f}"))
-    head = ("block", "gaussians", "margin", "around", "views", "steps", "at the end", "MiB",
-            "minutes")
-    return Table("Blocks", head, rows, range(1, 9), (
-        "Gaussians: of the coarse run. Their number at the end, MiB and minutes are forecasts for "
-        f"a block that has {device.name} to itself, from steps of block {largest.path.name}.",))
+    head = ("block", "gaussians", "margin", "around", "in layers", "views", "steps", "at the end",
+            "MiB", "minutes")
+    return Table("Blocks", head, rows, range(1, 10), (
+        "Gaussians: of the coarse run; around: those that the block holds without training them; "
+        "in layers: those that it only draws, once for each view. The number at the end, MiB and "
+        f"minutes are forecasts for a block that has {device.name} to itself, from steps of block "
+        f"{largest.path.name}.",))

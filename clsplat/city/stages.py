@@ -19,7 +19,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import final_metrics
 from clsplat.io.atomic import replacing
-from clsplat.io.city import PARTITION, BlockFolder, CityFolder
+from clsplat.io.city import LAYERS, PARTITION, BlockFolder, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.folders import make_folder
 from clsplat.io.run import CITY, RunFolder
@@ -187,12 +187,13 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
     exposures, steps = coarse.exposures, whole_steps(options, scene)
+    as_layers = draws_layers(city, options)
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
                                   observations=None)
         windows = find_windows(gaussians, scene, region, own.views)
         own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
-        part = block_start(gaussians, scene, region, own.views)
+        part = block_start(gaussians, scene, region, own.views, as_layers)
         given = block_steps(options, steps * len(chosen) / len(views))
         if not any(view.depth for view in own.views):
             given["depth"] = ""
@@ -200,8 +201,20 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             number, scene, chosen, region, windows, part.gaussians, exposures,
             options_of_blocks(given, decided),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
-             "surroundings": part.surroundings})
+             "surroundings": part.surroundings,
+             **({} if part.around is None else {LAYERS: part.around.count})}, part.around)
     return partition, counts
+
+
+def draws_layers(city: CityFolder, options: TrainOptions) -> bool:
+    """Whether the blocks of a city draw their surroundings as layers.
+
+    Layers have no depth, so blocks that need it hold all gaussians. A partition that does not
+    record the choice is of a version without layers.
+    """
+    requested = city.read_partition().get(REQUESTED) or {}
+    return (requested.get("surroundings") == "layers" and not options.depth
+            and options.reproject == "off")
 
 
 def block_steps(options: TrainOptions, steps: float) -> dict[str, Any]:

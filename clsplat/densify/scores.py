@@ -11,6 +11,7 @@ from clsplat.constants import SPLAT_CONIC, SPLAT_CUTOFF, SPLAT_DEPTH, SPLAT_EXTE
 from clsplat.densify.contribution import contribution
 from clsplat.device import Array, Device
 from clsplat.loss.image_loss import image_loss, loss_value
+from clsplat.loss.term import TrainingSample
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import Rows
 
@@ -22,7 +23,7 @@ COEFFICIENTS = {
     "distance": 50.0, "weighted": 10.0, "pixels": 0.1, "weight": 50.0}
 
 
-def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[tuple[Array, Array]],
+def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[TrainingSample],
                   sh_degree: int, ssim_weight: float, gradient: NDArray[np.floating]
                   ) -> NDArray[np.float64]:
     """The scores of gaussians, summed over views.
@@ -36,7 +37,7 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[tuple[Array, A
     ----------
     renderer : renders the views.
     rows : field name -> real[N, *row shape].
-    views : about ten packed cameras, each with its photo uchar[3 or 4, H, W] on the device.
+    views : about ten, with packed cameras and photos.
     sh_degree : of the spherical harmonics that are used.
     ssim_weight : share of D-SSIM in the loss of a view.
     gradient : float[N], mean screen gradients.
@@ -49,9 +50,9 @@ def taming_scores(renderer: Renderer, rows: Rows, views: Iterable[tuple[Array, A
         opacity = 1 / (1 + np.exp(-rows["opacity_logits"].download().astype(np.float64)))
     volume = np.exp(rows["log_scales"].download().astype(np.float64).sum(axis=1))
     scores = np.zeros(len(gradient))
-    for camera, photo in views:
-        _, height, width = photo.shape
-        frame = renderer.render(rows, camera, width, height, sh_degree)
+    for view in views:
+        photo, (_, height, width) = view.photo, view.photo.shape
+        frame = renderer.render(rows, view.camera, width, height, sh_degree, layers=view.layers)
         loss, visible, of_view = _seen(renderer.device, frame, photo, ssim_weight)
         values = {"gradient": gradient[visible], "opacity": opacity[visible],
                   "volume": volume[visible], **of_view}
@@ -74,9 +75,9 @@ def pixel_weights(image: NDArray[np.floating], photo: NDArray[np.uint8]) -> NDAr
 def _seen(device: Device, frame: Frame, photo: Array, ssim_weight: float
           ) -> tuple[float, NDArray[np.uint32], dict[str, NDArray[np.float64]]]:
     """A frame's loss, its visible rows uint[V], and the terms float64[V] of this view."""
-    partials, _ = image_loss(device, frame.image, photo, ssim_weight)
+    partials, _ = image_loss(device, frame.exposed, photo, ssim_weight)
     loss, _, _ = loss_value(partials, math.prod(frame.image.shape), ssim_weight)
-    weights = device.upload(pixel_weights(frame.image.download(), photo.download()))
+    weights = device.upload(pixel_weights(frame.exposed.download(), photo.download()))
     pixels, weight, weighted, distance = contribution(device, frame, weights).download().T.astype(
         np.float64)
     splats = frame.splats.download().astype(np.float64)

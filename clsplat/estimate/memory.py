@@ -14,13 +14,15 @@ import numpy as np
 from clsplat.densify.statistics import Statistics
 from clsplat.device import ArraySpec, Device
 from clsplat.device.arena import Arena, Block
-from clsplat.estimate.trial_steps import sampled, settled, spread_out, trial_plan
+from clsplat.estimate.trial_steps import PAIRS_A_SPLAT, sampled, settled, spread_out, trial_plan
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import LossTerm
 from clsplat.loss.terms import terms_of
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.pose import Poses
+from clsplat.partition.blocks import largest_sizes
+from clsplat.partition.surroundings import lies_behind
 from clsplat.rendering.bands import pair_limit
 from clsplat.rendering.bin import steps_of, tile_grid
 from clsplat.rendering.frame_arrays import STAGES, FrameArray, FrameSize, frame_arrays
@@ -29,6 +31,7 @@ from clsplat.rendering.project import CAMERA
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
 from clsplat.training.depth_maps import depth_array
+from clsplat.training.layers import layer_array
 from clsplat.training.model import ENGINES, Model, grown_capacity
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.rooms import pairs_room, visible_room
@@ -152,6 +155,11 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
             photos = sum(sizes) if fits else max(sizes)
             resident &= fits
             most_photos = max(most_photos, photos * fits)
+            if prepared.surroundings:
+                drawn, drawing = layer_bytes(device, prepared, shown, photo_budget - sum(sizes))
+                photos += drawn  # they come and go with photos
+                total = max(total, photos + drawing + (
+                    0 if steps == 0 else _bytes(device, model_of(capacity))))
         others = photos + _bytes(device, other_arrays(prepared, segment.gaussians))
         if segment.gaussians != count:
             old, capacity = model_of(capacity), grown_capacity(capacity, segment.gaussians)
@@ -175,6 +183,39 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
                   _bytes(device, model_of(capacity)))
 
 
+def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], spare: float
+                ) -> tuple[int, int]:
+    """Bytes of the layers of a level, and of what is in memory only while they are drawn.
+
+    The first are an upper bound: all that is in front of the block counts as visible.
+
+    Parameters
+    ----------
+    device, prepared : of the training of a block that has surroundings.
+    shown : the training views at the level.
+    spare : bytes that layers may take.
+    """
+    around = prepared.surroundings
+    assert around is not None
+    near, most = prepared.near, 0
+    sizes, widest = [], max(shown, key=lambda view: view.camera.width * view.camera.height)
+    for view in shown:
+        behind = lies_behind(prepared.scene, view.camera.position, around.positions)
+        deviations = np.exp(around.log_scales.max(axis=1))[~behind]
+        in_front = largest_sizes(around.positions[~behind], deviations, [view], near).any()
+        sizes.append(layer_array(view, in_front).nbytes(device.real))
+        most = max(most, int(behind.sum()), int((~behind).sum()))
+    count = sum(layer_array(view, True).nbytes(device.real) for view in shown)
+    size = FrameSize(most, most, int(PAIRS_A_SPLAT * most) + 1, widest.camera.width,
+                     widest.camera.height)
+    pool = Pool(device.real, False)
+    pool.add([array for array in frame_arrays(device, size, around.sh_degree)
+              if STAGES.index(array.first) <= STAGES.index("blend")])
+    rows = Model.arrays([field.name for field in LEARNED], around.sh_degree, most)
+    return (sum(sizes) if count <= spare else max(sizes),
+            _bytes(device, list(rows.values())) + pool.nbytes)
+
+
 def model_arrays(names: Iterable[str], sh_degree: int, capacity: int,
                  engine: str, moments: str) -> list[ArraySpec]:
     """The arrays of rows and moments, in the order in which growth replaces them."""
@@ -192,10 +233,16 @@ def other_arrays(prepared: PreparedScene, count: int) -> list[ArraySpec]:
     return [*Statistics.arrays(count).values(), *Renderer.ARRAYS, *len(views) * [CAMERA], COUNTS,
             *(BatchMean.arrays(rows).values() if options.batch > 1 else ()),
             *(Exposures.arrays(len(views), _lenses(prepared)).values()
-              if options.exposure == "on" else ()),
+              if _exposes(prepared) else ()),
             *(Poses.arrays(len(views)).values() if options.poses == "on" else ()),
             *(SourceViews.arrays(neighbours).values() if neighbours else ()),
             *([ArraySpec((count,), np.uint32)] if scene.region else ())]  # Step.frozen
+
+
+def _exposes(prepared: PreparedScene) -> bool:
+    """Whether views have responses: those with layers need one, as a step puts them in front there.
+    """
+    return prepared.options.exposure == "on" or prepared.scene.surroundings is not None
 
 
 def _lenses(prepared: PreparedScene) -> int:
@@ -224,7 +271,7 @@ def step_arrays(device: Device, prepared: PreparedScene, size: FrameSize,
     size : of the frame; where steps are recorded, the sizes of its Room (rooms.py).
     """
     options, terms = prepared.options, list(terms)
-    exposes, count, seen = options.exposure == "on", size.gaussians, size.splats
+    exposes, count, seen = _exposes(prepared), size.gaussians, size.splats
     degree, image = options.sh_degree, (size.width, size.height)
     arrays = frame_arrays(device, size, degree, any(term.needs_depth for term in terms))
     for term in terms:

@@ -9,6 +9,7 @@ from clsplat.camera import Camera
 from clsplat.device import Array, Device
 from clsplat.gaussians import Gaussians
 from clsplat.options import TrainOptions
+from clsplat.rendering.blend import FRONT_AND_BACK_PLANES
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
 from clsplat.schedule import Plan
@@ -63,7 +64,7 @@ class SizedPhotos:
     One photo of each size is read and used for all views of that size.
     """
 
-    resident = True
+    resident, spare_bytes = True, 0.0
 
     def __init__(self, device: Device, views: Sequence[View], level: float) -> None:
         self.device, self.level = device, level
@@ -81,11 +82,35 @@ class SizedPhotos:
         return self._photos[size]
 
 
+class SizedLayers:
+    """Replaces `training.layers.Layers` where only the sizes of layers matter: nothing around."""
+
+    resident = True
+
+    def __init__(self, device: Device, views: Sequence[View], level: float) -> None:
+        self._cameras = [view.camera for view in at_level(views, level)]
+        self.device, self._layers = device, dict[tuple[int, int], Array]()
+
+    def use(self, level: float, views: Sequence[View], spare_bytes: float) -> None:
+        """Do nothing, as there is a single level."""
+
+    def __getitem__(self, index: int) -> Array:
+        camera = self._cameras[index]
+        size = camera.height, camera.width
+        if size not in self._layers:
+            planes = np.zeros((FRONT_AND_BACK_PLANES, *size), np.uint8)
+            planes[-1] = 255  # clear
+            self._layers[size] = self.device.upload(planes)
+        return self._layers[size]
+
+
 def trial_session(prepared: PreparedScene, device: Device, gaussians: Gaussians,
                   level: float) -> Session:
     """A session at a level, with photos of the right sizes."""
+    layers = (SizedLayers(device, prepared.train_views, level)
+              if prepared.scene.surroundings else None)
     return Session(prepared, device, gaussians,
-                   photos=SizedPhotos(device, prepared.train_views, level))
+                   photos=SizedPhotos(device, prepared.train_views, level), layers=layers)
 
 
 def sampled(scene: Scene, count: int, sh_degree: int, seed: int = 0) -> Gaussians:

@@ -39,9 +39,10 @@ from clsplat.scene import Scene, View
 
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 WINDOWS = "windows"  # key of region.json
+LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
 REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
 DEPTH = "depth"  # folder of a block's depth maps
-INITIAL, PACKED = "initial.ply", "scene.npz"
+INITIAL, SURROUNDINGS, PACKED = "initial.ply", "surroundings.ply", "scene.npz"
 
 
 class CityFolder:
@@ -169,7 +170,8 @@ class CityFolder:
     def write_block(self, number: int, scene: Scene, views: Sequence[int] | NDArray[np.integer],
                     region: Region, windows: Mapping[str, tuple[int, int, int, int]],
                     initial: Gaussians, exposures: Mapping[str, Response] | None,
-                    options: Mapping[str, Any], identity: Mapping[str, Any]) -> BlockFolder:
+                    options: Mapping[str, Any], identity: Mapping[str, Any],
+                    surroundings: Gaussians | None = None) -> BlockFolder:
         """Write a block as an ordinary scene folder.
 
         Photos are linked, or copied if the scene is packed. An existing block is left as it is.
@@ -183,6 +185,7 @@ class CityFolder:
         exposures : responses of views, by name.
         options : of the block's training, for block.json.
         identity : for block.json, `identity()` and other facts about the block.
+        surroundings : gaussians that are drawn as layers, in the scene's frame.
 
         Raises
         ------
@@ -211,6 +214,8 @@ class CityFolder:
                     view.name: exposures[view.name] for view in part.views
                     if view.name in exposures})
             write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
+            if surroundings is not None:
+                write_ply(partial / SURROUNDINGS, surroundings, scene.offset)
             write_object(partial / BLOCK, record)
             os.rename(partial, block.path)
         except BaseException as error:
@@ -252,9 +257,10 @@ class BlockFolder:
         """InputError if the block lacks its region, or if it lies, perhaps by a link, in a city to
         which it does not belong."""
         record = self.read()
-        if not (self.path / REGION).is_file():
-            raise InputError(f"{self.path / REGION}: missing from the block; remove the block, and "
-                             "run `clsplat partition` again")
+        for name in (REGION, *(SURROUNDINGS,) * bool(record.get(LAYERS))):
+            if not (self.path / name).is_file():
+                raise InputError(f"{self.path / name}: missing from the block; remove the block, "
+                                 "and run `clsplat partition` again")
         above = {path.parents[1] for path in (self.path.absolute(), self.path.resolve())
                  if len(path.parents) > 1}
         for city in map(CityFolder, sorted(above)):
@@ -268,8 +274,8 @@ class BlockFolder:
 
 
 def attached(scene: Scene, folder: Path) -> Scene:
-    """Add the region, the windows and the exposures of its folder to a scene, if it is a block's.
-    """
+    """Add the region, the windows, the surroundings and the exposures of its folder to a scene, if
+    it is a block's."""
     if not (folder / REGION).is_file():
         return scene
     path = folder / REGION
@@ -280,8 +286,9 @@ def attached(scene: Scene, folder: Path) -> Scene:
             _check_window(view, windows.get(view.name))
     except ValueError as error:
         raise InputError(f"{path}: damaged ({reason(error)}); partition the city again") from None
-    has_exposures = (folder / EXPOSURES).is_file()
+    has_exposures, around = (folder / EXPOSURES).is_file(), folder / SURROUNDINGS
     return replace(scene.cropped(windows), region=region,
+                   surroundings=around if around.is_file() else None,
                    exposures=read_exposures(folder / EXPOSURES) if has_exposures else None)
 
 

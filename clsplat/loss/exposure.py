@@ -17,7 +17,14 @@ from clsplat.constants import (
     VIGNETTING_TERMS,
 )
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
-from clsplat.rendering.blend import Defines, Exposure, Tone, Vignetting
+from clsplat.rendering.blend import (
+    Defines,
+    Exposure,
+    Tone,
+    Vignetting,
+    layer_defines,
+    layers_or,
+)
 from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.response import Lenses, Response
 
@@ -34,7 +41,8 @@ ADJOINT = Kernel(
     "exposure.cl", "exposure_adjoint",
     Forms(item=each("blocks"), group=groups("blocks", "SCAN_GROUP")), pixels="uint", width="uint",
     view="uint", blocks="uint", camera=("real", CAMERA_REALS), transforms=_ROWS, **_LENSES,
-    image=_IMAGE, grad=_IMAGE, grad_image=_IMAGE, partials=("real", "P", "S"))
+    image=_IMAGE, grad=_IMAGE, layers=("uchar", "N", "O", "Q"), grad_image=_IMAGE,
+    partials=("real", "P", "S"))
 STEP = Kernel("exposure.cl", "exposure_step", groups("1", "16"), view="uint", rate="real",
               pull="real", counts=("uint", FRAME_COUNTS), partials=("real", "P", "S"),
               blocks="uint", transforms=_ROWS, m=_ROWS, v=_ROWS, steps=("uint", "V"), **_LENSES,
@@ -127,13 +135,15 @@ class Exposures:
                         if self.has_vignetting else None,
                         Tone(self.lens_of, self.tones) if self.has_tone else None)
 
-    def adjoint(self, view: int, camera: Array, image: Array, grad: Array) -> tuple[Array, Array]:
+    def adjoint(self, view: int, camera: Array, image: Array, grad: Array,
+                layers: Array | None = None) -> tuple[Array, Array]:
         """Gradients from those by the photo that the response makes of an image.
 
         Parameters
         ----------
         view, camera : as for `of`.
         image, grad : real[3, H, W].
+        layers : uchar[3 or 7, H, W], as for `rendering.blend.blend`.
 
         Returns
         -------
@@ -144,10 +154,12 @@ class Exposures:
         blocks = -(-width * height // EXPOSURE_BLOCK)
         partials = device.empty((blocks, _sums(self.has_vignetting, self.has_tone)))
         grad_image = device.empty(image.shape)
-        device.launch(ADJOINT, self._defines, pixels=width * height, width=width, view=view,
-                      blocks=blocks, camera=camera, transforms=self.transforms,
-                      lens_of=self.lens_of, lenses=self.lenses, tones=self.tones, image=image,
-                      grad=grad, grad_image=grad_image, partials=partials)
+        device.launch(ADJOINT, (*self._defines, *layer_defines(layers)[1:]),
+                      pixels=width * height, width=width, view=view, blocks=blocks, camera=camera,
+                      transforms=self.transforms, lens_of=self.lens_of, lenses=self.lenses,
+                      tones=self.tones, image=image, grad=grad,
+                      layers=layers_or(self.lenses, layers), grad_image=grad_image,
+                      partials=partials)
         return grad_image, partials
 
     @property

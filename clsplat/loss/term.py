@@ -48,6 +48,7 @@ class TrainingSample:
     depth : real[H, W], its depth map, 0 where there is none; None: the view has no map.
     own_mask : whether a mask of the photo is its own; one that has outliers only does not change
         which gaussians the view sees.
+    layers : uchar[3 or 7, H, W], what surrounds a block (cl/include/layers.h); None: nothing.
     """
 
     view: int
@@ -56,6 +57,7 @@ class TrainingSample:
     source: SourceView | None = None
     depth: Array | None = None
     own_mask: bool = True
+    layers: Array | None = None
 
 
 @dataclass(eq=False)

@@ -6,7 +6,9 @@ rest of the scene. These surroundings are frozen as the coarse run left them. If
 they would compensate for errors of the block's own gaussians, in a different way in every block:
 after merging, caliterra then lost 4 dB (docs/notebook/city.md). A gaussian that the block owns but
 that extends beyond its reach, such as haze, is frozen for the same reason: every block trains its
-other gaussians with the same haze. Merging drops margin and surroundings. A block reads only the
+other gaussians with the same haze. Merging drops margin and surroundings. Of the surroundings, the
+model holds those that enter what the block reaches; the others are drawn once for each view, as
+layers (surroundings.py, clsplat/training/layers.py), or held as well. A block reads only the
 windows of its photos that show what it reaches.
 """
 
@@ -20,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.gaussians import Gaussians
+from clsplat.partition.surroundings import enters_reach
 
 if TYPE_CHECKING:
     from clsplat.partition.region import Region
@@ -42,7 +45,8 @@ class BlockStart:
     gaussians : the model.
     own : in the block's cell.
     margin : in the margin around the cell.
-    surroundings : farther away; they are kept, but frozen.
+    surroundings : farther away; the model holds them, frozen.
+    around : those that are drawn as layers instead; None: the model holds all.
     unseen : left out because no view of the block shows them.
     thinned : left out because they are smaller than a pixel, and others were enlarged instead.
     """
@@ -51,12 +55,13 @@ class BlockStart:
     own: int
     margin: int
     surroundings: int
+    around: Gaussians | None
     unseen: int
     thinned: int
 
 
-def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
-                ) -> BlockStart:
+def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View],
+                as_layers: bool = False) -> BlockStart:
     """Choose the gaussians that the block of a region starts from.
 
     Surroundings that are smaller than a pixel in every view are thinned: where two standard
@@ -72,6 +77,7 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     scene : the whole scene.
     region : the block's cell and margin.
     views : of the block, with cameras of the size they are trained at (`Scene.reduced`).
+    as_layers : whether surroundings that do not enter the block's reach are drawn as layers.
     """
     scene = replace(scene, region=region)
     positions = gaussians.positions.astype(np.float64)
@@ -84,10 +90,15 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     keeps = np.random.default_rng(0).random(len(size)) < size**2
     rows = {name: values[keeps] for name, values in gaussians.rows.items()}
     rows["log_scales"] = (rows["log_scales"] - np.log(size[keeps])[:, None]).astype(np.float32)
-    unseen = int((size == 0).sum())
-    return BlockStart(
-        Gaussians(rows, gaussians.sh_degree), int(own.sum()), int((reached & ~own).sum()),
-        int((keeps & rest).sum()), unseen, int((~keeps).sum()) - unseen)
+    unseen, kept, around = int((size == 0).sum()), Gaussians(rows, gaussians.sh_degree), None
+    surroundings = int((keeps & rest).sum())
+    if as_layers:
+        held = enters_reach(scene, kept)
+        kept, around = (Gaussians({name: values[which] for name, values in rows.items()},
+                                  gaussians.sh_degree) for which in (held, ~held))
+        surroundings -= around.count
+    return BlockStart(kept, int(own.sum()), int((reached & ~own).sum()), surroundings, around,
+                      unseen, int((~keeps).sum()) - unseen)
 
 
 def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]

@@ -7,9 +7,13 @@ import numpy as np
 
 from clsplat.constants import FRAME_COUNTS, PAIR_SUMS, SPLAT_REALS, TRANSFORM_REALS
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
+from clsplat.errors import ShapeError
 from clsplat.rendering.bin import Pairs
 
+BACK_PLANES, FRONT_AND_BACK_PLANES = 3, 7  # of layers (cl/include/layers.h)
 Defines = tuple[tuple[str, int], ...]  # names and values of the build-time choices of a kernel
+
+READS_BACKGROUND = Forms(item=True, group=False)  # the adjoint, where the image does not tell
 
 _SIZE = dict(width="int", height="int", tiles_x="int", first_tile="int")
 _LISTS = dict(ranges=("uint", "T", 2), sorted_splats=("uint", "P"))
@@ -18,19 +22,21 @@ _IMAGE, _DEPTH = dict(image=("real", 3, "H", "W")), dict(depth=("real", "D", "E"
 _ENDS = dict(transmittance=("real", "H", "W"), last_contributor=("int", "H", "W"))
 _EXPOSURE: dict[str, Any] = dict(
     view="uint", transforms=("real", "U", TRANSFORM_REALS), camera=("real", "J"),
-    lens_of=("uint", "K"), lenses=("real", "L", "M"), tones=("real", "N", "O"),
-    exposed=("real", "F", "G", "I"))
+    lens_of=("uint", "K"), lenses=("real", "L", "M"), tones=("real", "TR", "TC"))
+_EXPOSED = dict(exposed=("real", "F", "G", "I"))
 _BACKGROUND = dict(background=("real", 3))
+_LAYERS = dict(layers=("uchar", "N", "O", "Q"))
 _CHECKPOINTS = dict(checkpoints=("real", "B", "X", 4), depth_checkpoints=("real", "C", "Y"))
 
 BLEND = Kernel(
     "blend.cl", "blend",
     Forms(item=items("T"),
           group=groups("T", "TILE TILE", bucket_offsets=("uint", "T"), **_CHECKPOINTS)),
-    **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, **_DEPTH, **_EXPOSURE)
+    **_SIZE, **_BACKGROUND, **_LISTS, **_SPLATS, **_IMAGE, **_ENDS, **_DEPTH, **_EXPOSURE,
+    **_LAYERS, **_EXPOSED)
 ADJOINT = Kernel(
     "blend.cl", "blend_adjoint",
-    Forms(item=items("T", **_BACKGROUND),
+    Forms(item=items("T", **_BACKGROUND, **_LAYERS),
           group=groups("B", "ADJOINT_GROUP", counts=("uint", FRAME_COUNTS),
                        bucket_offsets=("uint", "T"), bucket_tiles=("uint", "B"), **_IMAGE,
                        **_DEPTH, **_CHECKPOINTS)),
@@ -132,9 +138,21 @@ def blend_defines(with_depth: bool, smooth_cutoff: bool = False, median_depth: b
     return (*choices, ("MEDIAN_DEPTH", 1)) if with_depth and median_depth else choices
 
 
+def layer_defines(layers: Array | None) -> Defines:
+    """The build-time choices that follow from layers uchar[3 or 7, H, W]; none without."""
+    if layers is None:
+        return ()
+    return ("WITH_LAYERS", 1), ("WITH_FRONT", int(len(layers) == FRONT_AND_BACK_PLANES))
+
+
+def layers_or(token: Array, layers: Array | None) -> Array:
+    """The layers, or where there are none some other memory that is not read."""
+    return token.viewed(np.uint8, 1, 1, token.nbytes) if layers is None else layers
+
+
 def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
-          defines: Defines, result: Blended | None = None, exposure: Exposure | None = None
-          ) -> Blended:
+          defines: Defines, result: Blended | None = None, exposure: Exposure | None = None,
+          layers: Array | None = None) -> Blended:
     """Blend splats over a background.
 
     Parameters
@@ -147,6 +165,8 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
     defines : of `blend_defines`.
     result : that of the bands before, to which the tiles of this one are added; None: a new one.
     exposure : a response that is applied as well, the same for all bands.
+    layers : uchar[3 or 7, H, W], what lies behind, in place of `background`, and in front, which
+        only `exposed` shows (cl/include/layers.h); None: nothing.
     """
     with_depth = dict(defines)["WITH_DEPTH"]
     if result is None:
@@ -163,7 +183,10 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
         states = len(pairs.bucket_tiles), device.tile**2
         result.checkpoints = device.empty((*states, 4))
         result.depth_checkpoints = device.empty(states if with_depth else (1, 1))
-    device.launch(BLEND, (*defines, ("WITH_EXPOSURE", int(exposure is not None)),
+    if layers is not None and layers.shape[1:] != (height, width):
+        raise ShapeError(f"layers of {layers.shape[1:]} for an image of {(height, width)}")
+    device.launch(BLEND, (*defines, *layer_defines(layers),
+                          ("WITH_EXPOSURE", int(exposure is not None)),
                           ("WITH_VIGNETTING", int(vignetting is not None)),
                           ("WITH_TONE", int(tone is not None))),
                   width=width, height=height, tiles_x=pairs.tiles_x, first_tile=pairs.tiles.start,
@@ -171,6 +194,7 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                   splats=splats, image=result.image, transmittance=result.transmittance,
                   last_contributor=result.last_contributor, depth=result.depth, view=view,
                   transforms=transforms, camera=camera, lens_of=lens_of, lenses=lenses, tones=tones,
+                  layers=layers_or(background, layers),
                   exposed=nothing if result.exposed is None else result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
                   depth_checkpoints=result.depth_checkpoints)
@@ -179,12 +203,13 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
 
 def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended, background: Array,
                   grad_image: Array, grad_depth: Array, grad_transmittance: Array,
-                  defines: Defines, earlier: Array | None = None) -> SplatGrads:
+                  defines: Defines, earlier: Array | None = None, layers: Array | None = None
+                  ) -> SplatGrads:
     """Gradients by splat from gradients by what `blend` made.
 
     Parameters
     ----------
-    device, splats, pairs, background, defines : as they were for `blend`.
+    device, splats, pairs, background, defines, layers : as they were for `blend`.
     blended : what `blend` returned.
     grad_image : real[3, H, W].
     grad_depth, grad_transmittance : real[H, W], or tokens of 1 x 1 without the depth channel.
@@ -193,8 +218,10 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
     _, height, width = blended.image.shape
     columns = PAIR_SUMS + dict(defines)["WITH_DEPTH"]
     pair_grads = device.empty((pairs.count, columns))
-    device.launch(ADJOINT, defines, width=width, height=height, tiles_x=pairs.tiles_x,
-                  first_tile=pairs.tiles.start, background=background, ranges=pairs.ranges,
+    behind = layer_defines(layers)[:1] if READS_BACKGROUND.of(device) else ()
+    device.launch(ADJOINT, (*defines, *behind), width=width, height=height, tiles_x=pairs.tiles_x,
+                  first_tile=pairs.tiles.start, background=background,
+                  layers=layers_or(background, layers), ranges=pairs.ranges,
                   sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
                   splats=splats, image=blended.image, transmittance=blended.transmittance,
                   depth=blended.depth, last_contributor=blended.last_contributor,

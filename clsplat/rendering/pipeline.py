@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
+from clsplat.constants import TRANSFORM_REALS
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.primitives.compact import compact, new_counts
 from clsplat.primitives.sort import stable_sort
@@ -69,6 +70,7 @@ class Frame:
         pairs.
     blended : the image, and its depth and transmittance.
     with_depth : whether there is a depth channel.
+    layers : uchar[3 or 7, H, W], what was blended with as well; None: nothing.
     """
 
     camera: Array
@@ -82,6 +84,7 @@ class Frame:
     room: Room | None
     blended: Blended
     with_depth: bool
+    layers: Array | None = None
 
     @property
     def image(self) -> Array:
@@ -90,7 +93,8 @@ class Frame:
 
     @property
     def exposed(self) -> Array:
-        """real[3, H, W], the image with a colour transform, where one was given."""
+        """real[3, H, W], the image with a colour transform and behind the front layer, where
+        these were given."""
         return self.image if self.blended.exposed is None else self.blended.exposed
 
     @property
@@ -176,7 +180,7 @@ class Renderer:
 
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
                with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
-               exposure: Exposure | None = None) -> Frame:
+               exposure: Exposure | None = None, layers: Array | None = None) -> Frame:
         """Render gaussians from a camera.
 
         Parameters
@@ -190,9 +194,12 @@ class Renderer:
             they are too small fails (cl/include/counts.h). None: exact sizes; waits twice.
         counts : uint[FRAME_COUNTS], for a frame with a room; its sums and its failure go on.
         exposure : a response, with which the frame also is `exposed`.
+        layers : uchar[3 or 7, H, W], what lies behind and in front (`blend`); None: nothing.
         """
         device = self.device
         counts = new_counts(device) if counts is None else counts
+        if layers is not None and exposure is None:  # what is in front shows where it is exposed
+            exposure = Exposure(device.upload(np.eye(3, 4).reshape(1, TRANSFORM_REALS)), 0)
         visible = self._visible(rows, camera, counts, room)
         splats, depth_keys = project(device, rows, visible, counts, camera, sh_degree,
                                      self._project_defines)
@@ -211,10 +218,11 @@ class Renderer:
                 device, splats,
                 pairs or bin_splats(device, splats, counts, order, width, height, band,
                                     room=room and room.pairs),
-                width, height, self.background, self._blend_defines(with_depth), blended, exposure)
+                width, height, self.background, self._blend_defines(with_depth), blended, exposure,
+                layers)
         assert blended is not None  # an image has at least one band
         return Frame(camera, sh_degree, counts, visible, splats, order, pairs, bands, room, blended,
-                     with_depth)
+                     with_depth, layers)
 
     def most_pairs(self, width: int, height: int, with_depth: bool) -> int:
         """The largest number of pairs that a band of a frame may have."""
@@ -288,9 +296,9 @@ class Renderer:
         if pairs is not frame.pairs and pairs.bucket_tiles is not None:  # for the checkpoints
             width, height = frame.size
             blend(device, frame.splats, pairs, width, height, self.background, defines,
-                  frame.blended)
+                  frame.blended, layers=frame.layers)
         return blend_adjoint(device, frame.splats, pairs, frame.blended, self.background, *grads,
-                             defines, earlier)
+                             defines, earlier, frame.layers)
 
     def _blend_defines(self, with_depth: bool) -> Defines:
         return blend_defines(with_depth, self.smooth_cutoff, self.median_depth)

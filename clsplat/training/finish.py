@@ -19,8 +19,8 @@ from clsplat.training.session import Session
 
 def save_model(run: RunFolder, session: Session) -> None:
     """Write the finished model, the responses of its photos and the corrections of their poses."""
-    if session.step.exposures:
-        run.save_exposures(session.responses())
+    if responses := session.responses():
+        run.save_exposures(responses)
     if session.step.poses:
         write_poses(run.path, {name: Correction(each.turn, each.shift * session.scene.unit)
                                for name, each in session.corrections().items()})

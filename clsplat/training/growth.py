@@ -12,14 +12,14 @@ from clsplat.densify.grow import Candidates, Growth, plan_growth
 from clsplat.densify.relocate import plan_relocation
 from clsplat.densify.scores import taming_scores
 from clsplat.densify.select import above_threshold, by_score, half_of, highest
-from clsplat.device import Array
 from clsplat.gaussians import FIELDS
+from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows
 from clsplat.schedule import Plan, Schedule
 
-ScoringViews = Callable[[], list[tuple[Array, Array]]]
+ScoringViews = Callable[[], list[TrainingSample]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Round:
         ----------
         renderer : renders views, for a schedule that scores gaussians.
         rows : field name -> real[N, *row shape].
-        scoring_views : returns packed cameras and photos of some training views.
+        scoring_views : returns some training views.
         """
         options = self.options
         host = {field.name: rows[field.name].download() for field in FIELDS

@@ -57,6 +57,14 @@ def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
     return gaussians
 
 
+def surrounding_gaussians(scene: Scene, options: TrainOptions) -> Gaussians | None:
+    """The gaussians around a block that its views show as layers; None: there are none."""
+    if scene.surroundings is None:
+        return None
+    gaussians = read_model(scene.surroundings, scene.offset).scaled(1 / scene.unit)
+    return gaussians.with_sh_degree(options.sh_degree).without_spheres()
+
+
 def initial_responses(scene: Scene, views: Iterable[View]) -> list[Response] | None:
     """The responses of a block's views, from the coarse run; None without them.
 

@@ -149,7 +149,12 @@ class Photos:
                                         for view in at_level(self._full, following[0])]
 
     def _fits(self, views: Iterable[View]) -> bool:
-        return sum(photo_array(v).nbytes(self.device.real) for v in views) <= self._budget
+        return _nbytes(self.device, views) <= self._budget
+
+    @property
+    def spare_bytes(self) -> float:
+        """What is left of the budget beside the photos of this level; 0 if they do not fit."""
+        return max(0.0, self._budget - _nbytes(self.device, self.views))
 
     def expect(self, index: int) -> None:
         """Begin to decode a photo that will be used soon."""
@@ -196,3 +201,8 @@ def _own_mask(view: View) -> NDArray[np.uint8]:
 
 def _leave_out(mask: NDArray[np.uint8], ignored: Cells) -> None:
     mask[spread(ignored, *mask.shape)] = 0
+
+
+def _nbytes(device: Device, views: Iterable[View]) -> int:
+    """Bytes of the photos of views on a device."""
+    return sum(photo_array(view).nbytes(device.real) for view in views)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clsplat.device import Array
 from clsplat.gaussians import LEARNED
 from clsplat.loss.image_loss import image_loss, loss_value
+from clsplat.loss.term import TrainingSample
 from clsplat.rendering.project import Rows
 from clsplat.training.step import Step
 
@@ -28,13 +28,13 @@ class Rollback:
         model.catch_up()
         self._gaussians, self._moments = model.download(), model.adam.download(model.count)
 
-    def restore_if_better(self, step: Step, samples: Sequence[tuple[Array, Array]]) -> bool:
+    def restore_if_better(self, step: Step, samples: Sequence[TrainingSample]) -> bool:
         """Restore the copy if its loss is smaller than that of the present model.
 
         Parameters
         ----------
         step : has the present model, and receives the copy.
-        samples : packed cameras and photos of training views.
+        samples : training views.
 
         Returns
         -------
@@ -53,12 +53,13 @@ class Rollback:
         return True
 
 
-def _loss(step: Step, rows: Rows, samples: Sequence[tuple[Array, Array]]) -> float:
+def _loss(step: Step, rows: Rows, samples: Sequence[TrainingSample]) -> float:
     """The mean image loss of some views, without colour transforms."""
     losses = []
-    for camera, photo in samples:
-        _, height, width = photo.shape
-        frame = step.renderer.render(rows, camera, width, height, step.options.sh_degree)
-        partials, _ = image_loss(step.device, frame.image, photo, step.options.ssim_weight)
+    for sample in samples:
+        photo, (_, height, width) = sample.photo, sample.photo.shape
+        frame = step.renderer.render(rows, sample.camera, width, height, step.options.sh_degree,
+                                     layers=sample.layers)
+        partials, _ = image_loss(step.device, frame.exposed, photo, step.options.ssim_weight)
         losses.append(loss_value(partials, 3 * height * width, step.options.ssim_weight)[0])
     return float(np.mean(losses))

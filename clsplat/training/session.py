@@ -29,7 +29,12 @@ from clsplat.scene import Scene, View, corrected_views
 from clsplat.schedule import Plan, Schedule, laid_over, schedule_of
 from clsplat.training.decisions import Decisions, find_decisions
 from clsplat.training.depth_maps import DepthMapsOnDevice
-from clsplat.training.initialise import initial_gaussians, initial_responses
+from clsplat.training.initialise import (
+    initial_gaussians,
+    initial_responses,
+    surrounding_gaussians,
+)
+from clsplat.training.layers import Layers
 from clsplat.training.model import Model
 from clsplat.training.photos import Photos, decoded
 from clsplat.training.progress import SilentProgress
@@ -73,6 +78,11 @@ class PreparedScene:
     def trains(self) -> Callable[..., NDArray[np.bool_]] | None:
         """Tells which gaussians a block of a city trains (`step.Step`); None: all."""
         return functools.partial(trainable, self.scene) if self.scene.region else None
+
+    @functools.cached_property
+    def surroundings(self) -> Gaussians | None:
+        """What a block draws as layers, in the scene's frame; None: nothing."""
+        return surrounding_gaussians(self.scene, self.options)
 
     @property
     def lenses(self) -> Lenses | None:
@@ -137,12 +147,14 @@ class Session:
     gaussians : the initial ones.
     schedule : decides level and growth; None: the caller does, and gives `photos`.
     photos : of the training views; None: photos at the levels of the schedule.
+    layers : of a block that has surroundings; None: they are drawn.
     progress : receives what is being done.
 
     Attributes
     ----------
     step : takes steps; has the model, the exposures and the statistics.
     source_views : None if no loss term compares with another view.
+    layers : what a block's views show of its surroundings; None: nothing is drawn as layers.
     level : down-sampling factor of the training images.
     cameras : packed cameras of the training views at that level.
     options : may be replaced between steps (`lay_over`).
@@ -152,16 +164,23 @@ class Session:
 
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
                  schedule: Schedule | None = None, photos: Photos | None = None,
-                 progress: SilentProgress | None = None) -> None:
+                 progress: SilentProgress | None = None, layers: Layers | None = None) -> None:
         self.device, self.schedule, self.progress = device, schedule, progress or SilentProgress()
         self.scene, self.decisions = prepared.scene, prepared.decisions
         self.train_views, self.test_views = prepared.train_views, prepared.test_views
         self.options = options = prepared.options
         self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased,
                                  options.background)
+        self.photos = photos or Photos(device, self.train_views, schedule.levels)
+        self.layers = layers
+        if prepared.surroundings and not layers:
+            self.layers = Layers(device, self.scene, prepared.surroundings, prepared.near, options)
+        self._draw_layers()  # before there is a model, as that needs memory
         model = Model(device, gaussians, options.engine, options.optimizer == "dense",
                       options.moments)
         exposures = None
+        if self.layers:  # the step puts them in front where it exposes the image
+            exposures = Exposures(device, len(self.train_views), learns=False)
         if options.exposure == "on":
             # blocks that learned their own would not agree
             initial = initial_responses(self.scene, self.train_views)
@@ -181,7 +200,6 @@ class Session:
                              if neighbours else None)
         self.depths = DepthMapsOnDevice(device, self.scene.unit) if options.depth else None
         self.iteration, self.level = 0, 0.0
-        self.photos = photos or Photos(device, self.train_views, schedule.levels)
         self.use_level(self.photos.level)
 
     @classmethod
@@ -224,6 +242,7 @@ class Session:
         self.level = level
         self.progress.phase(f"reading photos of level {level:g}")
         self.photos.use(level)
+        self._draw_layers()
         cameras = [view.camera for view in self.photos.views]
         if self.source_views:
             self.source_views.use(cameras)
@@ -233,8 +252,15 @@ class Session:
         self.step.begin_level()
         self.disturbed_at = self.iteration
         # pending steps hold their photos, which elsewhere come and go
-        self.step.units.most_pending = MOST_PENDING if self.photos.resident else 1 + FEW_PHOTOS
+        stays = self.photos.resident and (not self.layers or self.layers.resident)
+        self.step.units.most_pending = MOST_PENDING if stays else 1 + FEW_PHOTOS
         return True
+
+    def _draw_layers(self) -> None:
+        """Draw the layers of the photos' level, if there are any."""
+        if self.layers:
+            self.progress.phase(f"drawing what surrounds the block, level {self.photos.level:g}")
+            self.layers.use(self.photos.level, self.photos.views, self.photos.spare_bytes)
 
     def sample(self, view: int, number: int, plan: Plan) -> TrainingSample:
         """The training sample of a view.
@@ -252,7 +278,8 @@ class Session:
                                 self.source_views.colours, row)
         return TrainingSample(view, self.cameras[view], self.photos[view], source,
                               self.depths[view] if self.depths else None,
-                              self.train_views[view].may_have_mask)
+                              self.train_views[view].may_have_mask,
+                              self.layers[view] if self.layers else None)
 
     def expect(self, view: int, number: int, plan: Plan) -> None:
         """Begin to read the photos that `sample` will need; same arguments."""
@@ -273,7 +300,7 @@ class Session:
 
     def responses(self) -> dict[str, Response]:
         """The learned responses of the training views by name; empty without exposures."""
-        if not self.step.exposures:
+        if self.options.exposure != "on":
             return {}
         return {view.name: response for view, response in zip(
             self.train_views, self.step.exposures.responses())}
@@ -299,13 +326,15 @@ class Session:
             if self.source_views:
                 self.source_views.compare_colours()
 
-    def scoring_views(self) -> list[tuple[Array, Array]]:
-        """[(packed camera, photo), ...] of random training views, others at each step."""
+    def scoring_views(self) -> list[TrainingSample]:
+        """Random training views, others at each step."""
         rng = np.random.default_rng([self.options.seed, 3, self.iteration])
         count = len(self.train_views)
         chosen = rng.choice(count, min(SCORING_VIEWS, count), replace=False)
         cameras = self.corrected_cameras()
-        return [(cameras[i], self.photos[i]) for i in chosen]
+        return [TrainingSample(i, cameras[i], self.photos[i],
+                               layers=self.layers[i] if self.layers else None)
+                for i in chosen.tolist()]
 
     def corrected_cameras(self) -> list[Array]:
         """Packed cameras of the training views at this level, with their poses as learned."""

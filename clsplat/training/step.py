@@ -221,8 +221,11 @@ class Step:
                        "colours": source.colours, "pair": source.pair}
         if any(term.needs_map for term in terms):
             inputs["depth_map"] = sample.depth
+        if sample.layers is not None:
+            inputs["layers"] = sample.layers
         key = (slot, plan.degree, plan.gathers, tuple(term.name for term in terms),
-               sample.photo.shape, sample.own_mask, source and source.photo.shape)
+               sample.photo.shape, sample.own_mask, source and source.photo.shape,
+               None if sample.layers is None else sample.layers.shape)
         if graph := self._graphs.get(key):
             graph.replay(**inputs)
         else:
@@ -271,14 +274,15 @@ class Step:
         terms = self._terms_for(plan, sample)
         frame = self.renderer.render(rows, sample.camera, width, height, plan.degree,
                                      any(term.needs_depth for term in terms), room, counts,
-                                     exposures and exposures.of(sample.view, sample.camera))
+                                     exposures and exposures.of(sample.view, sample.camera),
+                                     sample.layers)
         grad = FrameGradient()
         for term in terms:
             measured[term.name] = term.add_to(grad, frame, frame.exposed, sample,
                                               numbers[_weight(term)])
         if exposures:
             grad.image, partials = exposures.adjoint(sample.view, sample.camera, frame.image,
-                                                     grad.image)
+                                                     grad.image, sample.layers)
             exposures.step(sample.view, partials, counts)
         gradients = self.renderer.adjoint(
             rows, frame, grad.image, grad.depth, grad.transmittance, self.frozen,
@@ -314,8 +318,7 @@ class Step:
         iteration : number of the step, from 1.
         plan : of that step.
         schedule : decides how many gaussians are added, and how they are selected.
-        scoring_views : returns packed cameras and photos of some training views, for a schedule
-            that scores gaussians.
+        scoring_views : returns some training views, for a schedule that scores gaussians.
 
         Returns
         -------

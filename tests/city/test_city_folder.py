@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 
+from clsplat.city.stages import draws_layers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
@@ -20,9 +21,11 @@ from clsplat.io.images import write_image
 from clsplat.io.packed import write_packed
 from clsplat.io.ply import read_ply
 from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.options import resolve
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
 from clsplat.training.block import options_of_blocks
+from clsplat.training.initialise import surrounding_gaussians
 from tests.data.tiny_training import CITY
 
 VIEWS = [3, 9, 8, 11]  # in no order
@@ -275,3 +278,34 @@ def test_a_block_without_its_region_is_no_scene(city, scene, gaussians):
     (block.path / "region.json").unlink()
     with pytest.raises(InputError, match="region.json: missing from the block"):
         block.check()
+
+
+def test_surroundings_travel_with_the_block_and_are_missed(city, scene, gaussians):
+    around = Gaussians.from_points(scene.points[50:90], scene.colours[50:90], 1)
+    block = city.write_block(0, scene, VIEWS, WEST, {}, gaussians, None, OPTIONS,
+                             {**city.identity(), "layers": around.count}, around)
+    block.check()
+    whole = read_scene(block.path)
+    read = surrounding_gaussians(whole, resolve({}, {"sh_degree": 0}))
+    away = scene.offset - whole.offset
+    assert read.sh_degree == 0
+    assert np.allclose(read.positions, around.positions + away, atol=1e-4)
+    (block.path / "surroundings.ply").unlink()
+    with pytest.raises(InputError, match=r"surroundings\.ply: missing from the block; remove"):
+        block.check()
+
+
+def test_a_block_of_before_there_were_layers(city, scene, gaussians):
+    block = written(city, scene, gaussians)
+    block.check()
+    assert surrounding_gaussians(read_scene(block.path), resolve({}, {})) is None
+
+
+@pytest.mark.parametrize("requested, options, layers", [
+    ({}, {}, False), ({"surroundings": "gaussians"}, {}, False),
+    ({"surroundings": "layers"}, {}, True), ({"surroundings": "layers"}, {"depth": "d"}, False),
+    ({"surroundings": "layers"}, {"reproject": "auto"}, False)])
+def test_layers_are_drawn_where_the_partition_says_so_and_no_depth_is_needed(
+        city, requested, options, layers):
+    city.write_partition({"method": "by hand", "asked": requested})
+    assert draws_layers(city, resolve({}, options)) == layers

@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import sobel
 
 from clsplat.densify.scores import pixel_weights, taming_scores
+from clsplat.loss.term import TrainingSample
 from tests import cases
 from tests.checks import close
 from tests.kernels.chain import depth_order, render, size_of
@@ -24,7 +25,7 @@ def scored(device, name, gradient, photos, rows=None):
     """Scores over one camera's view with each photo, and the downloaded (visible, image)."""
     case = cases.gaussians(name)
     renderer, rows, frame = render(device, case, rows)
-    views = [(frame.camera, device.upload(photo)) for photo in photos]
+    views = [TrainingSample(0, frame.camera, device.upload(photo)) for photo in photos]
     scores = taming_scores(renderer, rows, views, case["degree"], SSIM_WEIGHT, gradient)
     return scores, frame.visible.download(), frame.image.download()
 

@@ -25,6 +25,16 @@ def gain(lens, u):
     return 1 + np.tensordot(lens[:3], powers(u), 1)
 
 
+def in_front(colour, clear, image):
+    """An image behind a layer of colour [3, H, W] and transmittance [H, W]."""
+    return colour + clear * image
+
+
+def in_front_adjoint(clear, grad):
+    """The gradient by the image."""
+    return clear * grad
+
+
 def bend(t, p):
     """t / (|t| + k (1 - |t|)), k = e^-p, of |t| < 1, with its derivatives by t and p; else linear.
 

@@ -199,7 +199,8 @@ def test_cut(offset):
     for name, values in result.gaussians.rows.items():
         assert np.array_equal(values, given.rows[name][kept]), name
     assert asdict(replace(result, gaussians=None)) == {
-        "gaussians": None, "own": 1, "margin": 1, "surroundings": 3, "unseen": 2, "thinned": 0}
+        "gaussians": None, "own": 1, "margin": 1, "surroundings": 3, "around": None, "unseen": 2,
+        "thinned": 0}
 
 
 def test_sizes_in_the_view_that_shows_them_largest():

@@ -1,0 +1,100 @@
+"""Which gaussians around a block are drawn as layers, and on which side of it a view sees them.
+
+A block's reach is a box in the coordinates of its space. The planes of its sides divide the rest of
+space into parts, in the way of a BSP tree (Fuchs, Kedem and Naylor 1980, On visible surface
+generation by a priori tree structures): beyond a plane that the camera is beyond too lies what is
+in front of the block; beyond any other plane, what is behind it. Every ray meets what is in front,
+the block and what is behind in this order, so each of them is drawn by itself. A contracted space
+is curved outside of its area of interest, so there this is an approximation.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from clsplat.gaussians import Gaussians
+    from clsplat.partition.region import Region
+    from clsplat.scene import Scene
+
+# A surrounding gaussian that enters a block's reach by so many of its standard deviations is drawn
+# with the block. With more of them, views resemble those of the whole model less, as each is then
+# drawn before or after layers to which it belongs (docs/notebook/city.md).
+HELD_DEVIATIONS = 1.0
+
+
+def enters_reach(scene: Scene, gaussians: Gaussians, deviations: float = HELD_DEVIATIONS
+                 ) -> NDArray[np.bool_]:
+    """Which gaussians enter what a block reaches, as bool[N].
+
+    A gaussian enters if the box around its ellipsoid, along the axes of the block's space, contains
+    the point of the reach that is next to its centre.
+
+    Parameters
+    ----------
+    scene : the block's scene.
+    gaussians : in the local frame of the scene.
+    deviations : standard deviations at which the ellipsoid ends.
+    """
+    region = _region_of(scene)
+    grown, space = region.grown(region.margin), region.space
+    centres = scene.offset + scene.unit * gaussians.positions.astype(np.float64)
+    ends = (0.0, 1.0) if space.contracted else (-np.inf, np.inf)
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        next_to = space.world(np.clip(space.to(centres), np.maximum(grown.low, ends[0]),
+                                      np.minimum(grown.high, ends[1])))
+        gaps = np.abs((next_to - centres) @ space.rotation.T)
+    extents = scene.unit * deviations * deviations_along(gaussians, space.rotation)
+    entering: NDArray[np.bool_] = np.all(gaps <= extents, axis=1)
+    return entering | scene.reached(gaussians.positions)
+
+
+def deviations_along(gaussians: Gaussians, axes: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Standard deviations [N, A] of gaussians along unit vectors `axes` [A, 3], in their frame."""
+    q = gaussians.quaternions.astype(np.float64)
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True).clip(np.finfo(float).tiny)).T
+    rotations = np.stack([
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    scales = np.exp(gaussians.log_scales.astype(np.float64))
+    along = np.einsum("ai,nij->naj", axes, rotations.reshape(-1, 3, 3)) * scales[:, None]
+    lengths: NDArray[np.float64] = np.linalg.norm(along, axis=2)
+    return lengths
+
+
+def lies_behind(scene: Scene, camera: ArrayLike, positions: NDArray[np.floating]
+                ) -> NDArray[np.bool_]:
+    """Which positions outside a block's reach a camera sees behind it, as bool[N].
+
+    The others are in front of it, or beside it on the camera's side. A camera within the reach sees
+    all behind it.
+
+    Parameters
+    ----------
+    scene : the block's scene.
+    camera : [3], the camera's position, in the local frame of the scene.
+    positions : [N, 3], in the local frame of the scene.
+    """
+    region = _region_of(scene)
+    grown, space = region.grown(region.margin), region.space
+    eye = space.to(scene.offset + scene.unit * np.asarray(camera, np.float64)[None])[0]
+    places = space.to(scene.offset + scene.unit * positions.astype(np.float64))
+    distance = np.maximum(grown.low - eye, eye - grown.high) * space.half
+    behind, decided = np.ones(len(places), bool), np.zeros(len(places), bool)
+    for axis in np.argsort(-distance, kind="stable"):  # first the side that faces the camera
+        for outside, faces in ((places[:, axis] < grown.low[axis], eye[axis] < grown.low[axis]),
+                               (places[:, axis] >= grown.high[axis],
+                                eye[axis] >= grown.high[axis])):
+            behind[outside & ~decided] = not faces
+            decided |= outside
+    return behind
+
+
+def _region_of(scene: Scene) -> Region:
+    if scene.region is None:
+        raise ValueError("a scene that is not a block has no surroundings")
+    return scene.region

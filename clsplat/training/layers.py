@@ -1,0 +1,152 @@
+"""The surroundings of a block, drawn once for each of its views as layers behind and in front.
+
+Only what they look like is kept: surroundings have no rows in the model, no moments and no
+gradients. They do not change, so a level draws them once, and a resumed run draws the same bytes
+again.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.device import Array, ArraySpec, Device
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.partition.surroundings import lies_behind
+from clsplat.rendering.blend import BACK_PLANES, FRONT_AND_BACK_PLANES
+from clsplat.rendering.slabs import open_model
+from clsplat.scene import Scene, View
+
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
+
+Planes = NDArray[np.uint8]  # [3 or 7, H, W], see cl/include/layers.h
+
+
+class Layers:
+    """`layers[i]` is what view i shows of the surroundings at the present level.
+
+    It is uchar[3, H, W] where nothing is in front of the block, else uchar[7, H, W]
+    (cl/include/layers.h). The layers of a level stay on the device if they fit beside its photos,
+    otherwise in a temporary file.
+
+    Parameters
+    ----------
+    device : of the training.
+    scene : the block's scene.
+    surroundings : the gaussians around it, in the scene's frame.
+    near : depth of the near plane, in units of the scene.
+    options : of the training.
+
+    Attributes
+    ----------
+    resident : whether the layers of this level stay on the device.
+    """
+
+    def __init__(self, device: Device, scene: Scene, surroundings: Gaussians, near: float,
+                 options: TrainOptions) -> None:
+        self.device, self.resident = device, True
+        self._draw: Callable[[View], Planes] = lambda view: drawn_layers(
+            device, scene, surroundings, view, near, options)
+        self._level = 0.0  # none yet
+
+    def use(self, level: float, views: Sequence[View], spare_bytes: float) -> None:
+        """Draw the layers of a level; InputError if the disk has no space for them.
+
+        Parameters
+        ----------
+        level : down-sampling factor.
+        views : the training views at that level.
+        spare_bytes : that layers may take on the device.
+        """
+        if level == self._level:
+            return
+        self._level = level
+        self._arrays: list[Array] = []
+        self._file: IO[bytes] | None = None
+        self._places: list[tuple[int, tuple[int, ...]]] = []
+        most = sum(layer_array(view, True).nbytes(self.device.real) for view in views)
+        self.resident = most <= spare_bytes
+        for view in views:
+            planes = self._draw(view)
+            if self.resident:
+                self._arrays.append(self.device.upload(planes))
+            else:
+                self._keep(planes)
+
+    def _keep(self, planes: Planes) -> None:
+        """Write planes to the temporary file."""
+        try:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile()
+            self._places.append((self._file.seek(0, 2), planes.shape))
+            self._file.write(planes.tobytes())
+            self._file.flush()
+        except OSError as error:
+            raise InputError(
+                f"{tempfile.gettempdir()}: cannot keep what surrounds the block ({error.strerror})"
+                "; make space there, or let TMPDIR name another folder") from None
+
+    def __getitem__(self, index: int) -> Array:
+        if self.resident:
+            return self._arrays[index]
+        assert self._file is not None
+        place, shape = self._places[index]
+        self._file.seek(place)
+        count = int(np.prod(shape))
+        return self.device.upload(
+            np.frombuffer(self._file.read(count), np.uint8).reshape(shape))
+
+
+def layer_array(view: View, has_front: bool) -> ArraySpec:
+    """The device array of a view's layers."""
+    planes = FRONT_AND_BACK_PLANES if has_front else BACK_PLANES
+    return ArraySpec((planes, view.camera.height, view.camera.width), np.uint8)
+
+
+def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, view: View, near: float,
+                 options: TrainOptions) -> Planes:
+    """Draw what a view shows of the surroundings of a block.
+
+    Parameters
+    ----------
+    device, scene, surroundings, near, options : as for `Layers`.
+    view : of the block, at its level.
+
+    Returns
+    -------
+    uint8[3, H, W], or uint8[7, H, W] where something is in front of the block.
+    """
+    behind = lies_behind(scene, view.camera.position, surroundings.positions)
+
+    def drawn(which: NDArray[np.bool_], background: Sequence[float]
+              ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """The image [3, H, W] and the transmittance [1, H, W] of some of the surroundings."""
+        width, height = view.camera.width, view.camera.height
+        chosen = Gaussians({name: rows[which] for name, rows in surroundings.rows.items()},
+                           surroundings.sh_degree)
+        renderer, rows = open_model(device, chosen, near, options.antialiased, background)
+        blended = renderer.render(rows, renderer.pack(view.camera), width, height,
+                                  chosen.sh_degree).blended
+        image, clear = blended.image.download(), blended.transmittance.download()[None]
+        del renderer, rows, blended
+        device.trim()  # the next frame has other sizes
+        return image, clear
+
+    back = eight_bits(drawn(behind, options.background)[0])
+    if behind.all():
+        return back
+    colour, clear = (eight_bits(values) for values in drawn(~behind, (0.0, 0.0, 0.0)))
+    if not colour.any() and clear.min() == 255:
+        return back
+    return np.concatenate([back, colour, clear])
+
+
+def eight_bits(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Values from 0 to 1 as bytes; what is not a number becomes 0."""
+    return np.rint(np.nan_to_num(values, nan=0.0).clip(0, 1) * 255).astype(np.uint8)

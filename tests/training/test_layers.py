@@ -1,0 +1,164 @@
+"""A block whose surroundings are drawn as layers: what views show, training, resume, memory."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.estimate.memory import layer_bytes, predicted_memory
+from clsplat.evaluation.metrics import psnr
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.ply import write_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.partition.blocks import block_start
+from clsplat.rendering.slabs import open_model
+from clsplat.schedule.simulate import simulate
+from clsplat.training import layers, loop
+from clsplat.training.initialise import initial_gaussians
+from clsplat.training.photos import Photos
+from clsplat.training.session import prepare
+from tests.data.tiny_training import CITY, STILL, model_digest, options_of, resumed, trained
+from tests.training.test_block import region_of
+from tests.training.test_launches import of_a_replay
+
+SHORT = {"iterations": 60, "densify_from": 10, "densify_every": 10, "densify_until": 60,
+         "test_every": 0, "sh_degree": 1, "sh_every": 1}
+
+
+@pytest.fixture(scope="module")
+def city():
+    return read_scene(CITY)
+
+
+@pytest.fixture(scope="module")
+def block(city, tmp_path_factory):
+    """(block_start, the scene with its surroundings, options that start from the block's own)."""
+    folder = tmp_path_factory.mktemp("block")
+    region = region_of(city, 0.4, margin=0.05)
+    given = Gaussians.from_points(city.points, city.colours, 1)
+    given.rows["opacity_logits"][:] = 1.0
+    start = block_start(given, city, region, city.reduced(4).views, as_layers=True)
+    write_ply(folder / "initial.ply", start.gaussians, city.offset)
+    write_ply(folder / "surroundings.ply", start.around, city.offset)
+    scene = replace(city, region=region, surroundings=folder / "surroundings.ply")
+    return start, scene, {"init": str(folder / "initial.ply"), **SHORT}
+
+
+def test_all_gaussians_are_in_the_block_or_around_it(block, city):
+    start, scene, _ = block
+    every = block_start(Gaussians.from_points(city.points, city.colours, 1), city, scene.region,
+                        city.reduced(4).views)
+    assert every.around is None and (every.own, every.margin) == (start.own, start.margin)
+    assert start.gaussians.count + start.around.count == every.gaussians.count
+    assert start.surroundings == start.gaussians.count - start.own - start.margin
+    assert 0 < start.surroundings < every.surroundings == start.surroundings + start.around.count
+    reached = replace(city, region=scene.region).reached(start.around.positions)
+    assert not reached.any()
+
+
+def shown(device, gaussians, scene, camera, background=(0.0, 0.0, 0.0)):
+    """Image and transmittance, float64[3, H, W] and [H, W]."""
+    renderer, rows = open_model(device, gaussians, scene.near_plane, False, background)
+    blended = renderer.render(rows, renderer.pack(camera), camera.width, camera.height,
+                              gaussians.sh_degree).blended
+    return (array.download().astype(float) for array in (blended.image, blended.transmittance))
+
+
+def test_block_and_layers_look_as_the_whole(item_device, block):
+    """More than 32 dB in every view, also where something is in front."""
+    start, scene, options = block
+    background = (0.2, 0.4, 0.6)
+    options = options_of(**options, background=background)
+    rows = {field.name: np.concatenate([part.rows[field.name] for part in (
+        start.gaussians, start.around)]) for field in LEARNED}
+    found, without, fronts = [], [], 0
+    for view in scene.reduced(4).views[::4]:
+        whole, _ = shown(item_device, Gaussians(rows, 1), scene, view.camera, background)
+        own, clear = shown(item_device, start.gaussians, scene, view.camera)
+        planes = layers.drawn_layers(item_device, scene, start.around, view, scene.near_plane,
+                                     options) / 255
+        behind = own + clear * planes[:3]
+        composed = planes[3:6] + planes[6] * behind if len(planes) == 7 else behind
+        fronts += len(planes) == 7
+        found.append(psnr(composed, whole, None))
+        without.append(psnr(behind, whole, None))
+    assert min(found) > 32
+    assert 1 < fronts < len(found) and np.mean(found) > np.mean(without) + 1
+
+
+def launched(device, folder, scene, **options):
+    """The launches of a replayed step."""
+    training = loop.Training(scene, options_of(**{**options, **STILL}), device,
+                             RunFolder.create(folder))
+    found = []
+    with training.resumable():
+        training.clock.restart()
+        while not training.finished():
+            before = device.launches, device.waits, device.allocations
+            training.take_step()
+            found.append(tuple(np.subtract(
+                (device.launches, device.waits, device.allocations), before).tolist()))
+    return of_a_replay(found)
+
+
+def test_a_step_with_layers_has_no_launch_more(item_device, city, block, tmp_path):
+    """Than one that exposes the image; without exposures none learns."""
+    _, scene, options = block
+    options = {**options, "iterations": 20, "downscale": 16.0}
+    plain = launched(item_device, tmp_path / "plain", replace(city, region=scene.region),
+                     **options, exposure="on")
+    assert launched(item_device, tmp_path / "off", scene, **options) == plain - 1
+
+
+@pytest.mark.slow
+def test_a_stopped_run_ends_in_the_same_bytes_from_memory_or_a_file(item_device, block, tmp_path,
+                                                                    monkeypatch):
+    start, scene, options = block
+    run = trained(tmp_path / "run", scene, item_device, **options)
+    model = run.load_model()
+    assert model.count > start.gaussians.count and not run.load_exposures()
+    monkeypatch.setattr(Photos, "spare_bytes", 0.0)
+    used = []
+    monkeypatch.setattr(layers.tempfile, "TemporaryFile", lambda make=layers.tempfile.TemporaryFile:
+                        used.append(make()) or used[0])
+    other = trained(tmp_path / "other", scene, item_device, **options, stop_at=35)
+    monkeypatch.undo()
+    assert used
+    assert model_digest(resumed(other, scene, item_device, **options)) == model_digest(run)
+
+
+def test_a_disk_without_space_is_named(item_device, block, tmp_path, monkeypatch):
+    _, scene, options = block
+
+    def full():
+        raise OSError(28, "No space left on device")
+    monkeypatch.setattr(Photos, "spare_bytes", 0.0)
+    monkeypatch.setattr(layers.tempfile, "TemporaryFile", full)
+    with pytest.raises(InputError, match=r"No space left on device\); make space there"):
+        trained(tmp_path / "run", scene, item_device, **options)
+
+
+def test_memory_is_foretold(item_device, block):
+    """That of layers exactly here, as all that is in front shows; that to draw them from above."""
+    _, scene, options = block
+    prepared = prepare(scene, options_of(**options), item_device)
+    gaussians = initial_gaussians(prepared.scene, prepared.options)
+    photos = Photos(item_device, prepared.train_views)
+    item_device.trim()
+    before = item_device.peak_bytes = item_device.memory_bytes
+    drawn = layers.Layers(item_device, prepared.scene, prepared.surroundings, prepared.near,
+                          prepared.options)
+    drawn.use(1.0, photos.views, photos.spare_bytes)
+    photos.close()
+    stays, drawing = layer_bytes(item_device, prepared, photos.views, photos.spare_bytes)
+    assert stays == sum(drawn[index].nbytes for index in range(len(photos.views)))
+    assert stays < item_device.peak_bytes - before < stays + drawing < 2 * (
+        item_device.peak_bytes - before)
+    assert layer_bytes(item_device, prepared, photos.views, 0)[0] == 7 * 40 * 30
+    segments = simulate(prepared.schedule(gaussians), lambda level: 0.1)
+    without = replace(prepared, scene=replace(prepared.scene, surroundings=None))
+    with_layers, bare = (predicted_memory(item_device, each, gaussians, segments).steps
+                         for each in (prepared, without))
+    assert with_layers > bare + stays
