@@ -272,8 +272,8 @@ def test_two_workers_end_in_the_same(copy):
 
 def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path):
     folder = CityFolder(tmp_path)
-    command("train", CITY, "--coarse", "-n", "12", "-r", "8", "--sh-degree", "0", "--exposure", "on",
-            "--device", DEVICE, "-q", "-o", folder.coarse)
+    command("train", CITY, "--coarse", "-n", "12", "-r", "8", "--sh-degree", "0", "--exposure",
+            "on", "--device", DEVICE, "-q", "-o", folder.coarse)
     command("partition", folder.path, "--grid", "2x1", "--least-views", "3", "--method", "blockgs")
     learned = RunFolder(folder.coarse).load_exposures()
     blocks = [read_scene(block.path) for block in folder.blocks()]
