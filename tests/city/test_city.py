@@ -268,3 +268,17 @@ def test_two_workers_end_in_the_same(copy):
         shutil.rmtree(block.run)
     city(copy.path, "--workers", "2")
     assert model(copy) == before
+
+
+def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path):
+    folder = CityFolder(tmp_path)
+    command("train", CITY, "--coarse", "-n", "12", "-r", "8", "--sh-degree", "0", "--exposure",
+            "on", "--device", DEVICE, "-q", "-o", folder.coarse)
+    command("partition", folder.path, "--grid", "2x1", "--least-views", "3", "--method", "blockgs")
+    learned = RunFolder(folder.coarse).load_exposures()
+    blocks = [read_scene(block.path) for block in folder.blocks()]
+    assert len(blocks) == 2
+    for scene in blocks:
+        assert scene.exposures.keys() == {view.name for view in scene.views}
+        for name, response in scene.exposures.items():
+            assert np.allclose(response.transform, learned[name].transform)
