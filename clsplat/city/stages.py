@@ -186,12 +186,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
-<<<<<<< HEAD
     exposures, steps = coarse.folder.load_exposures(), whole_steps(options, scene)
     as_layers = draws_layers(city, options)
-=======
-    exposures, as_layers = coarse.folder.load_exposures(), draws_layers(city, options)
->>>>>>> layers
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
                                   observations=None)
