@@ -91,7 +91,9 @@ __kernel void project(__global const uint *restrict counts,
 //
 // WITH_STATISTICS: what densification wants to know of each gaussian, summed over views: the norm
 // of the screen gradient of its mean in NDC units (pixel gradient x W/2, H/2; Kerbl et al. 2023),
-// and how many views saw it; a view with masked pixels (MASKED) did if the gradient is not zero.
+// and how many views saw it; a view with masked pixels (MASKED; photo: uchar[4, H, W], whose last
+// plane is 0 there) did if the pixel of its mean, or the nearest of the image, counts, or if the
+// gradient is not zero.
 // Without these two choices the arrays are not touched.
 //
 // WITH_POSE: pose_terms: real[V, POSE_REALS], the share of each gaussian in the gradient by the
@@ -118,6 +120,7 @@ __kernel void project_adjoint(
     __global real *restrict grad_means, __global uint *restrict active,
     __global uint *restrict skipped, __global const uint *restrict frozen,
     __global real *restrict grad_norm_sum, __global uint *restrict seen_count,
+    __global const uchar *restrict photo,
     __global real *restrict pose_terms)
 {
     GAUSSIANS_MEMORY
@@ -245,7 +248,16 @@ __kernel void project_adjoint(
 #if WITH_STATISTICS
         if (moves) {
             grad_norm_sum[row] += length(grad_mean * (real2)(half_width, half_height));
-            seen_count[row] += !MASKED || grad_mean.x != 0 || grad_mean.y != 0;
+#if MASKED
+            const real2 size = 2 * (real2)(half_width, half_height);
+            const real2 mean = focal * f.p.xy + vload2(0, camera + CAMERA_CENTRE);
+            const real2 place = fmin(fmax(mean, (real)0), size - 1);
+            const ulong pixel = (ulong)place.y * (ulong)size.x + (ulong)place.x;
+            seen_count[row] += photo[3 * (ulong)size.x * (ulong)size.y + pixel] > 0 ||
+                               grad_mean.x != 0 || grad_mean.y != 0;
+#else
+            seen_count[row]++;
+#endif
         }
 #endif
     }

@@ -22,8 +22,8 @@ from clsplat.rendering.blend import (
     Exposure,
     Tone,
     Vignetting,
+    bytes_or,
     layer_defines,
-    layers_or,
 )
 from clsplat.rendering.frame_arrays import FrameArray
 from clsplat.response import Lenses, Response
@@ -158,7 +158,7 @@ class Exposures:
                       pixels=width * height, width=width, view=view, blocks=blocks, camera=camera,
                       transforms=self.transforms, lens_of=self.lens_of, lenses=self.lenses,
                       tones=self.tones, image=image, grad=grad,
-                      layers=layers_or(self.lenses, layers), grad_image=grad_image,
+                      layers=bytes_or(self.lenses, layers), grad_image=grad_image,
                       partials=partials)
         return grad_image, partials
 

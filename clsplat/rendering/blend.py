@@ -145,9 +145,9 @@ def layer_defines(layers: Array | None) -> Defines:
     return ("WITH_LAYERS", 1), ("WITH_FRONT", int(len(layers) == FRONT_AND_BACK_PLANES))
 
 
-def layers_or(token: Array, layers: Array | None) -> Array:
-    """The layers, or where there are none some other memory that is not read."""
-    return token.viewed(np.uint8, 1, 1, token.nbytes) if layers is None else layers
+def bytes_or(token: Array, images: Array | None) -> Array:
+    """uchar[C, H, W], or where there is none some other memory that is not read."""
+    return token.viewed(np.uint8, 1, 1, token.nbytes) if images is None else images
 
 
 def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, background: Array,
@@ -194,7 +194,7 @@ def blend(device: Device, splats: Array, pairs: Pairs, width: int, height: int, 
                   splats=splats, image=result.image, transmittance=result.transmittance,
                   last_contributor=result.last_contributor, depth=result.depth, view=view,
                   transforms=transforms, camera=camera, lens_of=lens_of, lenses=lenses, tones=tones,
-                  layers=layers_or(background, layers),
+                  layers=bytes_or(background, layers),
                   exposed=nothing if result.exposed is None else result.exposed,
                   bucket_offsets=pairs.bucket_offsets, checkpoints=result.checkpoints,
                   depth_checkpoints=result.depth_checkpoints)
@@ -221,7 +221,7 @@ def blend_adjoint(device: Device, splats: Array, pairs: Pairs, blended: Blended,
     behind = layer_defines(layers)[:1] if READS_BACKGROUND.of(device) else ()
     device.launch(ADJOINT, (*defines, *behind), width=width, height=height, tiles_x=pairs.tiles_x,
                   first_tile=pairs.tiles.start, background=background,
-                  layers=layers_or(background, layers), ranges=pairs.ranges,
+                  layers=bytes_or(background, layers), ranges=pairs.ranges,
                   sorted_splats=pairs.sorted_splats, emission_indices=pairs.emission_indices,
                   splats=splats, image=blended.image, transmittance=blended.transmittance,
                   depth=blended.depth, last_contributor=blended.last_contributor,

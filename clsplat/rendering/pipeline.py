@@ -257,7 +257,7 @@ class Renderer:
     def adjoint(self, rows: Rows, frame: Frame, grad_image: Array,
                 grad_depth: Array | None = None,
                 grad_transmittance: Array | None = None, frozen: Array | None = None,
-                statistics: tuple[Array, Array] | None = None, masked: bool = False,
+                statistics: tuple[Array, Array] | None = None, masked: Array | None = None,
                 with_pose: bool = False) -> Gradients:
         """Gradients by the gaussians from gradients by a frame (backward pass).
 

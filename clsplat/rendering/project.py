@@ -9,7 +9,7 @@ from clsplat.camera import Camera
 from clsplat.constants import CAMERA_REALS, FRAME_COUNTS, POSE_REALS, SPLAT_REALS
 from clsplat.device import Array, ArraySpec, Device, Forms, Kernel, each, groups
 from clsplat.gaussians import LEARNED
-from clsplat.rendering.blend import Defines, SplatGrads
+from clsplat.rendering.blend import Defines, SplatGrads, bytes_or
 
 Rows = Mapping[str, Array]  # field name -> real[N, *row shape]
 
@@ -36,6 +36,7 @@ ADJOINT = Kernel("project.cl", "project_adjoint",
                  grad_log_scales=("real", "V", 3), grad_quaternions=("real", "V", 4),
                  grad_means=("real", "V", 2), active=("uint", "V"), skipped=("uint", 1),
                  frozen=("uint", "F"), grad_norm_sum=("real", "G"), seen_count=("uint", "H"),
+                 photo=("uchar", "C", "Y", "X"),
                  pose_terms=("real", "Q", "W"))
 SUM_PAIRS = Kernel(
     "project.cl", "sum_pairs",
@@ -149,7 +150,7 @@ def project(device: Device, rows: Rows, visible: Array, counts: Array, camera: A
 def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, camera: Array,
                     sh_degree: int, defines: Defines, splat_grads: SplatGrads, skipped: Array,
                     size: tuple[int, int] = (0, 0), frozen: Array | None = None,
-                    statistics: tuple[Array, Array] | None = None, masked: bool = False,
+                    statistics: tuple[Array, Array] | None = None, masked: Array | None = None,
                     with_pose: bool = False
                     ) -> tuple[FieldGradients, Array, Array, Array | None]:
     """Gradients by the gaussians from gradients by their splats.
@@ -163,7 +164,8 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
     frozen : uint[N], not 0 for gaussians whose gradient is left out; None: none is.
     statistics : real[N] and uint[N], to which the lengths of the screen gradients, in NDC units,
         and the number of views are added; None: they are not needed.
-    masked : whether pixels of the view do not count: then it saw those with a gradient.
+    masked : uchar[4, H, W], the photo, if pixels of it do not count: the view saw what it shows
+        elsewhere, and what has a gradient; None: it saw all that are visible.
     with_pose : whether the gradient by the pose of the camera is needed.
 
     Returns
@@ -174,7 +176,7 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
     """
     choices: Defines = (("WITH_FROZEN", int(frozen is not None)),
                         ("WITH_STATISTICS", int(statistics is not None)))
-    if masked and statistics:
+    if masked is not None and statistics:
         choices = (*choices, ("MASKED", 1))
     if with_pose:
         choices = (*choices, ("WITH_POSE", 1))
@@ -191,7 +193,7 @@ def project_adjoint(device: Device, rows: Rows, visible: Array, counts: Array, c
                   **_learned(rows), **pairs, **{f"grad_{name}": g for name, g in stored.items()},
                   grad_colours=grad_colours, directions=directions, grad_means=grad_means,
                   active=active, skipped=skipped, frozen=skipped if frozen is None else frozen,
-                  grad_norm_sum=norms, seen_count=seen,
+                  grad_norm_sum=norms, seen_count=seen, photo=bytes_or(camera, masked),
                   pose_terms=grad_means if pose_terms is None else pose_terms)
     gradients = FieldGradients(device, stored, grad_colours, directions,
                                rows["sh_rest"].shape[1], defines, counts)

@@ -287,7 +287,8 @@ class Step:
         gradients = self.renderer.adjoint(
             rows, frame, grad.image, grad.depth, grad.transmittance, self.frozen,
             self._statistics.sums if plan.gathers else None,
-            is_masked(sample.photo) and sample.own_mask, bool(self._poses))
+            sample.photo if is_masked(sample.photo) and sample.own_mask else None,
+            bool(self._poses))
         if self.options.opacity_weight or self.options.scale_weight:
             regularise(rows, gradients, self.options.opacity_weight, self.options.scale_weight)
         return gradients

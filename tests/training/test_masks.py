@@ -78,9 +78,26 @@ def test_growth_counts_only_views_that_taught_something(device):
             assert all(np.array_equal(after[field], rows[field]) for field in rows)
     assert not seen["empty"].any() and not norms["empty"].any()
     assert np.array_equal(norms["all"], norms["none"])
-    assert np.array_equal(seen["all"], norms["none"] > 0)
+    assert np.array_equal(seen["all"], seen["none"])  # a mask without masked pixels is none
     assert 0 < seen["left"].sum() < seen["all"].sum()
-    assert np.array_equal(seen["left"] > 0, norms["left"] > 0)
+    assert seen["left"][norms["left"] > 0].all()
+
+
+def test_growth_counts_views_that_show_a_gaussian_beside_their_masks(float_device):
+    """Also where something hides it, so that it has no gradient: here nothing has one."""
+    device, case = float_device, cases.gaussians("degree_1")
+    width, height = size_of(case)
+    renderer = Renderer(device, 1, case["near"])
+    rows = {name: device.upload(values) for name, values in case["rows"].items()}
+    frame = renderer.render(rows, renderer.pack(camera_of(case)), width, height, 1)
+    photo = np.zeros((4, height, width), np.uint8)
+    photo[3, :, width // 2:] = 255
+    seen = device.zeros(len(case["rows"]["positions"]), np.uint32)
+    renderer.adjoint(rows, frame, device.zeros((3, height, width)), masked=device.upload(photo),
+                     statistics=(device.zeros(len(seen)), seen))
+    across = frame.splats.download()[:, 0].clip(0, width - 1).astype(int)
+    assert np.array_equal(seen.download()[frame.visible.download()], across >= width // 2)
+    assert 0 < seen.download().sum() < len(across)
 
 
 def test_a_view_that_is_all_masked_has_no_score(item_device):
