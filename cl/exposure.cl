@@ -8,7 +8,7 @@
 // of each view in lenses; images and gradients: real[3, H, W], pixels = H W, of which a row has
 // `width`; partials: real[blocks, EXPOSURE_SUMS], sums over EXPOSURE_BLOCK pixels each (blocks of a
 // fixed size: the same order of additions on any number of cores, and short sums), by the
-// transform, then by the lens's vignetting, then by its tone curve. WITH_FRONT, what was transformed
+// transform, then by the lens's vignetting, then by its tone curve. WITH_FRONT, what is transformed
 // is the image behind the front layer of layers: uchar[7, H, W] (layers.h).
 #include "real.h"
 #include "each.h"

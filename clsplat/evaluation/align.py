@@ -57,7 +57,7 @@ def aligned(renderer: Any, rows: Any, degree: int, view: View, depth: float) -> 
     pixels, valid = read_photo(view), view.valid()
     planes = [*pixels.transpose(2, 0, 1), *([] if valid is None else [255 * valid])]
     photo = device.upload(np.array(planes, np.uint8), np.uint8)
-    poses, colours = Poses(device, [camera], depth), Exposures(device, 1)
+    poses, colours = Poses(device, [camera], depth, pull=0.0), Exposures(device, 1)
     packed, losses = renderer.pack(camera), list[float]()
     for step in range(STEPS + 1):
         corrected = poses.apply(0, packed)

@@ -271,8 +271,8 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
     (tmp_path / "point_cloud.ply").touch()
     asked = []
 
-    def evaluate_run(run, device, save_images, scene_path, metrics):
-        asked.append((run.path, device, save_images, str(scene_path), metrics))
+    def evaluate_run(run, device, save_images, scene_path, metrics, align):
+        asked.append((run.path, device, save_images, str(scene_path), metrics, align))
         return {"views": 1, "psnr": 1, "ssim": 1, "psnr_cc": 1, "ssim_cc": 1, "pictures": "new"}
 
     module(monkeypatch, "clsplat.device", choose_device=lambda spec: f"device {spec}")
@@ -282,7 +282,7 @@ def test_eval_evaluates_the_run(monkeypatch, tmp_path, flag, images):
     result = clsplat_("eval", tmp_path, flag, "--device", "cpu", "--scene", "moved",
                       "--lpips", "net.onnx")
     assert result.exit_code == 0, result.output
-    assert asked == [(tmp_path, "device cpu", images, "moved", "metrics with net.onnx")]
+    assert asked == [(tmp_path, "device cpu", images, "moved", "metrics with net.onnx", False)]
     assert all((words in result.output) is images for words in ("renders", "page with new"))
 
 
