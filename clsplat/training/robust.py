@@ -45,12 +45,14 @@ class Seen(NamedTuple):
     camera : real[27], packed.
     photo : uint8[3, H, W].
     valid : bool[H, W], pixels that count by the photo's own mask.
+    layers : uchar[3 or 7, H, W], what surrounds a block (cl/include/layers.h); None: nothing.
     """
 
     index: int
     camera: Array
     photo: NDArray[np.uint8]
     valid: NDArray[np.bool_]
+    layers: Array | None = None
 
 
 def cells_of(length: int) -> int:
@@ -161,7 +163,8 @@ class Explained:
         _, height, width = view.photo.shape
         return self.renderer.render(
             self.rows, view.camera, width, height, self.sh_degree,
-            exposure=self.exposures and self.exposures.of(view.index, view.camera))
+            exposure=self.exposures and self.exposures.of(view.index, view.camera),
+            layers=view.layers)
 
     def _sums(self, frame: Frame, view: Seen, residual: NDArray[np.float64]
               ) -> tuple[NDArray[np.uint32], NDArray[np.float64], NDArray[np.float64]]:

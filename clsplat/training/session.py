@@ -375,7 +375,8 @@ class Session:
         """All training views at this level, with their photos."""
         for index, camera in enumerate(self.corrected_cameras()):
             photo = self.photos.unweighed(index)
-            yield Seen(index, camera, photo[:3], photo[3] > 0)
+            yield Seen(index, camera, photo[:3], photo[3] > 0,
+                       self.layers[index] if self.layers else None)
 
     def lay_over(self, iterations: int) -> None:
         """Fit the whole schedule to a number of steps."""
