@@ -252,8 +252,7 @@ def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, buck
     check(group_device, splats, order, (16, 16), f"{count} splats")
 
 
-@pytest.mark.oclgrind
-@pytest.mark.parametrize("tile", [8, 16])
+@pytest.mark.parametrize("tile", [8, pytest.param(16, marks=pytest.mark.oclgrind)])
 @pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
 @pytest.mark.one_in(5)
 def test_sizes_give_the_same_image(group_device, monkeypatch, wave, bucket, adjoint_group, tile):
