@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,6 +131,7 @@ class Session:
     schedule : decides level and growth; None: the caller does, and gives `photos`.
     photos : of the training views; None: photos at the levels of the schedule.
     progress : receives what is being done.
+    folder : where photos wait for their use (`Photos`).
 
     Attributes
     ----------
@@ -142,7 +144,7 @@ class Session:
 
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
                  schedule: Schedule | None = None, photos: Photos | None = None,
-                 progress: SilentProgress | None = None) -> None:
+                 progress: SilentProgress | None = None, folder: Path | None = None) -> None:
         self.device, self.schedule, self.progress = device, schedule, progress or SilentProgress()
         self.scene, self.decisions = prepared.scene, prepared.decisions
         self.train_views, self.test_views = prepared.train_views, prepared.test_views
@@ -167,13 +169,13 @@ class Session:
                              if neighbours else None)
         self.depths = DepthMapsOnDevice(device, self.scene.unit) if options.depth else None
         self.iteration, self.level = 0, 0.0
-        self.photos = photos or Photos(device, self.train_views, schedule.levels)
+        self.photos = photos or Photos(device, self.train_views, schedule.levels, folder=folder)
         self.use_level(self.photos.level)
 
     @classmethod
     def build(cls, scene: Scene, options: TrainOptions, device: Device,
               progress: SilentProgress | None = None,
-              gaussians: Gaussians | None = None) -> Session:
+              gaussians: Gaussians | None = None, folder: Path | None = None) -> Session:
         """Build a session, and read all photos, held-out ones too.
 
         Parameters
@@ -183,6 +185,7 @@ class Session:
         device : of the training.
         progress : receives what is being done.
         gaussians : those of a resumed run; None: the initial ones.
+        folder : where photos wait for their use (`Photos`).
 
         Raises
         ------
@@ -196,7 +199,7 @@ class Session:
         progress.phase("reading photos")
         for _ in decoded(prepared.test_views):
             pass  # a damaged photo would stop the run at its evaluation
-        return cls(prepared, device, gaussians, schedule, progress=progress)
+        return cls(prepared, device, gaussians, schedule, progress=progress, folder=folder)
 
     @property
     def model(self) -> Model:
