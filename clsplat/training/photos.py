@@ -18,7 +18,7 @@ from clsplat.io.resample import BAND_BYTES
 from clsplat.io.views import photo_bands
 from clsplat.options import TrainOptions
 from clsplat.scene import View
-from clsplat.training.photo_store import PhotoStore
+from clsplat.training.photo_store import MEMORY_BYTES, PhotoStore
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
 HOST_BYTES = 640 << 20  # of the photos that are decoded at the same time
@@ -53,7 +53,7 @@ def decode(view: View) -> NDArray[np.uint8]:
 def decoded(views: Iterable[View]) -> Iterator[NDArray[np.uint8]]:
     """Yield `decode` of each view, from a few threads; InputError at a damaged photo."""
     views = list(views)
-    most = at_once(views, 2 * THREADS + 1)
+    most = at_once(views, 2 * THREADS + 1, HOST_BYTES)
     with ThreadPoolExecutor(min(THREADS, most)) as threads:
         ahead: deque[Future[NDArray[np.uint8]]] = deque()  # kept short: photos are large
         for view in views:
@@ -70,7 +70,7 @@ def host_bytes(view: View) -> int:
     return math.prod(photo_array(view).shape) + whole + BAND_COPIES * BAND_BYTES
 
 
-def at_once(views: Iterable[View], most: int, budget: int = HOST_BYTES) -> int:
+def at_once(views: Iterable[View], most: int, budget: int) -> int:
     """How many of these photos may be decoded at the same time: 1 to `most`, as many as fit.
 
     Parameters
@@ -79,6 +79,18 @@ def at_once(views: Iterable[View], most: int, budget: int = HOST_BYTES) -> int:
     """
     largest = max(map(host_bytes, views), default=1)
     return max(1, min(most, budget // largest))
+
+
+def reading_bytes(views: Sequence[View]) -> int:
+    """The most bytes of host memory that photos take at a level, whatever their number.
+
+    Parameters
+    ----------
+    views : at the level with the largest photos.
+    """
+    held = max(math.prod(photo_array(view).shape) for view in views)
+    return (at_once(views, 2 * THREADS + 1, HOST_BYTES) * max(map(host_bytes, views)) + held
+            + 2 * MEMORY_BYTES)
 
 
 def size_note(views: Sequence[View], options: TrainOptions) -> str | None:
@@ -121,8 +133,7 @@ class Photos:
     next. While a level is trained, the photos of the next are decoded into a store of their own.
     All photos are decoded at the start, so that a damaged one is refused before a run begins.
 
-    Host memory holds `at_once` photos that are being decoded, MEMORY_BYTES of either store, and two
-    or three photos on their way to the device, whatever the number of photos.
+    Host memory holds `reading_bytes`, whatever the number of photos.
 
     Parameters
     ----------
@@ -158,6 +169,8 @@ class Photos:
         begin = time.perf_counter()
         first, self.level, self.views = not self.level, level, at_level(self._full, level)
         self.resident = self._fits(self.views)
+        for pending in self._ahead.values():
+            pending.cancel()
         self._ahead.clear()
         self._arrays: list[Array] = []
         expected, self._next = self._next, None
