@@ -1,4 +1,4 @@
-"""Decoded photos that wait on the host are the same from memory, from the file and decoded again."""
+"""Photos that wait on the host are the same from memory, from the file and decoded again."""
 
 import errno
 import io

@@ -4,6 +4,7 @@ level read once, while the one before it trains."""
 import concurrent.futures
 import threading
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -185,6 +186,15 @@ def test_only_so_many_photos_are_in_memory_as_fit(views, monkeypatch):
         assert fit <= most <= fit + 2  # with the one in use, and that before it
         most = 0
     assert module.at_once(views, 8, 10**9) == 8 and module.at_once(views, 8, 0) == 1
+
+
+def test_twelve_photos_of_50_megapixels_leave_room_in_host_memory(views, monkeypatch):
+    """Less than 1.5 GiB by far, for as many threads as there may be; `plan` says so."""
+    monkeypatch.setattr(module, "THREADS", module.MOST_THREADS)
+    large = [replace(view, camera=view.camera.resized(8160, 6144)) for view in views]
+    assert module.reading_bytes(3 * large) == module.reading_bytes(large[:1]) < 1 << 30
+    window = [replace(view, camera=view.camera.cropped(0, 0, 2048, 2048)) for view in large]
+    assert module.reading_bytes(window) < module.reading_bytes(large)
 
 
 # --- levels
