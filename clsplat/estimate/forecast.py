@@ -13,7 +13,8 @@ from clsplat.schedule import laid_over
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.training.decisions import Decision
 from clsplat.training.initialise import initial_gaussians
-from clsplat.training.photos import DEVICE_SHARE
+from clsplat.training.photo_store import MEMORY_BYTES
+from clsplat.training.photos import DEVICE_SHARE, reading_bytes
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import prepare
 
@@ -80,7 +81,7 @@ class Planned:
         self.progress.phase("planning: memory")
         memory = predicted_memory(self.device, prepared, gaussians, segments)
         return Forecast(options.iterations, largest(segments), memory, seconds, ends,
-                        self._streaming(memory))
+                        self._streaming(memory, len({segment.level for segment in segments})))
 
     def _segments(self, options: TrainOptions, gaussians: Gaussians) -> list[Segment]:
         """The simulated run, including the gaussians of a block that are frozen."""
@@ -92,9 +93,13 @@ class Planned:
         return [dataclasses.replace(segment, gaussians=segment.gaussians + frozen)
                 for segment in simulate(schedule, self._details.__getitem__)]
 
-    def _streaming(self, memory: Memory) -> Decision:
-        size = 3 * sum(v.camera.width * v.camera.height for v in self.prepared.train_views)
+    def _streaming(self, memory: Memory, levels: int) -> Decision:
+        views = self.prepared.train_views
+        size = 3 * sum(v.camera.width * v.camera.height for v in views)
         value = "resident" if memory.resident else "streamed"
         allowed = DEVICE_SHARE * self.device.handle.global_mem_size
+        waits = (levels > 1 or not memory.resident) and size > MEMORY_BYTES
+        file = f", and a file beside the run up to {size / MIB:,.0f}" if waits else ""
         return Decision(value, f"{value}: {size / MIB:,.0f} MiB at full size, "
-                        f"{allowed / MIB:,.0f} may stay on the device")
+                        f"{allowed / MIB:,.0f} may stay on the device; reading takes up to "
+                        f"{reading_bytes(views) / MIB:,.0f} of the host's memory{file}")

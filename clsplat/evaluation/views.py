@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +42,7 @@ Image = NDArray[np.floating]  # [H, W, 3], 0 to 1
 Valid = NDArray[np.bool_] | None  # [H, W], the pixels that count; None: all
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 MOST_SAMPLED = 24  # training views from which to choose pictures, where no view is held out
+SAMPLED_SIDE = 1600  # pixels of their photos' longer sides at most; a page shows fewer
 Metric = Callable[[Image, Image, Valid], float]  # of an image and its photo
 METRICS: Mapping[str, Metric] = {"psnr": psnr, "ssim": ssim}  # of every evaluation
 FINAL_METRICS: Mapping[str, Metric] = {**METRICS, "flip": flip}  # of a finished model
@@ -122,11 +124,13 @@ def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
     ----------
     renderer, rows, degree : the model on the device; see `opened`.
     test : the held-out views, which are shown.
-    train : the training views; where none is held out, at most MOST_SAMPLED of them are rendered.
+    train : the training views; where none is held out, at most MOST_SAMPLED of them are rendered,
+        and whole photos of more than SAMPLED_SIDE pixels a side are reduced to that.
     per_view : the scores of `test` as `evaluate_views` lists them; None: they are computed here.
     predicted : as for `evaluate_views`.
     """
-    views = test or train[::-(-len(train) // MOST_SAMPLED)]
+    views = test or [replace(view, camera=view.camera.reduced(1, SAMPLED_SIDE))
+                     for view in train[::-(-len(train) // MOST_SAMPLED)]]
     if not (test and per_view):
         per_view = evaluate_views(renderer, rows, degree, views, predicted=predicted)["per_view"]
     shown: list[ShownView] = []

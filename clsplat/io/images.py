@@ -4,7 +4,7 @@ import os
 import select
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import MappingProxyType
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.photo import opened, reason_of
-from clsplat.io.resample import resample_bands
+from clsplat.io.photo import Photo, opened, reason_of
+from clsplat.io.resample import joined, resampled_bands
 
 JPEG_QUALITY = 92
 STREAMED = ("png", "jpeg")  # formats that are written without going back in the file
@@ -146,16 +146,31 @@ def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
     window : (left, top, right, bottom), pixels, the part to read; None reads all.
     """
     with opened(source) as photo:
-        left, top, right, bottom = window or (0, 0, photo.width, photo.height)
-        old = right - left, bottom - top
-        bands = (band[:, left:right] for band in photo.bands(top, bottom))
-        if size is not None and size != old:
-            return resample_bands(bands, old, size)
-        pixels, row = np.empty((old[1], old[0], 3), np.uint8), 0
-        for band in bands:
-            pixels[row:row + len(band)] = band
-            row += len(band)
-        return pixels
+        left, top, right, bottom = window = window or (0, 0, photo.width, photo.height)
+        size = size or (right - left, bottom - top)
+        return joined(_bands(photo, size, window), size)
+
+
+def image_bands(source: str | Path | bytes, size: tuple[int, int],
+                window: tuple[int, int, int, int] | None = None) -> Iterator[NDArray[np.uint8]]:
+    """Yield what `read_image` reads from the top down, uint8[n, W, 3] each.
+
+    Where the format allows, no more than a few rows of the photo are in memory at once.
+
+    Parameters
+    ----------
+    source, size, window : as for `read_image`.
+    """
+    with opened(source) as photo:
+        yield from _bands(photo, size, window or (0, 0, photo.width, photo.height))
+
+
+def _bands(photo: Photo, size: tuple[int, int], window: tuple[int, int, int, int]
+           ) -> Iterator[NDArray[np.uint8]]:
+    left, top, right, bottom = window
+    old = right - left, bottom - top
+    bands = (band[:, left:right] for band in photo.bands(top, bottom))
+    return bands if size == old else resampled_bands(bands, old, size)
 
 
 def window_of(camera: Camera, size: tuple[int, int]) -> tuple[int, int, int, int]:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.beside import check_shape, file_beside, photo_size
-from clsplat.io.images import read_alpha, read_image
+from clsplat.io.images import read_alpha
+from clsplat.io.photo import opened
 from clsplat.io.resample import resample
 from clsplat.scene import Scene, View
 
@@ -58,12 +59,16 @@ def read_mask(source: Path | bytes, name: str | Path, photo: tuple[int, int]) ->
     ------
     InputError : the mask is not an image that can be read, or does not fit.
     """
-    pixels = read_image(source).max(axis=2)
-    check_shape(name, "mask", pixels.shape[::-1], photo)
-    if pixels.max() == 1:
+    with opened(source) as mask:
+        bright, row, most = np.empty((mask.height, mask.width), bool), 0, 0
+        for band in mask.bands(0, mask.height):
+            grey = band.max(axis=2)
+            bright[row:row + len(band)] = grey >= LEAST_BRIGHT
+            row, most = row + len(band), max(most, int(grey.max()))
+    check_shape(name, "mask", bright.shape[::-1], photo)
+    if most == 1:
         raise InputError(f"{name}: its pixels are 0 and 1 of 255, which are both dark; write 255 "
                          "where the photo counts")
-    bright: NDArray[np.bool_] = pixels >= LEAST_BRIGHT
     return bright
 
 

@@ -1,12 +1,12 @@
 """Images reduced by area averaging, a few rows at a time."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-BAND_BYTES = 1 << 24  # of the rows that are in memory at once, as 8-bit samples
+BAND_BYTES = 1 << 22  # of the rows that are in memory at once, as 8-bit samples
 
 
 def band_rows(width: int, channels: int = 3) -> int:
@@ -28,12 +28,30 @@ def resample(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uin
     height, width = pixels.shape[:2]
     step = band_rows(width, pixels.shape[2])
     bands = (pixels[begin:begin + step] for begin in range(0, height, step))
-    return resample_bands(bands, (width, height), size)
+    return joined(resampled_bands(bands, (width, height), size), size, pixels.shape[2])
 
 
-def resample_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int],
-                   size: tuple[int, int]) -> NDArray[np.uint8]:
-    """`resample` an image that arrives in bands; the result does not depend on their heights.
+def joined(bands: Iterable[NDArray[np.uint8]], size: tuple[int, int], channels: int = 3
+           ) -> NDArray[np.uint8]:
+    """The whole image, uint8[H, W, channels], of bands in order that are dropped one by one.
+
+    Parameters
+    ----------
+    bands : uint8[n, W, channels] each, from the top down.
+    size : (width, height) of the image.
+    channels : of the image.
+    """
+    whole, row = np.empty((size[1], size[0], channels), np.uint8), 0
+    for band in bands:
+        whole[row:row + len(band)] = band
+        row += len(band)
+    return whole
+
+
+def resampled_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int], size: tuple[int, int]
+                    ) -> Iterator[NDArray[np.uint8]]:
+    """Yield the rows of `resample` of an image that arrives in bands, uint8[n, width, channels]
+    each, from the top down; the rows do not depend on the heights of the bands.
 
     Parameters
     ----------
@@ -42,12 +60,9 @@ def resample_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int],
     """
     (old_width, old_height), (width, height) = old, size
     rows_of, columns_of = _coverage(old_height, height), _coverage(old_width, width)
-    result = np.empty((height, width, 0), np.uint8)
     waiting: list[NDArray[np.uint8]] = []  # the rows from `first` to `read`
     first = read = done = 0
     for band in bands:
-        if not result.size:
-            result = np.empty((height, width, band.shape[2]), np.uint8)
         waiting.append(band)
         read += len(band)
         whole = read * height // old_height  # rows of the result that need no further band
@@ -58,11 +73,10 @@ def resample_bands(bands: Iterable[NDArray[np.uint8]], old: tuple[int, int],
         for begin in range(done, whole, step):
             end = min(begin + step, whole)
             low, high = begin * old_height // height, -(-end * old_height // height)
-            result[begin:end] = _shrunk(pixels[low - first:high - first],
-                                        rows_of[begin:end, low:high], columns_of)
+            yield _shrunk(pixels[low - first:high - first], rows_of[begin:end, low:high],
+                          columns_of)
         kept = whole * old_height // height
         waiting, first, done = [pixels[kept - first:].copy()], kept, whole
-    return result
 
 
 def _shrunk(pixels: NDArray[np.uint8], rows_of: csr_matrix, columns_of: csr_matrix

@@ -32,6 +32,8 @@ DEPTH = ".depth.npy"
 QUALITY = 98  # of JPEG; photos in other formats become PNG
 FOLDER = "undistorted"  # of a run or a city
 VERSION = 2  # of the undistorted files
+HOST_BYTES = 640 << 20  # of the photos that are undistorted at the same time
+PIXEL_BYTES = 10  # of a pixel, while it is undistorted in a thread, beside the map of the lens
 
 
 def undistorted_photo(view: View, pixels: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -91,7 +93,8 @@ def undistorted(scene: Scene, folder: Path, threads: int = 1, make: bool = True)
     Parameters
     ----------
     folder : of the files; it is created if needed.
-    threads : that undistort photos.
+    threads : that undistort photos, or fewer where these are so large that HOST_BYTES would not
+        hold as many.
     make : whether files that are missing or out of date are made; else their views keep the lens.
     """
     if not any(view.lens for view in scene.views):
@@ -103,7 +106,8 @@ def undistorted(scene: Scene, folder: Path, threads: int = 1, make: bool = True)
         if view.lens:
             groups.setdefault(view.lens, []).append(view)
     kept: dict[View, View] = {}
-    with ThreadPoolExecutor(threads) as pool:
+    largest = max(lens.width * lens.height for lens in groups)
+    with ThreadPoolExecutor(max(1, min(threads, HOST_BYTES // (PIXEL_BYTES * largest)))) as pool:
         try:
             for lens, views in groups.items():
                 stale = [view for view in views if not _kept(view, folder)] if make else []

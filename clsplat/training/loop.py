@@ -143,7 +143,7 @@ class Training:
             progress.phase("undistorting photos")
             scene = undistorted(with_depths(scene, options.depth), run.undistorted, THREADS)
         self.clock = Clock(device)
-        self.session = Session.build(scene, options, device, progress, gaussians)
+        self.session = Session.build(scene, options, device, progress, gaussians, run.path)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
         self.deadline = (Deadline(self.session, self.clock, self.evaluator.final_metrics)

@@ -1,24 +1,31 @@
 """Training photos at each level, which stay on the device while they fit."""
 
 import functools
+import math
 import os
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
-from clsplat.io.views import read_photo
+from clsplat.io.resample import BAND_BYTES
+from clsplat.io.views import photo_bands
 from clsplat.options import TrainOptions
 from clsplat.scene import View
+from clsplat.training.photo_store import MEMORY_BYTES, PhotoStore
 from clsplat.training.robust import Cells, resampled, spread
 
 DEVICE_SHARE = 0.25  # of the device's memory that photos may take
-MOST_THREADS = 8  # that read photos; each needs memory for a part of one as floats
+HOST_BYTES = 640 << 20  # of the photos that are decoded at the same time
+BAND_COPIES = 8  # of a band: as the library has it, as 8-bit samples and as floats
+LENS_BYTES = 14  # a pixel: the stored and the undistorted photo, and the map between them
+MOST_THREADS = 8  # that read photos
 HALF_THE_CORES = min(MOST_THREADS, (os.cpu_count() or 2) // 2)
 THREADS = max(2, HALF_THE_CORES)  # while nothing else runs
 THREADS_BESIDE = max(1, HALF_THE_CORES)  # beside a training
@@ -33,24 +40,58 @@ def epoch_order(seed: int, epoch: int, count: int) -> NDArray[np.int64]:
 def decode(view: View) -> NDArray[np.uint8]:
     """Read a view's photo at its camera's size: [3, H, W], or if pixels do not count [4, H, W] with
     a plane that is 0 there and 255 elsewhere."""
-    planes, valid = read_photo(view).transpose(2, 0, 1), view.valid()
-    if valid is None and view.weighed:
-        valid = np.ones(planes.shape[1:], bool)
-    if valid is not None:
-        planes = np.concatenate([planes, valid[None] * np.uint8(255)])
-    return np.ascontiguousarray(planes)
+    planes, row = np.empty(photo_array(view).shape, np.uint8), 0
+    for band in photo_bands(view):
+        planes[:3, row:row + len(band)] = band.transpose(2, 0, 1)
+        row += len(band)
+    valid = view.valid()
+    if valid is None and not view.weighed:
+        return planes[:3]
+    planes[3] = 255 if valid is None else np.uint8(255) * valid
+    return planes
 
 
 def decoded(views: Iterable[View]) -> Iterator[NDArray[np.uint8]]:
     """Yield `decode` of each view, from a few threads; InputError at a damaged photo."""
-    with ThreadPoolExecutor(THREADS) as threads:
+    views = list(views)
+    most = at_once(views, 2 * THREADS + 1, HOST_BYTES)
+    with ThreadPoolExecutor(min(THREADS, most)) as threads:
         ahead: deque[Future[NDArray[np.uint8]]] = deque()  # kept short: photos are large
         for view in views:
             ahead.append(threads.submit(decode, view))
-            if len(ahead) > 2 * THREADS:
+            if len(ahead) >= most:
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
+
+
+def host_bytes(view: View) -> int:
+    """About the most bytes of host memory that `decode` takes."""
+    whole = LENS_BYTES * view.lens.width * view.lens.height if view.lens else 0
+    return math.prod(photo_array(view).shape) + whole + BAND_COPIES * BAND_BYTES
+
+
+def at_once(views: Iterable[View], most: int, budget: int) -> int:
+    """How many of these photos may be decoded at the same time: 1 to `most`, as many as fit.
+
+    Parameters
+    ----------
+    budget : bytes of host memory.
+    """
+    largest = max(map(host_bytes, views), default=1)
+    return max(1, min(most, budget // largest))
+
+
+def reading_bytes(views: Sequence[View]) -> int:
+    """The most bytes of host memory that photos take at a level, whatever their number.
+
+    Parameters
+    ----------
+    views : at the level with the largest photos.
+    """
+    held = max(math.prod(photo_array(view).shape) for view in views)
+    return (at_once(views, 2 * THREADS + 1, HOST_BYTES) * max(map(host_bytes, views)) + held
+            + 2 * MEMORY_BYTES)
 
 
 def size_note(views: Sequence[View], options: TrainOptions) -> str | None:
@@ -88,10 +129,12 @@ def photo_array(view: View) -> ArraySpec:
 class Photos:
     """`photos[i]` is view i's photo at the present level on the device, as `decode` returns it.
 
-    The photos of a level that fits the budget are resampled once; a thread reads them while the
-    previous level is trained. At other levels each photo is decoded again at each use, one ahead:
-    `expect` announces the next. All photos are decoded at the start, so that a damaged one is
-    refused before a run begins.
+    The photos of a level that fits the budget are read once and stay on the device. Those of other
+    levels are decoded into a `PhotoStore` and read from it, one ahead: `expect` announces the
+    next. While a level is trained, the photos of the next are decoded into a store of their own.
+    All photos are decoded at the start, so that a damaged one is refused before a run begins.
+
+    Host memory holds `reading_bytes`, whatever the number of photos.
 
     Parameters
     ----------
@@ -99,6 +142,7 @@ class Photos:
     views : with cameras of the size of level 1.
     levels : down-sampling factors in the order in which they will come.
     budget_bytes : limit for photos on the device; None: DEVICE_SHARE of its memory.
+    folder : of the files of decoded photos; None: the system's folder for temporary files.
 
     Attributes
     ----------
@@ -110,19 +154,16 @@ class Photos:
     """
 
     def __init__(self, device: Device, views: Sequence[View], levels: Sequence[float] = (1.0,),
-                 budget_bytes: int | None = None) -> None:
-        self.device, self._full, self._levels = device, views, levels
+                 budget_bytes: int | None = None, folder: Path | None = None) -> None:
+        self.device, self._full, self._levels, self._folder = device, views, levels, folder
         self._budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
                         else budget_bytes)
-        self._threads = ThreadPoolExecutor(THREADS_BESIDE)
+        self._threads = ThreadPoolExecutor(1)
         self._ahead: dict[int, Future[NDArray[np.uint8]]] = {}
-        # (level, its photos)
-        self._next: tuple[float, list[Future[NDArray[np.uint8]]]] | None = None
+        self._store: PhotoStore | None = None  # of a level that is not resident
+        self._next: tuple[float, PhotoStore] | None = None  # (level, its photos)
         self.level = 0.0  # none yet
         self.ignored: list[Cells] | None = None
-        if not self._fits(at_level(views, levels[0])):
-            for _ in decoded(views):
-                pass
         self.use(levels[0])
 
     def use(self, level: float) -> None:
@@ -130,23 +171,49 @@ class Photos:
         if level == self.level:
             return
         begin = time.perf_counter()
-        self.level, self.views = level, at_level(self._full, level)
+        first, self.level, self.views = not self.level, level, at_level(self._full, level)
         self.resident = self._fits(self.views)
+        for pending in self._ahead.values():
+            pending.cancel()
         self._ahead.clear()
         self._arrays: list[Array] = []
+        expected, self._next = self._next, None
+        self._close(self._store)
+        self._store = None
+        if expected and expected[0] == level:
+            self._store = expected[1]
+        elif expected:
+            self._close(expected[1])
         if self.resident:
-            expected, self._next = self._next, None
-            photos = ((future.result() for future in expected[1])
-                      if expected and expected[0] == level else decoded(self.views))
+            photos = (map(self._store.read, range(len(self.views))) if self._store
+                      else decoded(self.views))
             self._arrays = [self.device.upload(photo) for photo in photos]
+            self._close(self._store)
+            self._store = None
+        elif self._store is None:
+            self._store = self._stored(self.views, THREADS, HOST_BYTES)
+            if first:
+                self._store.wait()
+                for _ in decoded(self.views[self._store.count:]):
+                    pass
         if self.ignored is not None:
             self.ignore([resampled(cells, view.camera.height, view.camera.width)
                          for cells, view in zip(self.ignored, self.views)])
         self.read_seconds = time.perf_counter() - begin
         following = [new for new in self._levels if new < level]
-        if following and self._fits(at_level(self._full, following[0])):
-            self._next = following[0], [self._threads.submit(decode, view)
-                                        for view in at_level(self._full, following[0])]
+        if following:
+            self._next = following[0], self._stored(
+                at_level(self._full, following[0]), THREADS_BESIDE, HOST_BYTES // 2)
+
+    def _stored(self, views: Sequence[View], threads: int, budget: int) -> PhotoStore:
+        return PhotoStore([math.prod(photo_array(view).shape) for view in views],
+                          lambda index: decode(views[index]), at_once(views, threads, budget),
+                          self._folder)
+
+    @staticmethod
+    def _close(store: PhotoStore | None) -> None:
+        if store:
+            store.close()
 
     def _fits(self, views: Iterable[View]) -> bool:
         return _nbytes(self.device, views) <= self._budget
@@ -157,16 +224,17 @@ class Photos:
         return max(0.0, self._budget - _nbytes(self.device, self.views))
 
     def expect(self, index: int) -> None:
-        """Begin to decode a photo that will be used soon."""
-        if not self.resident and index not in self._ahead:
-            self._ahead[index] = self._threads.submit(decode, self.views[index])
+        """Begin to read a photo that will be used soon."""
+        if self._store and index not in self._ahead:
+            self._ahead[index] = self._threads.submit(self._store.read, index)
 
     def __getitem__(self, index: int) -> Array:
-        if self.resident:
+        if not self._store:
             return self._arrays[index]
         pending = self._ahead.pop(index, None)
-        photo = pending.result() if pending else decode(self.views[index])
+        photo = pending.result() if pending else self._store.read(index)
         if self.ignored is not None:
+            photo = photo.copy()  # the store keeps it
             _leave_out(photo[3], self.ignored[index])
         return self.device.upload(photo)
 
@@ -180,15 +248,17 @@ class Photos:
 
     def unweighed(self, index: int) -> NDArray[np.uint8]:
         """A view's photo as `decode` returns it, where pixels are left out by its own mask only."""
-        if not self.resident:
-            return decode(self.views[index])
+        if self._store:
+            return self._store.read(index)
         photo: NDArray[np.uint8] = self._arrays[index].download()
         photo[3] = _own_mask(self.views[index])
         return photo
 
     def close(self) -> None:
-        """Stop reading ahead."""
+        """Stop reading ahead, and remove the files."""
         self._threads.shutdown(wait=False, cancel_futures=True)
+        self._close(self._store)
+        self._close(self._next[1] if self._next else None)
 
 
 def _own_mask(view: View) -> NDArray[np.uint8]:

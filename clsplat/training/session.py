@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +150,7 @@ class Session:
     photos : of the training views; None: photos at the levels of the schedule.
     layers : of a block that has surroundings; None: they are drawn.
     progress : receives what is being done.
+    folder : where photos wait for their use (`Photos`).
 
     Attributes
     ----------
@@ -164,14 +166,15 @@ class Session:
 
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
                  schedule: Schedule | None = None, photos: Photos | None = None,
-                 progress: SilentProgress | None = None, layers: Layers | None = None) -> None:
+                 progress: SilentProgress | None = None, layers: Layers | None = None,
+                 folder: Path | None = None) -> None:
         self.device, self.schedule, self.progress = device, schedule, progress or SilentProgress()
         self.scene, self.decisions = prepared.scene, prepared.decisions
         self.train_views, self.test_views = prepared.train_views, prepared.test_views
         self.options = options = prepared.options
         self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased,
                                  options.background)
-        self.photos = photos or Photos(device, self.train_views, schedule.levels)
+        self.photos = photos or Photos(device, self.train_views, schedule.levels, folder=folder)
         self.layers = layers
         if prepared.surroundings and not layers:
             self.layers = Layers(device, self.scene, prepared.surroundings, prepared.near, options)
@@ -205,7 +208,7 @@ class Session:
     @classmethod
     def build(cls, scene: Scene, options: TrainOptions, device: Device,
               progress: SilentProgress | None = None,
-              gaussians: Gaussians | None = None) -> Session:
+              gaussians: Gaussians | None = None, folder: Path | None = None) -> Session:
         """Build a session, and read all photos, held-out ones too.
 
         Parameters
@@ -215,6 +218,7 @@ class Session:
         device : of the training.
         progress : receives what is being done.
         gaussians : those of a resumed run; None: the initial ones.
+        folder : where photos wait for their use (`Photos`).
 
         Raises
         ------
@@ -228,7 +232,7 @@ class Session:
         progress.phase("reading photos")
         for _ in decoded(prepared.test_views):
             pass  # a damaged photo would stop the run at its evaluation
-        return cls(prepared, device, gaussians, schedule, progress=progress)
+        return cls(prepared, device, gaussians, schedule, progress=progress, folder=folder)
 
     @property
     def model(self) -> Model:

@@ -2,12 +2,12 @@
 
 import base64
 import re
-import types
 
 import matplotlib
 import numpy as np
 import pytest
 
+from clsplat.camera import Camera
 from clsplat.evaluation import views
 from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR, error_map
 from clsplat.evaluation.pictures import MOST_PIXELS, Pictures, chosen_views, shown_view
@@ -15,6 +15,7 @@ from clsplat.io.images import read_image
 from clsplat.io.run import RunFolder
 from clsplat.report.page import Table
 from clsplat.report.run import renew_report, write_report
+from clsplat.scene import View
 from tests.report.test_report import Balanced, headings
 
 
@@ -50,17 +51,19 @@ def test_which_views_are_shown(scores, chosen):
 
 
 def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
-    asked = []
+    asked, sides = [], set()
+    camera = Camera(8000, 6000, (6e3, 6e3), (4e3, 3e3), np.eye(3), np.zeros(3))
 
     def evaluate_views(renderer, rows, degree, chosen, keep=None, predicted=None):
         asked.append([view.name for view in chosen])
-        found = [scored(view.name, view.psnr) for view in chosen]
+        sides.update(max(view.camera.width, view.camera.height) for view in chosen)
+        found = [scored(view.name, float(view.name.removesuffix(".jpg"))) for view in chosen]
         for _, fitted, photo in found if keep else ():
             keep(None, None, fitted, photo, None)
         return {"per_view": [scores for scores, *_ in found]}
 
     def named(*scores):
-        return [types.SimpleNamespace(name=f"{psnr}.jpg", psnr=psnr) for psnr in scores]
+        return [View(f"{psnr}.jpg", camera, b"") for psnr in scores]
 
     monkeypatch.setattr(views, "evaluate_views", evaluate_views)
     held_out = named(25, 18, 20, 30)
@@ -71,7 +74,10 @@ def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
     assert [(view.place, view.scores["name"]) for view in found.shown] == [
         ("worst", "18.jpg"), ("median", "25.jpg"), ("best", "30.jpg")]
     asked.clear()
+    assert sides == {8000}  # scores are those of the whole photo
+    sides.clear()
     found = views.pictures_of(None, None, 0, [], named(*range(100)))
+    assert sides == {views.SAMPLED_SIDE}  # floats of a whole one take gigabytes
     assert not found.held_out and found.count == len(asked[0]) <= views.MOST_SAMPLED
     assert [view.scores["name"] for view in found.shown][0] == "0.jpg"  # spread over all of them
     assert int(asked[0][-1].removesuffix(".jpg")) > 90

@@ -1,7 +1,10 @@
 """Training photos: the same arrays whether they stay on the device or are read ahead of use, each
 level read once, while the one before it trains."""
 
+import concurrent.futures
 import threading
+import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +12,9 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.images import read_image, write_image
-from clsplat.io.views import read_photo
+from clsplat.io.views import photo_bands
 from clsplat.scene import View
+from clsplat.training import photo_store
 from clsplat.training import photos as module
 from clsplat.training.photos import Photos, decoded
 
@@ -37,10 +41,17 @@ def reads(monkeypatch):
 
     def noted(view):
         found.append((view.source.name, view.camera.width))
-        return read_photo(view)
+        return photo_bands(view)
 
-    monkeypatch.setattr(module, "read_photo", noted)
+    monkeypatch.setattr(module, "photo_bands", noted)
     return found
+
+
+@pytest.fixture
+def no_room(monkeypatch):
+    """Neither memory nor disk for photos that wait."""
+    monkeypatch.setattr(photo_store, "MEMORY_BYTES", 0)
+    monkeypatch.setattr(photo_store, "DISK_SHARE", 0)
 
 
 def all_at(width):
@@ -52,8 +63,12 @@ def bytes_at(level):
 
 
 def idle(photos):
-    """Wait until the one thread has done what was asked before."""
+    """Wait until all is read that was asked before."""
     photos._threads.submit(int).result(timeout=120)
+    for store in (photos._store, photos._next and photos._next[1]):
+        if store:
+            store._threads.submit(int).result(timeout=120)
+            concurrent.futures.wait(store._photos, timeout=120)
 
 
 def is_at(photos, views, level):
@@ -100,7 +115,16 @@ def test_resident_photos_are_decoded_once(item_device, views, reads):
     assert sorted(reads) == all_at(WIDTH)
 
 
-def test_what_is_expected_is_read_ahead_once(item_device, views, reads):
+def test_streamed_photos_are_decoded_once(item_device, views, reads):
+    photos = Photos(item_device, views, budget_bytes=0)
+    for i in (0, 1, 0, 3, 2):
+        photos.expect(i)
+        photos[i]
+    assert sorted(reads) == all_at(WIDTH)
+    photos.close()
+
+
+def test_what_is_expected_is_read_ahead_once(item_device, views, reads, no_room):
     photos = Photos(item_device, views, budget_bytes=0)
     assert sorted(reads) == all_at(WIDTH)  # at the start, for damage
     reads.clear()
@@ -126,13 +150,51 @@ def test_a_damaged_photo_is_refused_at_the_start(item_device, views, levels, bud
         list(decoded(views))
 
 
-def test_a_damaged_photo_read_ahead_is_reported_where_it_is_used(item_device, views):
+def test_a_damaged_photo_read_ahead_is_reported_where_it_is_used(item_device, views, no_room):
     photos = Photos(item_device, views, budget_bytes=0)
     views[1].source.unlink()
     photos.expect(1)
     with pytest.raises(InputError, match="1.png"):
         photos[1]
     photos.close()
+
+
+# --- host memory
+
+
+def test_only_so_many_photos_are_in_memory_as_fit(views, monkeypatch):
+    """However slowly they are used."""
+    alive, most = weakref.WeakSet(), 0
+
+    class Planes(np.ndarray):
+        __hash__ = object.__hash__
+
+    def noted(view):
+        nonlocal most
+        photo = decode(view).view(Planes)
+        alive.add(photo)
+        most = max(most, len(alive))
+        return photo
+
+    decode = module.decode
+    monkeypatch.setattr(module, "decode", noted)
+    monkeypatch.setattr(module, "BAND_COPIES", 0)
+    monkeypatch.setattr(module, "THREADS", 8)
+    for fit in (1, 3):
+        monkeypatch.setattr(module, "HOST_BYTES", fit * 3 * WIDTH * HEIGHT)
+        assert sum(photo.shape == (3, HEIGHT, WIDTH) for photo in decoded(5 * views)) == 20
+        assert fit <= most <= fit + 2  # with the one in use, and that before it
+        most = 0
+    assert module.at_once(views, 8, 10**9) == 8 and module.at_once(views, 8, 0) == 1
+
+
+def test_twelve_photos_of_50_megapixels_leave_room_in_host_memory(views, monkeypatch):
+    """Less than 1.5 GiB by far, for as many threads as there may be; `plan` says so."""
+    monkeypatch.setattr(module, "THREADS", module.MOST_THREADS)
+    large = [replace(view, camera=view.camera.resized(8160, 6144)) for view in views]
+    assert module.reading_bytes(3 * large) == module.reading_bytes(large[:1]) < 1 << 30
+    window = [replace(view, camera=view.camera.cropped(0, 0, 2048, 2048)) for view in large]
+    assert module.reading_bytes(window) < module.reading_bytes(large)
 
 
 # --- levels
@@ -161,9 +223,9 @@ def test_a_level_trains_while_the_next_is_read(item_device, views, monkeypatch):
         if view.camera.width == WIDTH:
             readers.add(threading.get_ident())
             assert may_read.wait(120)
-        return read_photo(view)
+        return photo_bands(view)
 
-    monkeypatch.setattr(module, "read_photo", held)
+    monkeypatch.setattr(module, "photo_bands", held)
     photos = Photos(item_device, views, (2.0, 1.0))
     assert is_at(photos, views, 2)
     may_read.set()
@@ -178,15 +240,25 @@ def test_a_level_trains_while_the_next_is_read(item_device, views, monkeypatch):
 def test_a_level_beyond_the_budget_is_streamed(item_device, views, reads, budget, resident):
     photos = Photos(item_device, views, (2.0, 1.0), budget)
     idle(photos)
-    start = all_at(WIDTH // 2) if resident else all_at(WIDTH)  # all of them once, for damage
-    assert sorted(reads) == start  # nothing of the next level
+    assert sorted(reads) == sorted(all_at(WIDTH // 2) + all_at(WIDTH))  # once each
     assert photos.resident is resident and is_at(photos, views, 2)
     photos.expect(1)
+    idle(photos)
+    photos.use(1.0)
+    assert not photos.resident and is_at(photos, views, 1)
+    assert len(reads) == 8
+    photos.close()
+
+
+def test_photos_without_a_place_are_decoded_at_each_use(item_device, views, reads, no_room):
+    photos = Photos(item_device, views, (2.0, 1.0), 0)
+    idle(photos)
+    assert sorted(reads) == all_at(WIDTH // 2)  # all of them once, for damage
+    assert is_at(photos, views, 2)
     photos.use(1.0)
     idle(photos)
     reads.clear()
-    assert not photos.resident and is_at(photos, views, 1)
-    assert sorted(reads) == all_at(WIDTH)
+    assert is_at(photos, views, 1) and sorted(reads) == all_at(WIDTH)
     photos.expect(1)  # of this level, whatever was expected before
     idle(photos)
     assert reads[4:] == [("1.png", WIDTH)]
@@ -210,9 +282,9 @@ def test_a_photo_that_is_gone_when_its_level_comes_is_named(item_device, views, 
         if view.camera.width == WIDTH and view.source.name == "2.png":
             gone.append(view.source)
             raise InputError(f"{view.source}: no such file")
-        return read_photo(view)
+        return photo_bands(view)
 
-    monkeypatch.setattr(module, "read_photo", sometimes)
+    monkeypatch.setattr(module, "photo_bands", sometimes)
     photos = Photos(item_device, views, (2.0, 1.0))
     idle(photos)
     assert gone and is_at(photos, views, 2)  # it is no error before it is needed
