@@ -97,7 +97,7 @@ EDITS = [
     ("city.json", {"options": {"near": 1e90}}, "city.json: option 'near' expects at most"),
     ("city.json", {"options": {"nope": 1}}, "city.json: unknown option 'nope'"),
     ("city.json", {"options": {"iterations": "7"}},
-     "city.json: option 'iterations' expects a whole number"),
+     "city.json: option 'iterations' expects auto or a whole number"),
     ("city.json", {"options": {"batch": 0}},
      "city.json: option 'batch' expects a whole number of at least 1"),
     ("city.json", {"scene": 3}, "scene is '3'"),

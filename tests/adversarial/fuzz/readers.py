@@ -24,6 +24,7 @@ from clsplat.report.compare import compare, equality_tables, final_table, time_t
 from clsplat.report.groups import grouped, read_runs
 from clsplat.report.run import level_table, option_table, plan_table, score_table
 from clsplat.scene import Scene, View
+from clsplat.schedule import planned_steps
 from clsplat.synth import geometry
 from clsplat.synth.layout import city as plan_city
 from clsplat.training import checkpoint
@@ -180,7 +181,7 @@ def _made_options(folder):
 
 def _options(folder):
     options = resolve(from_toml(folder / "run.toml"), {})
-    assert options.iterations >= 1 and 0 <= options.sh_degree <= 3
+    assert planned_steps(options, 30)[0] >= 1 and 0 <= options.sh_degree <= 3
 
 
 def _made_run_folders(folder):
