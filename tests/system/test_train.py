@@ -182,9 +182,10 @@ def test_evaluations(item_device, city, tmp_path, options, expected):
                              **options)) == expected
 
 
-def test_all_views_are_trained_on_where_none_is_held_out(item_device, city):
+def test_all_views_are_trained_on_where_none_is_held_out(item_device, city, tmp_path):
     options = options_of(test_every=0)
-    made = loop.Training(city, options, item_device, None, None, initial_gaussians(city, options))
+    made = loop.Training(city, options, item_device, RunFolder(tmp_path), None,
+                         initial_gaussians(city, options))
     assert len(made.session.train_views) == len(city.views) == 32
     epoch = [made.view_of(i) for i in range(1, 33)]
     assert sorted(epoch) == list(range(32))
@@ -209,7 +210,7 @@ def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path,
     options = {**STILL, "batch": 3, "exposure": "on"}
     run = trained(tmp_path / "run", city, item_device, **options, iterations=28)
     assert {len(views) for views in seen} == {3} and recentred == [0, 10, 19]
-    made = loop.Training(city, options_of(**options), item_device, None, None,
+    made = loop.Training(city, options_of(**options), item_device, RunFolder(tmp_path), None,
                          initial_gaussians(city, options_of()))
     assert sum(seen, []) == [made.view_of(number) for number in range(1, 85)]
     assert (np.bincount(sum(seen, [])) == 3).all()
