@@ -54,12 +54,14 @@ def test_a_wrong_pose_is_found_again_under_other_colours(seen):
     assert 0.3 < correction.degrees < 2 and 0 < result["aligned_shift"] < 0.05
 
 
+@pytest.mark.slow
 def test_a_right_pose_stays(seen):
     model, view = seen
     found = aligned(*model, view, DEPTH).applied(view.camera)
     assert pixels_off(found, view.camera) < 0.05
 
 
+@pytest.mark.slow
 def test_masked_pixels_do_not_count(seen, tmp_path):
     model, view = seen
     mask = np.full((64, 96), 255, np.uint8)

@@ -68,6 +68,7 @@ def terms_of(count, seed=0):
 
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("size", [0.0, 1e-4, 0.05, 0.3, 2.0])
+@pytest.mark.one_in(2)
 def test_the_corrected_camera(device, size):
     """Around the angles where the kernel goes from a series to the formula."""
     run = Run(device, size)
@@ -88,6 +89,7 @@ def test_the_corrected_camera(device, size):
 
 @pytest.mark.parametrize("name, antialiased", [("plain", False), ("degree_2", True),
                                                ("needles", False)])
+@pytest.mark.one_in(3)
 def test_the_gradient_of_a_render(device, name, antialiased):
     """The reference is checked by finite differences (tests/reference/test_pose.py)."""
     case = cases.gaussians(name)
@@ -119,6 +121,7 @@ def test_the_gradient_of_a_render(device, name, antialiased):
 @pytest.mark.oclgrind
 @pytest.mark.parametrize("count", [0, 1, POSE_BLOCK - 1, POSE_BLOCK, POSE_BLOCK + 1,
                                    17 * POSE_BLOCK + 3])
+@pytest.mark.one_in(2)
 def test_steps_by_any_number_of_gaussians(device, count):
     """The array has room for more, whose content does not count."""
     run, terms = Run(device), terms_of(count + 5)
@@ -144,6 +147,7 @@ def test_without_a_rate_nothing_changes(device):
 
 
 @pytest.mark.parametrize("value", list(cases.POISON.values()), ids=list(cases.POISON))
+@pytest.mark.one_in(3)
 def test_poison_leaves_the_pose_alone(float_device, value):
     run, terms = Run(float_device), terms_of(50)
     run.step(1, terms)

@@ -74,6 +74,7 @@ def test_a_step_of_every_schedule(float_device, city, tmp_path, counted, schedul
     assert batch > 1 or float_device.form == "item" or launches <= MOST
 
 
+@pytest.mark.slow
 def test_corrected_poses(float_device, city, tmp_path, counted):
     """The corrected camera, the sums of the gradient and the step of the pose."""
     launches = of_a_replay(counted(float_device, city, tmp_path, schedule="constant", poses="on",
@@ -91,6 +92,7 @@ def test_a_step_with_reprojection(float_device, city, tmp_path, counted):
     assert launches == (23 if float_device.form == "item" else 19)
 
 
+@pytest.mark.slow
 def test_outliers_cost_a_step_nothing(item_device, city, tmp_path, counted):
     assert of_a_replay(counted(item_device, city, tmp_path, schedule="constant",
                                robust="on")) == 20

@@ -103,6 +103,7 @@ def launched(device, folder, scene, **options):
     return of_a_replay(found)
 
 
+@pytest.mark.slow
 def test_a_step_with_layers_has_no_launch_more(item_device, city, block, tmp_path):
     """Than one that exposes the image; without exposures none learns."""
     _, scene, options = block
@@ -129,6 +130,7 @@ def test_a_stopped_run_ends_in_the_same_bytes_from_memory_or_a_file(item_device,
     assert model_digest(resumed(other, scene, item_device, **options)) == model_digest(run)
 
 
+@pytest.mark.slow
 def test_a_disk_without_space_is_named(item_device, block, tmp_path, monkeypatch):
     _, scene, options = block
 
@@ -140,6 +142,7 @@ def test_a_disk_without_space_is_named(item_device, block, tmp_path, monkeypatch
         trained(tmp_path / "run", scene, item_device, **options)
 
 
+@pytest.mark.slow
 def test_memory_is_foretold(item_device, block):
     """That of layers exactly here, as all that is in front shows; that to draw them from above."""
     _, scene, options = block

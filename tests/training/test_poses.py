@@ -56,6 +56,7 @@ def test_disturbed_poses_are_recovered(item_device, city, tmp_path):
     assert pixels_off(corrected) < 0.7 * pixels_off(given)
 
 
+@pytest.mark.slow
 def test_poses_stay_in_the_warm_up_and_are_recorded(item_device, city, tmp_path):
     few = round(WARM_UP * 100)
     run = trained(tmp_path / "run", city, item_device, **OPTIONS, iterations=100, stop_at=few)
