@@ -98,9 +98,8 @@ class DeviceOptions:
 @dataclass(frozen=True)
 class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, McmcOptions, SphereOptions,
                    SigOptions, OptimiseOptions, PoseOptions, DepthOptions, ReprojectOptions,
-                   RobustOptions,
-                   ExposureOptions, RegulariseOptions, ImageLossOptions, RenderingOptions,
-                   ScheduleOptions, SceneOptions, RunOptions):
+                   RobustOptions, ExposureOptions, RegulariseOptions, ImageLossOptions,
+                   RenderingOptions, ScheduleOptions, SceneOptions, RunOptions):
     """Everything that decides a training; defaults are those of Kerbl et al. (2023).
 
     The help lists the groups from the last base to the first.

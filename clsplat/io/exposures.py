@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from clsplat.errors import InputError
-from clsplat.io.reason import reason
-from clsplat.io.records import object_of, write_object
-from clsplat.io.regular import read_regular
+from clsplat.io.records import write_object
+from clsplat.io.view_numbers import read_view_numbers
 from clsplat.response import Response
 
 EXPOSURES = "exposures.json"
@@ -35,18 +33,10 @@ def _numbers(response: Response) -> list[float]:
 
 def read_exposures(path: Path) -> dict[str, Response]:
     """Read what `write_exposures` wrote; InputError if it is damaged."""
-    try:
-        return {name: _response(name, numbers)
-                for name, numbers in object_of(read_regular(path)).items()}
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a file of exposures, or damaged ({reason(error)}); copy it "
-                         "again, or train the run that wrote it again") from None
+    return {name: _response(row)
+            for name, row in read_view_numbers(path, COUNTS, "exposures").items()}
 
 
-def _response(name: str, numbers: Any) -> Response:
-    if not (isinstance(numbers, list) and len(numbers) in COUNTS
-            and all(type(number) in (int, float) for number in numbers)):
-        raise ValueError(f"{name[:80]!r} does not have {', '.join(map(str, COUNTS[:-1]))} or "
-                         f"{COUNTS[-1]} numbers")
-    transform, *lens = np.split(np.array(numbers, np.float64), COUNTS[:-1])
+def _response(row: NDArray[np.float64]) -> Response:
+    transform, *lens = np.split(row, COUNTS[:-1])
     return Response(transform.reshape(3, 4), *(part for part in lens if len(part)))

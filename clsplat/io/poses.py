@@ -2,19 +2,13 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from clsplat.errors import InputError
-from clsplat.io.reason import reason
-from clsplat.io.records import object_of, write_object
-from clsplat.io.regular import read_regular
+from clsplat.io.records import write_object
+from clsplat.io.view_numbers import read_view_numbers
 from clsplat.placement.corrections import Correction
 
 POSES = "poses.json"
 NUMBERS = 6  # of a view: its turn, and its shift
-LARGEST = 1e100
 
 
 def write_poses(run: Path, corrections: Mapping[str, Correction]) -> None:
@@ -29,17 +23,5 @@ def read_poses(run: Path) -> dict[str, Correction]:
     path = run / POSES
     if not path.is_file():
         return {}
-    try:
-        return {name: _correction(name, numbers)
-                for name, numbers in object_of(read_regular(path)).items()}
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a file of corrected poses, or damaged ({reason(error)}); "
-                         "copy it again, or train the run that wrote it again") from None
-
-
-def _correction(name: str, numbers: Any) -> Correction:
-    if not (isinstance(numbers, list) and len(numbers) == NUMBERS
-            and all(type(number) in (int, float) and abs(number) < LARGEST for number in numbers)):
-        raise ValueError(f"{name[:80]!r} does not have {NUMBERS} numbers")
-    row = np.array(numbers, np.float64)
-    return Correction(row[:3], row[3:])
+    rows = read_view_numbers(path, (NUMBERS,), "corrected poses")
+    return {name: Correction(row[:3], row[3:]) for name, row in rows.items()}

@@ -36,6 +36,8 @@ def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:
     if chooses_steps(options):
         return options.iterations, f"{options.iterations:,}: requested"
     steps = min(max(VISITS * photos, FULL_LENGTH), PUBLISHED_LENGTH)
+    if options.time_budget:
+        return steps, f"as many as fit --time-budget {options.time_budget}"
     return steps, (f"{steps:,}: {VISITS} for each of {photos:,} training photos, but at least "
                    f"{FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
 
