@@ -260,3 +260,20 @@ def test_warnings_of_photos_are_shown_with_q(capsys):
     silent.phase("reading")
     silent.message(f"{WARNING}all photos are black")
     assert capsys.readouterr().err == "warning: all photos are black\n"
+
+
+def test_blocks_with_most_work_begin_first(city, monkeypatch):  # noqa: F811
+    ran = []
+    monkeypatch.setattr(stages, "run", lambda tasks, *_, **__: ran.extend(tasks))
+    monkeypatch.setattr(stages, "expected_work", lambda block: int(block.path.name))
+    stages.train_blocks(city)
+    names = [block.path.name for block in city.blocks()]
+    assert [task.name for task in ran] == names[::-1] != names
+
+
+def test_work_is_steps_times_trained_gaussians():
+    record = {"own": 30, "margin": 12, "options": {"iterations": 100}}
+    block = SimpleNamespace(read=lambda *_: record)
+    assert stages.expected_work(block) == 4200
+    record["options"]["iterations"] = "many"  # refused when the block is trained
+    assert stages.expected_work(block) == 42
