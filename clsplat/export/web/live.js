@@ -75,7 +75,7 @@ class LiveView {
     this.canvas.getContext("2d").drawImage(picture, 0, 0);
     this.coarse = detail < 1;
     this.shown = (this.shown || 0) + 1;
-    say("");
+    if (!this.ended) say(""); // the notice of the end stays, whatever was on its way
     if (this.coarse) { // a training draws when it has time: the fewer pixels the sooner
       const change = performance.now() - began > QUICK ? 0.85 : 1.1;
       this.detail = Math.min(1, Math.max(COARSEST, this.detail * change));
