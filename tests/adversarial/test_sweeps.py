@@ -15,7 +15,7 @@ def test_two_at_once(name):
 
 
 @pytest.mark.skipif(disk_full.can_mount() is not None, reason=str(disk_full.can_mount()))
-@pytest.mark.parametrize("name, coarser", [("train", 8), ("eval", 64)])
+@pytest.mark.parametrize("name, coarser", [("train", 16), ("eval", 128)])
 def test_full_disk(name, coarser):
     target = next(target for target in disk_full.TARGETS if target.name == name)
     target = disk_full.Target(**{**vars(target), "step": coarser * target.step})
@@ -27,9 +27,9 @@ def test_full_disk(name, coarser):
 @pytest.mark.parametrize("name", ["train", "eval"])
 def test_interrupted(name):
     target = next(target for target in interrupts.TARGETS if target.name == name)
-    target = interrupts.Target(**{**vars(target), "moments": 2, "others": 1})
+    target = interrupts.Target(**{**vars(target), "moments": 1, "others": 1})
     records = list(interrupts.moments(target, 0))
-    assert len(records) == 4 and not [each for each in records if each["faults"]], records
+    assert len(records) == 3 and not [each for each in records if each["faults"]], records
 
 
 def test_the_line_that_goes_on_is_found():

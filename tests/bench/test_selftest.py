@@ -155,6 +155,7 @@ def test_a_broken_part_fails_its_line_only(float_device, monkeypatch, part, brok
     assert failures(selftest.check_form(float_device)) == [line]
 
 
+@pytest.mark.slow
 def test_what_a_driver_raises_is_one_line(float_device, monkeypatch):
     def broken(device, keys, counts):
         raise RuntimeError("clEnqueueNDRangeKernel failed:\n OUT_OF_RESOURCES")

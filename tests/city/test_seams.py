@@ -160,6 +160,7 @@ def test_blocks_that_are_worse_everywhere_have_no_seam(item_device, photographed
     assert lost > 1.5 and abs(seams["seam_db"]) < lost / 4
 
 
+@pytest.mark.slow
 def test_a_brighter_block_shows_at_its_borders_only(item_device, photographed, model):
     def spoil(number, gaussians):
         if number == 0:

@@ -83,6 +83,7 @@ def test_evidence_with_more_evaluations_serves():
         assert (runs._difference(record, wanted) is None) == serves
 
 
+@pytest.mark.slow
 def test_what_does_not_affect_the_model_leaves_its_bytes(item_device, tmp_path):
     """All of these options at once, and the rest of the run without them."""
     assert {*CHANGES, "lpips"} == {name for name, what in AFFECTS.items() if what != "model"}

@@ -62,8 +62,8 @@ def gradient_of(count):
     return gradient
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [NAME, "needles", "opacities"])
-@pytest.mark.one_in(3)
 def test_the_published_sum(double_device, name):
     case = cases.gaussians(name)
     gradient = gradient_of(len(case["rows"]["positions"]))
@@ -85,6 +85,7 @@ def test_single_precision_is_close(float_device):
     assert np.abs(scores - expected).max() < 0.01 * expected.max()
 
 
+@pytest.mark.slow
 def test_views_add_up(double_device):
     size, gradient = size_of(cases.gaussians(NAME)), gradient_of(25)
     photos = [photo_of(*size, seed) for seed in (0, 1)]
@@ -94,6 +95,7 @@ def test_views_add_up(double_device):
     assert not scored(double_device, NAME, gradient, [])[0].any()
 
 
+@pytest.mark.slow
 def test_the_same_bytes_every_time(device):
     gradient, photo = gradient_of(25), photo_of(*size_of(cases.gaussians(NAME)), 0)
     first, second = (scored(device, NAME, gradient, [photo])[0] for _ in range(2))

@@ -274,9 +274,9 @@ def with_sizes(device, monkeypatch, wave, bucket, adjoint_group, tile=16):
         monkeypatch.setattr(device, name, size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wave", [32, 64])
 @pytest.mark.parametrize("kind", ["specks", "needles", "edges", "giants"])
-@pytest.mark.one_in(3)
 def test_sub_tiles_that_are_skipped_have_nothing_to_draw(group_device, monkeypatch, kind, wave):
     """The same bytes as without masks: for splats within a sub-tile, across many, and with an end
     of the ellipse within a hundredth of a pixel of pixel centres at the edge of a sub-tile."""

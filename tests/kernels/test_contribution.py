@@ -62,6 +62,7 @@ def test_sums(device, size):
     check(device, *cases.splats(40, *size, sigma=(0.6, 3)), size, f"{size}", 0.3)
 
 
+@pytest.mark.slow
 def test_wide_splats_lie_in_many_tiles(double_device):
     check(double_device, *cases.splats(150, 61, 37, seed=1, sigma=(3, 30)), (61, 37), "wide", 1)
 
@@ -136,6 +137,7 @@ def test_a_strange_weight_reaches_only_the_splats_blended_there(float_device, la
     assert (poisoned[reached, 2] != clean[reached, 2]).any()
 
 
+@pytest.mark.slow
 def test_small_tiles_give_the_same(group_device, monkeypatch):
     monkeypatch.setattr(group_device, "tile", 8)
     check(group_device, *cases.splats(80, 37, 29, seed=9, sigma=(0.6, 2)), (37, 29), "tiles of 8")

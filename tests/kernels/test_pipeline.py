@@ -137,6 +137,7 @@ def test_a_frame_without_depth_has_the_same_image_and_gradients(device):
     close(actual.means.download(), expected.means.download(), precision_of(device), "means")
 
 
+@pytest.mark.slow
 def test_gradients_are_linear_in_the_cotangent(double_device):
     case = small_scene(8)
     renderer, rows, frame = render(double_device, case)

@@ -250,6 +250,7 @@ def test_the_same_bytes_every_time(device):
         assert np.array_equal(first, second)
 
 
+@pytest.mark.slow
 def test_through_the_renderer_to_the_gaussians(double_device):
     """The loss of a render by differences, against the chain of adjoints. The neighbour is a ramp,
     of which bilinear samples have no kinks."""

@@ -52,6 +52,7 @@ class Rendered:
                     int(self.counts[COUNT_PAIRS]) + pairs, **bands)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["degree_1", "giants", "many"])
 @pytest.mark.parametrize("visible, pairs", [(0, 0), (1, 1), (300, 5000)])
 def test_a_room_that_is_large_enough_changes_nothing(device, name, visible, pairs):

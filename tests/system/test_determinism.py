@@ -10,11 +10,11 @@ from clsplat.device import Device, kernel
 from clsplat.rendering.bands import choose_bands
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
-LONG = {"iterations": 300, "densify_until": 240, "densify_every": 40, "max_gaussians": 7000,
+LONG = {"iterations": 200, "densify_until": 180, "densify_every": 40, "max_gaussians": 7000,
         "test_every": 0}
-SHORT = {**LONG, "iterations": 120, "densify_from": 20, "densify_until": 100, "densify_every": 20}
-TAMING = {"schedule": "taming", "iterations": 120, "downscale": 4.0, "exposure": "on"}
-MCMC = {"schedule": "mcmc", "iterations": 120, "downscale": 4.0}
+SHORT = {**LONG, "iterations": 80, "densify_from": 20, "densify_until": 70, "densify_every": 20}
+TAMING = {"schedule": "taming", "iterations": 80, "downscale": 4.0, "exposure": "on"}
+MCMC = {"schedule": "mcmc", "iterations": 100, "downscale": 4.0}
 
 
 def cut_otherwise(used, **sizes):

@@ -286,6 +286,7 @@ def test_frequencies_are_recorded_every_hundred_steps(item_device, city, tmp_pat
             for record in records(run, "step")} == {1: None, 100: 9, 200: 9}
 
 
+@pytest.mark.slow
 def test_a_level_change_clears_the_statistics(item_device, city):
     """Gradients at another size are others."""
     made = Session.build(city, options_of(**LEVELLED), item_device)

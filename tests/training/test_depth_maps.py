@@ -52,6 +52,7 @@ def test_maps_are_in_units_of_the_scene(item_device, folder, monkeypatch, share)
     assert not masked[:10].any() and np.allclose(masked[10:], DEPTH / scene.unit)
 
 
+@pytest.mark.slow
 def test_a_step_uses_the_map_of_a_view_that_has_one(device):
     """From a recording, too: a view without a map is another kind of step."""
     scene = read_scene(CITY).reduced(8).normalised()

@@ -127,8 +127,8 @@ def test_moments_move_to_the_host_where_they_do_not_fit(float_device, monkeypatc
     assert (kind("auto"), kind("device")) == ("NumpyAdam", "DeviceAdam")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["sparse", "dense"])
-@pytest.mark.one_in(3)
 def test_engines_agree_over_five_steps(double_device, optimizer):
     """On the gradients of a render, with rates that change; in double, where Adam's division by a
     gradient of almost nothing does not turn rounding into a step."""

@@ -58,8 +58,8 @@ def scarce(monkeypatch):
     monkeypatch.setattr(rooms.Rooms, "room", room)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRAININGS)
-@pytest.mark.one_in(3)
 def test_a_training_that_lacks_room_ends_in_the_same_bytes(item_device, city, tmp_path, monkeypatch,
                                                            repeated, name):
     same_bytes(item_device, city, tmp_path, monkeypatch, repeated, name)
