@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -110,7 +111,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     for outcome in failed:
         click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
                    err=True)
-    _finish(folder, data, options, device, fill, against, quiet)
+    _finish(folder, data, options, device, fill, against, quiet, workers, scheduler, devices)
 
 
 @click.command("partition", cls=SectionedCommand)
@@ -174,12 +175,13 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, de
 
 
 def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device, fill: bool,
-            against: Path | None, quiet: bool) -> None:
+            against: Path | None, quiet: bool, workers: int = 1, scheduler: str = "",
+            devices: Sequence[str] = ()) -> None:
     from clsplat.city.finish import evaluate_city, merge_city
     from clsplat.cli.evaluate import summary
     from clsplat.report.city import seam_table, share_table
     merged = merge_city(folder, data, options, device, fill)
-    scores, seams = evaluate_city(folder, data, options, device, against)
+    scores, seams = evaluate_city(folder, options, device, against, workers, scheduler, devices)
     if against and seams is None:
         click.echo("--against: not used, since a single block has no seams", err=True)
     if quiet:
