@@ -8,6 +8,7 @@ from clsplat.gaussians import LEARNED
 from clsplat.io.city import LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
+from clsplat.partition.grid import makespan
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import schedule_of
@@ -21,6 +22,7 @@ PLY_BYTES = 248  # of a gaussian with all spherical harmonics
 # for each block, of a cluster's scheduler, client and workers: tools/studies/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
+DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
 
@@ -93,21 +95,24 @@ def block_table(city: CityFolder, device: Device, counts: Iterable[int]) -> Tabl
     largest, record = max(records, key=lambda pair: initial[pair[0].path.name])
     forecast = Planned(read_scene(largest.path), block_options(largest), device).forecast()
     growth = forecast.gaussians / initial[largest.path.name]
-    rows = []
+    rows, times = [], []
     for (block, record), count in zip(records, counts):
         size = initial[block.path.name] / initial[largest.path.name]
         steps = record["options"]["iterations"] / forecast.steps
+        times.append(steps * forecast.seconds / 60)
         rows.append((block.path.name, f"{count:,}", f"{record['margin']:,}",
                      f"{record['surroundings']:,}", f"{record.get(LAYERS, 0):,}",
                      f"{record['views']}",
                      f"{record['options']['iterations']:,}",
                      f"{growth * initial[block.path.name]:,.0f}",
                      f"{size * forecast.memory.total / MIB:,.0f}",
-                     f"{steps * forecast.seconds / 60:.1f}"))
+                     f"{times[-1]:.1f}"))
+    ends = ", ".join(f"{makespan(times, workers):.1f} on {workers}" for workers in DEVICES)
     head = ("block", "gaussians", "margin", "around", "in layers", "views", "steps", "at the end",
             "MiB", "minutes")
     return Table("Blocks", head, rows, range(1, 10), (
         "Gaussians: of the coarse run; around: those that the block holds without training them; "
         "in layers: those that it only draws, once for each view. The number at the end, MiB and "
         f"minutes are forecasts for a block that has {device.name} to itself, from steps of block "
-        f"{largest.path.name}.",))
+        f"{largest.path.name}. All blocks take {sum(times):.1f} minutes on one such device, {ends} "
+        "(--workers).",))

@@ -33,10 +33,11 @@ BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
 @click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
               help="Folder of the city; default: SCENE.city.")
 @click.option("--workers", default=1, show_default=True, **BLOCKS,
-              help="Number of blocks that are trained at a time on this machine; --grid auto makes "
-              "at least as many blocks.")
+              help="Number of blocks that are trained at a time on this machine, and of processes "
+              "that score the result; --grid auto makes at least as many blocks, and more where "
+              "the last worker then ends earlier. With --scheduler: for how many workers to cut.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
-              "tcp://10.0.0.1:8786, whose workers train the blocks.")
+              "tcp://10.0.0.1:8786, whose workers train the blocks and score the result.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "
               "gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
@@ -204,7 +205,7 @@ def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions
         **given, "expected": expected,
         "block_gaussians": given.get("block_gaussians") or max(
             LEAST_GAUSSIANS, gaussians_that_fit(device, options)),
-        "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS))})
+        "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS)), "workers": workers})
 
 
 def _beside(scene: Path) -> Path:
