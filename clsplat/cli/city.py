@@ -100,8 +100,9 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
         with shown("coarse run") as progress:
             train_coarse(folder, data, options, device, progress)
         _, counts = cut_into_blocks(folder, data, options, cutting, device)
-        if not quiet:
-            click.echo(block_table(folder, device, counts).text())
+        if not quiet:  # trial steps would keep the other devices waiting
+            several = workers > 1 or scheduler
+            click.echo(block_table(folder, None if several else device, counts).text())
         outcomes = train_all_blocks(folder, data, options, device, workers=workers,
                                     scheduler=scheduler, devices=devices, progress=shown,
                                     began=began, ended=ended)
