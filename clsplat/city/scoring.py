@@ -7,6 +7,7 @@ that all shares together are what one process computes, to the bit where the dev
 """
 
 import json
+import logging
 import os
 import shutil
 import sys
@@ -33,6 +34,8 @@ from clsplat.scene import Scene, View
 FOLDER = "scores"  # of the shares, in the city's folder while they are computed
 LEAST_VIEWS = 8  # of a share: with fewer, a process begins longer than it scores
 MOST_SHARES = 64  # on a cluster, whose workers are not counted before
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +130,12 @@ def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
             *((str(reference.resolve()),) if reference else ())), done_file(city, share))
             for share in range(shares)], workers, scheduler, devices=devices,
             program="clsplat.city.scoring")
-        return (joined([done_file(city, share) for share in range(shares)])
-                if all(outcome.ok for outcome in outcomes) else None)
+        for outcome in outcomes:
+            if not outcome.ok:
+                log.warning("%s failed on %s (%s); one process scores all views",
+                            outcome.task.name, outcome.worker, outcome.message)
+                return None
+        return joined([done_file(city, share) for share in range(shares)])
     finally:
         shutil.rmtree(city.path / FOLDER, ignore_errors=True)
 
