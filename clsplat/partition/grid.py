@@ -26,7 +26,13 @@ def choose_grid(needed: int, aspect: float) -> tuple[int, int]:
 def squarest(count: int, aspect: float) -> tuple[int, int]:
     """The grid with exactly `count` cells that are most nearly square; `aspect` as above."""
     shapes = [(n, count // n) for n in range(1, count + 1) if count % n == 0]
-    return min(shapes, key=lambda shape: abs(math.log(aspect * shape[1] / shape[0])))
+    return min(shapes, key=lambda shape: elongation(shape, aspect))
+
+
+def elongation(grid: tuple[int, int], aspect: float) -> float:
+    """The longer side of a grid's cells over the shorter one; `aspect` as above."""
+    ratio = aspect * grid[1] / grid[0]
+    return max(ratio, 1 / ratio)
 
 
 def makespan(work: Iterable[float], workers: int) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsplat.partition.blockgs import blockgs
 from clsplat.partition.citygs import citygs
-from clsplat.partition.grid import choose_grid, makespan, squarest
+from clsplat.partition.grid import choose_grid, elongation, makespan, squarest
 from clsplat.partition.input import PartitionInput
 from clsplat.partition.partition import Cells, Partition
 from clsplat.partition.starved import join_starved, refuse_starved
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 METHODS = {"citygs": citygs, "blockgs": blockgs, "vastgs": vastgs}
 
 MOST_BLOCKS_A_WORKER = 4  # with more, the sizes of blocks hardly matter
+MOST_ELONGATED = 2.0  # sides of the cells of a finer grid: long borders are long seams
 WORTH = 1.1  # a finer grid must end earlier by this
 
 # 1 - SSIM between the render of all gaussians and that of those where the mask bool[M] is true, in
@@ -81,7 +82,9 @@ def _chosen_grid(data: PartitionInput, options: PartitionOptions) -> tuple[int, 
     most = max(needed, options.most_blocks)
     counts = range(needed, min(needed + 2 * options.workers, most) + 1)
     grids = dict.fromkeys(grid for count in counts for grid in (
-        choose_grid(count, aspect), squarest(count, aspect)))
+        choose_grid(count, aspect), squarest(count, aspect))
+        if options.method == "blockgs"  # of which only the number of cells counts
+        or elongation(grid, aspect) <= MOST_ELONGATED or grid == choose_grid(needed, aspect))
     ends = {grid: makespan(expected_work(data, grid, options), options.workers)
             for grid in grids if math.prod(grid) <= most or grid == next(iter(grids))}
     return min((grid for grid in ends if ends[grid] <= WORTH * min(ends.values())), key=math.prod)
