@@ -1,5 +1,6 @@
 """The end of a city: one model of its blocks, its levels of detail, and its scores."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from clsplat.city.lod import merge_levels
 from clsplat.city.merge import Merged, merge
+from clsplat.city.scoring import reference_model, score_in_shares, views_of
 from clsplat.city.seams import find_seams
 from clsplat.city.stages import COARSE_FACTOR, draw
 from clsplat.device import Device
@@ -82,18 +84,19 @@ def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
                             (f"level {level:g}",))
 
 
-def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-                  against: Path | None = None
+def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
+                  against: Path | None = None, workers: int = 1, scheduler: str = "",
+                  devices: Sequence[str] = ()
                   ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Score the merged model on the held-out views, measure its seams, and write the report.
 
     Parameters
     ----------
     city : its folder, merged.
-    scene : the whole, as `read_scene` returns it.
     options : of the whole.
     device : an open device.
     against : the PLY file of the reference for seams; None: that of the coarse model.
+    workers, scheduler, devices : see `distribute.run`; each worker scores a share of the views.
 
     Returns
     -------
@@ -104,11 +107,13 @@ def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device:
     spent = {**cost(city), "level": 1.0, "gaussians": merged["gaussians"]}
     counts = np.array([share["gaussians"] for share in merged["blocks"]])
     scores = seams = None
-    train, test = scene.reduced(options.downscale, options.max_resolution).split(
-        options.test_every, options.test_offset)
-    if test:
+    scene = run.scene()
+    views, held_out = views_of(scene, options)
+    scored = score_in_shares(city, against, workers, scheduler, devices, len(views))
+    if held_out:
         scores = evaluate_run(run, device, save_images=False,
-                              metrics=final_metrics(options.lpips))
+                              metrics=final_metrics(options.lpips),
+                              per_view=scored.per_view if scored else None)
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
     partition = city.partition(scene)
@@ -119,9 +124,9 @@ def evaluate_city(city: CityFolder, scene: Scene, options: TrainOptions, device:
             block = RunFolder(city.block(number).run)
             return block.load_model(scene.offset) if block.has_model else None
 
-        reference = read_ply(against or RunFolder(city.coarse).model_path, scene.offset)
-        seams = find_seams(device, partition, scene, test or train, options, run.finished_model,
-                           counts, reference.without_spheres(), model_of)
+        seams = find_seams(device, partition, scene, views, options, run.finished_model, counts,
+                           reference_model(city, scene, against), model_of,
+                           scored.strips if scored else None)
         run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
                         "worst_seam_db": seams["worst_seam_db"]})
     write_report(run.folder, embedded(city.picture, "map of the blocks"), share_table(merged),

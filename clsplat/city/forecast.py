@@ -8,6 +8,7 @@ from clsplat.gaussians import LEARNED
 from clsplat.io.city import LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
+from clsplat.partition.grid import makespan
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import schedule_of
@@ -21,6 +22,7 @@ PLY_BYTES = 248  # of a gaussian with all spherical harmonics
 # for each block, of a cluster's scheduler, client and workers: tools/studies/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
+DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
 
@@ -77,37 +79,44 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
         "and bytes of a Dask cluster.",))
 
 
-def block_table(city: CityFolder, device: Device, counts: Iterable[int]) -> Table:
+def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) -> Table:
     """The start of each block of a city, and a forecast of its device memory and time.
 
-    The largest block is planned with real steps, the others in proportion to it.
+    The largest block is planned with real steps, the others in proportion to it: the time of a step
+    is taken as equal, since blocks see parts of photos of about the same size.
 
     Parameters
     ----------
+    device : of the steps; None: there is no forecast, only how the steps spread over workers.
     counts : [B], coarse gaussians that each block owns.
     """
     records = [(block, block.read("own", "margin", "surroundings", "views"))
                for block in city.blocks()]
-    initial = {block.path.name: sum(record[key] for key in ("own", "margin", "surroundings"))
-               for block, record in records}
-    largest, record = max(records, key=lambda pair: initial[pair[0].path.name])
+    steps = [record["options"]["iterations"] for _, record in records]
+    rows: list[tuple[str, ...]] = [
+        (block.path.name, f"{count:,}", f"{record['margin']:,}", f"{record['surroundings']:,}",
+         f"{record.get(LAYERS, 0):,}", f"{record['views']}", f"{taken:,}")
+        for (block, record), count, taken in zip(records, counts, steps)]
+    head: tuple[str, ...] = ("block", "gaussians", "margin", "around", "in layers", "views",
+                             "steps")
+    note = ("Gaussians: of the coarse run; around: those that the block holds without training "
+            "them; in layers: those that it only draws, once for each view.")
+    ends = {workers: makespan(steps, workers) for workers in DEVICES}
+    if device is None:
+        shares = ", ".join(f"{end / sum(steps):.0%} on {workers}" for workers, end in ends.items())
+        return Table("Blocks", head, rows, range(1, 7), (
+            f"{note} The last block ends after about this share of the time that all blocks take "
+            f"on one device: {shares} (--workers).",))
+    initial = [sum(record[key] for key in ("own", "margin", "surroundings"))
+               for _, record in records]
+    largest = records[initial.index(max(initial))][0]
     forecast = Planned(read_scene(largest.path), block_options(largest), device).forecast()
-    growth = forecast.gaussians / initial[largest.path.name]
-    rows = []
-    for (block, record), count in zip(records, counts):
-        size = initial[block.path.name] / initial[largest.path.name]
-        steps = record["options"]["iterations"] / forecast.steps
-        rows.append((block.path.name, f"{count:,}", f"{record['margin']:,}",
-                     f"{record['surroundings']:,}", f"{record.get(LAYERS, 0):,}",
-                     f"{record['views']}",
-                     f"{record['options']['iterations']:,}",
-                     f"{growth * initial[block.path.name]:,.0f}",
-                     f"{size * forecast.memory.total / MIB:,.0f}",
-                     f"{steps * forecast.seconds / 60:.1f}"))
-    head = ("block", "gaussians", "margin", "around", "in layers", "views", "steps", "at the end",
-            "MiB", "minutes")
-    return Table("Blocks", head, rows, range(1, 10), (
-        "Gaussians: of the coarse run; around: those that the block holds without training them; "
-        "in layers: those that it only draws, once for each view. The number at the end, MiB and "
-        f"minutes are forecasts for a block that has {device.name} to itself, from steps of block "
-        f"{largest.path.name}.",))
+    each = forecast.seconds / 60 / forecast.steps
+    rows = [(*row, f"{forecast.gaussians * count / max(initial):,.0f}",
+             f"{forecast.memory.total * count / max(initial) / MIB:,.0f}", f"{each * taken:.1f}")
+            for row, count, taken in zip(rows, initial, steps)]
+    times = ", ".join(f"{each * end:.1f} on {workers}" for workers, end in ends.items())
+    return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 10), (
+        f"{note} The number at the end, MiB and minutes are forecasts for a block that has "
+        f"{device.name} to itself, from steps of block {largest.path.name}. All blocks take "
+        f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",))

@@ -18,7 +18,7 @@ seam_db         PSNR that the merged model lacks in the strip: its gain over the
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,10 +94,66 @@ def find_borders(partition: Partition) -> list[Border]:
     return borders
 
 
+Model = tuple[Any, Any, int]  # on a device, see `evaluation.views.opened`
+Shown = tuple[int, int, NDArray[np.int64]]  # a strip in a view: pixels, view, flat indices [K]
+
+
+@dataclass(frozen=True, eq=False)
+class Strips:
+    """What views show of the strips of borders, and the errors beside these.
+
+    Attributes
+    ----------
+    shown : for each border (pixels, view, their flat indices [K]) of the OVERLAP_VIEWS views that
+        show most of it; a view is an index.
+    errors : for each border, and finally for all of them together, (view, float64[2, 3]): in the
+        strip and elsewhere, the pixels and the squared errors of the merged model and the
+        reference.
+    """
+
+    shown: list[list[Shown]]
+    errors: list[list[tuple[int, NDArray[np.float64]]]]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All of it as arrays, for a file."""
+        shown = [(border, view, len(pixels)) for border, seen in enumerate(self.shown)
+                 for _, view, pixels in seen]
+        errors = [(border, view) for border, parts in enumerate(self.errors) for view, _ in parts]
+        return {"borders": np.array(len(self.shown)),
+                "shown": np.array(shown, np.int64).reshape(-1, 3),
+                "pixels": np.concatenate([np.empty(0, np.int64), *(
+                    pixels for seen in self.shown for _, _, pixels in seen)]),
+                "of_errors": np.array(errors, np.int64).reshape(-1, 2),
+                "errors": np.array([sums for parts in self.errors for _, sums in parts]
+                                   ).reshape(-1, 2, 3)}
+
+    @classmethod
+    def joined(cls, parts: Iterable[Mapping[str, NDArray[Any]]]) -> "Strips":
+        """The Strips of all views from the `arrays` of some of the views each."""
+        parts = list(parts)
+        count = int(parts[0]["borders"])
+        shown: list[list[Shown]] = [[] for _ in range(count)]
+        errors: list[list[tuple[int, NDArray[np.float64]]]] = [[] for _ in range(count + 1)]
+        for part in parts:
+            begin = 0
+            for border, view, length in part["shown"].tolist():
+                shown[border].append((length, view, part["pixels"][begin:begin + length]))
+                begin += length
+            for (border, view), sums in zip(part["of_errors"].tolist(), part["errors"]):
+                errors[border].append((view, sums))
+        return cls([_most(seen) for seen in shown],
+                   [sorted(each, key=lambda error: error[0]) for each in errors])
+
+
+def _most(seen: list[Shown]) -> list[Shown]:
+    """The OVERLAP_VIEWS that show most, the first of those that show as much."""
+    return sorted(seen, key=lambda shown: (-shown[0], shown[1]))[:OVERLAP_VIEWS]
+
+
 def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
                options: TrainOptions, merged: Gaussians, counts: NDArray[np.integer],
-               reference: Gaussians, block_model: Callable[[int], Gaussians | None]
-               ) -> dict[str, Any]:
+               reference: Gaussians, block_model: Callable[[int], Gaussians | None],
+               strips: Strips | None = None) -> dict[str, Any]:
     """Measure how visible the seams between blocks are. All models are in the scene's frame.
 
     Parameters
@@ -111,6 +167,7 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
     counts : how many of its gaussians each block owns.
     reference : a model trained in one piece: the coarse one, or another to compare with.
     block_model : a block's number -> its model, not cropped, or None.
+    strips : the result of `inspect_views` for all views; None: it is computed here.
 
     Returns
     -------
@@ -119,9 +176,10 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
     """
     borders = find_borders(partition)
     on_device = functools.partial(opened, device, scene=scene, options=options)
-    shown_in, errors = _inspect_views(borders, partition.space, scene.offset, views,
-                                      on_device(merged), on_device(reference))
-    overlaps = _overlaps(borders, shown_in, on_device, block_model)
+    if strips is None:
+        strips = inspect_views(device, partition, scene, views, options, merged, reference)
+    errors = [[sums for _, sums in parts] for parts in strips.errors]
+    overlaps = _overlaps(borders, strips.shown, views, on_device, block_model)
     halves = _halves(borders, partition.space, merged.positions, counts, scene.offset)
     owner = partition.owner(reference.positions + scene.offset)
     base = _halves(borders, partition.space,
@@ -138,47 +196,43 @@ def find_seams(device: Device, partition: Partition, scene: Scene, views: Sequen
             "seam_db": _scores(errors[-1])["seam_db"]}
 
 
-Model = tuple[Any, Any, int]  # on a device, see `evaluation.views.opened`
-Shown = tuple[int, View, NDArray[np.int64]]  # a strip in a view: pixels, view, flat indices [K]
+def inspect_views(device: Device, partition: Partition, scene: Scene, views: Sequence[View],
+                  options: TrainOptions, merged: Gaussians, reference: Gaussians,
+                  chosen: Iterable[int] | None = None) -> Strips:
+    """Where views show each border, and the errors beside it.
 
-
-def _inspect_views(borders: list[Border], space: Space, offset: NDArray[np.float64],
-                   views: Sequence[View], merged: Model, reference: Model
-                   ) -> tuple[list[list[Shown]], list[list[list[NDArray[np.float64]]]]]:
-    """Where each border is visible, and the errors beside it.
-
-    Returns
-    -------
-    The OVERLAP_VIEWS that show most of each border. For each border, and finally for all of them
-    together, float64[2, 3] a view: in the strip and elsewhere, the pixels and the squared errors of
-    the merged model and the reference.
+    Parameters
+    ----------
+    device, partition, scene, views, options, merged, reference : as for `find_seams`.
+    chosen : indices of the views to inspect, ascending; None: all.
     """
-    shown_in: list[list[Shown]] = [[] for _ in borders]
-    errors: list[list[list[NDArray[np.float64]]]] = [[] for _ in range(len(borders) + 1)]
-    for view in views:
-        image, place = _picture(merged, view.camera)
+    borders, space = find_borders(partition), partition.space
+    on_device, other = (opened(device, model, scene, options) for model in (merged, reference))
+    strips = Strips([[] for _ in borders], [[] for _ in range(len(borders) + 1)])
+    for index in range(len(views)) if chosen is None else chosen:
+        view = views[index]
+        image, place = _picture(on_device, view.camera)
         known, valid = np.isfinite(place).all(axis=-1), view.valid()
-        if valid is not None:
-            known &= valid
-            if not known.any():
-                continue
-        coordinates = space.to(place[known] + offset)
+        if valid is not None and not (known := known & valid).any():
+            continue
+        coordinates = space.to(place[known] + scene.offset)
         photo = photo_of(view)
         wrong = [((fit_colour(shown, photo, valid) - photo) ** 2).mean(axis=-1)[known]
-                 for shown in (image, render_view(*reference, view.camera))]
+                 for shown in (image, render_view(*other, view.camera))]
         values = np.stack([np.ones_like(wrong[0]), *wrong], axis=-1)
         pixels, away = np.flatnonzero(known), np.ones(len(values), bool)
-        strips = [(number, near) for number, border in enumerate(borders)
-                  if len(near := border.pixels(coordinates))]
-        for number, near in strips:
-            shown_in[number].append((len(near), view, pixels[near]))
-            shown_in[number] = sorted(shown_in[number], key=lambda seen: -seen[0])[:OVERLAP_VIEWS]
-            away[near] = False
-        if strips:
-            strips.append((len(borders), np.flatnonzero(~away)))
-        for number, near in strips:
-            errors[number].append([values[near].sum(axis=0), values[away].sum(axis=0)])
-    return shown_in, errors
+        near = [(number, inside) for number, border in enumerate(borders)
+                if len(inside := border.pixels(coordinates))]
+        for number, inside in near:
+            strips.shown[number].append((len(inside), index, pixels[inside]))
+            strips.shown[number][:] = _most(strips.shown[number])
+            away[inside] = False
+        if near:
+            near.append((len(borders), np.flatnonzero(~away)))
+        for number, inside in near:
+            strips.errors[number].append(
+                (index, np.stack([values[inside].sum(axis=0), values[away].sum(axis=0)])))
+    return strips
 
 
 def _picture(model: Model, camera: Camera) -> tuple[Image, NDArray[np.float64]]:
@@ -195,7 +249,7 @@ def _picture(model: Model, camera: Camera) -> tuple[Image, NDArray[np.float64]]:
     return image, (place - camera.translation) @ camera.rotation
 
 
-def _overlaps(borders: list[Border], shown_in: list[list[Shown]],
+def _overlaps(borders: list[Border], shown_in: list[list[Shown]], views: Sequence[View],
               on_device: Callable[[Gaussians], Model],
               block_model: Callable[[int], Gaussians | None]) -> list[float | None]:
     """PSNR, dB, of one block's render against its neighbour's, for each border that has both.
@@ -213,7 +267,8 @@ def _overlaps(borders: list[Border], shown_in: list[list[Shown]],
         pictures: dict[str, NDArray[np.floating]] = {}
         for number in own:
             parts = []
-            for _, view, pixels in shown_in[number]:
+            for _, index, pixels in shown_in[number]:
+                view = views[index]
                 if view.name not in pictures:
                     pictures[view.name] = render_view(*model, view.camera).reshape(-1, 3)
                 parts.append(pictures[view.name][pixels])

@@ -259,7 +259,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
     blocks = {block.path.name: block
               for block in sorted(city.blocks(), key=expected_work, reverse=True)}
     titles = {name: f"block {number} of {len(blocks)}" for number, name in enumerate(blocks, 1)}
-    chosen = ("--device", devices[0]) if len(devices) == 1 else ()
+    chosen = ("--device", devices[0]) if len(devices) == 1 and not scheduler else ()
     tasks = [Task(name, ("block", str(block.path.resolve()), "-q", *chosen),
                   RunFolder(block.run).model_path)
              for name, block in blocks.items()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,10 +33,11 @@ BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
 @click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
               help="Folder of the city; default: SCENE.city.")
 @click.option("--workers", default=1, show_default=True, **BLOCKS,
-              help="Number of blocks that are trained at a time on this machine; --grid auto makes "
-              "at least as many blocks.")
+              help="Number of blocks that are trained at a time on this machine, and of processes "
+              "that score the result; --grid auto makes at least as many blocks, and more where "
+              "the last worker then ends earlier. With --scheduler: for how many workers to cut.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
-              "tcp://10.0.0.1:8786, whose workers train the blocks.")
+              "tcp://10.0.0.1:8786, whose workers train the blocks and score the result.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "
               "gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
@@ -98,8 +100,9 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
         with shown("coarse run") as progress:
             train_coarse(folder, data, options, device, progress)
         _, counts = cut_into_blocks(folder, data, options, cutting, device)
-        if not quiet:
-            click.echo(block_table(folder, device, counts).text())
+        if not quiet:  # trial steps would keep the other devices waiting
+            several = workers > 1 or scheduler
+            click.echo(block_table(folder, None if several else device, counts).text())
         outcomes = train_all_blocks(folder, data, options, device, workers=workers,
                                     scheduler=scheduler, devices=devices, progress=shown,
                                     began=began, ended=ended)
@@ -110,7 +113,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     for outcome in failed:
         click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
                    err=True)
-    _finish(folder, data, options, device, fill, against, quiet)
+    _finish(folder, data, options, device, fill, against, quiet, workers, scheduler, devices)
 
 
 @click.command("partition", cls=SectionedCommand)
@@ -174,12 +177,13 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, de
 
 
 def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device, fill: bool,
-            against: Path | None, quiet: bool) -> None:
+            against: Path | None, quiet: bool, workers: int = 1, scheduler: str = "",
+            devices: Sequence[str] = ()) -> None:
     from clsplat.city.finish import evaluate_city, merge_city
     from clsplat.cli.evaluate import summary
     from clsplat.report.city import seam_table, share_table
     merged = merge_city(folder, data, options, device, fill)
-    scores, seams = evaluate_city(folder, data, options, device, against)
+    scores, seams = evaluate_city(folder, options, device, against, workers, scheduler, devices)
     if against and seams is None:
         click.echo("--against: not used, since a single block has no seams", err=True)
     if quiet:
@@ -202,7 +206,7 @@ def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions
         **given, "expected": expected,
         "block_gaussians": given.get("block_gaussians") or max(
             LEAST_GAUSSIANS, gaussians_that_fit(device, options)),
-        "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS))})
+        "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS)), "workers": workers})
 
 
 def _beside(scene: Path) -> Path:

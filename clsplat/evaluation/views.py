@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -86,7 +86,7 @@ def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
     """
     responses = predicted.responses if predicted else {}
     per_view: list[dict[str, Any]] = []
-    names = [name + suffix for suffix in ("", "_cc") for name in metrics]
+    names = score_names(metrics)
     if align:
         names += [f"{name}_aligned" for name in names] + ["aligned_degrees", "aligned_shift"]
     for view in views:
@@ -107,10 +107,28 @@ def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
         per_view.append({"name": view.name, **dict(zip(names, scores))})
         if keep:
             keep(view, image, fitted, photo, valid)
+    return mean_scores(per_view, names, predicted)
+
+
+def mean_scores(per_view: list[dict[str, Any]], names: Iterable[str],
+                predicted: Predicted | None = None) -> dict[str, Any]:
+    """The result of `evaluate_views` from the scores of its views, in their order.
+
+    Parameters
+    ----------
+    per_view : a dict for each view, with its `name` and all scores.
+    names : of the scores.
+    predicted : as for `evaluate_views`.
+    """
     means = {name: float(np.mean([v[name] for v in per_view])) if per_view else math.nan
              for name in names}
     applied = {"exposure_weight": predicted.weight} if predicted else {}
     return {"views": len(per_view), **means, **applied, "per_view": per_view}
+
+
+def score_names(metrics: Iterable[str]) -> list[str]:
+    """The names of the scores by these metrics, without and with the colour fit."""
+    return [name + suffix for suffix in ("", "_cc") for name in metrics]
 
 
 def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
@@ -167,8 +185,8 @@ def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOpt
 
 
 def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None,
-                 metrics: Mapping[str, Metric] = FINAL_METRICS, align: bool = False
-                 ) -> dict[str, Any]:
+                 metrics: Mapping[str, Metric] = FINAL_METRICS, align: bool = False,
+                 per_view: list[dict[str, Any]] | None = None) -> dict[str, Any]:
     """Compare the finished model of a run with its held-out photos.
 
     Parameters
@@ -179,6 +197,8 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     scene_path : where the scene is now; None: where the run has recorded it.
     metrics : by their names.
     align : whether to compare from aligned poses as well.
+    per_view : the scores of the held-out views by `metrics`, in their order, where they are known;
+        None: they are computed here.
 
     Returns
     -------
@@ -205,8 +225,11 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     if save_images:
         run.folder.renders.note("test", [view.name for view in views])
     predicted = predicted_responses(scene.views, run.folder.load_exposures())
-    result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
-                            depth_to_align(scene) if align else 0.0)
+    if per_view is None:
+        result = evaluate_views(*model, views, keep if save_images else None, metrics, predicted,
+                                depth_to_align(scene) if align else 0.0)
+    else:
+        result = mean_scores(per_view, score_names(metrics), predicted)
     if city:
         cameras = [view.camera for view in train]
         result.update(floater_share(city, gaussians, cameras, scene.offset))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -10,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsplat.partition.blockgs import blockgs
 from clsplat.partition.citygs import citygs
-from clsplat.partition.grid import choose_grid
+from clsplat.partition.grid import choose_grid, elongation, makespan, squarest
 from clsplat.partition.input import PartitionInput
 from clsplat.partition.partition import Cells, Partition
 from clsplat.partition.starved import join_starved, refuse_starved
+from clsplat.partition.tracks import seen_by_tracks
 from clsplat.partition.vastgs import vastgs
 
 if TYPE_CHECKING:
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
     from clsplat.scene import Scene
 
 METHODS = {"citygs": citygs, "blockgs": blockgs, "vastgs": vastgs}
+
+MOST_BLOCKS_A_WORKER = 4  # with more, the sizes of blocks hardly matter
+MOST_ELONGATED = 2.0  # sides of the cells of a finer grid: long borders are long seams
+WORTH = 1.1  # a finer grid must end earlier by this
 
 # 1 - SSIM between the render of all gaussians and that of those where the mask bool[M] is true, in
 # the view with this index in scene.views
@@ -63,9 +69,42 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
 
 
 def _chosen_grid(data: PartitionInput, options: PartitionOptions) -> tuple[int, int]:
+    """The smallest grid that fits, or a finer one after which the workers end earlier.
+
+    Blocks differ in work, and with one block a worker the largest decides. More of them balance
+    better, but share more views.
+    """
     low, high = data.content_box()
     side = np.maximum((high - low)[:2], np.finfo(float).tiny)
-    return choose_grid(options.needed, side[0] / side[1])
+    aspect, needed = side[0] / side[1], options.needed
+    if options.workers == 1 or needed > options.workers * MOST_BLOCKS_A_WORKER:
+        return choose_grid(needed, aspect)
+    most = max(needed, options.most_blocks)
+    counts = range(needed, min(needed + 2 * options.workers, most) + 1)
+    grids = dict.fromkeys(grid for count in counts for grid in (
+        choose_grid(count, aspect), squarest(count, aspect))
+        if options.method == "blockgs"  # of which only the number of cells counts
+        or elongation(grid, aspect) <= MOST_ELONGATED or grid == choose_grid(needed, aspect))
+    ends = {grid: makespan(expected_work(data, grid, options), options.workers)
+            for grid in grids if math.prod(grid) <= most or grid == next(iter(grids))}
+    return min((grid for grid in ends if ends[grid] <= WORTH * min(ends.values())), key=math.prod)
+
+
+def expected_work(data: PartitionInput, grid: tuple[int, int], options: PartitionOptions
+                  ) -> NDArray[np.float64]:
+    """[B]: the steps of each block of a grid times what a step costs; the unit is arbitrary.
+
+    Steps are as many as views, by the tracks of the sparse points. About half of a step's time is
+    for its pixels, and does not depend on the gaussians that the block trains; which half is taken
+    from the mean block.
+    """
+    regions, assigned = METHODS[options.method](data, grid, options, None)
+    regions, *_ = join_starved(data, options, regions, assigned)
+    coordinates = regions[0].space.to(data.content)
+    trained = [region.grown(region.margin) for region in regions]
+    gaussians = np.array([region.holds(coordinates).sum() for region in trained])
+    views = seen_by_tracks(data, trained).sum(axis=1)
+    return np.asarray(views * (len(coordinates) / options.needed + gaussians), np.float64)
 
 
 def _dropped(data: PartitionInput, regions: list[Region], assigned: NDArray[np.bool_]

@@ -31,6 +31,7 @@ class PartitionOptions:
     ----------
     expected : gaussians of the whole scene at the end of training; 0 if that is not known.
     least_blocks : the least number of blocks of a chosen grid.
+    workers : how many train blocks at the same time; a chosen grid is such that they end early.
     least_gaussians : a block with fewer gaussians is starved.
 
     Raises
@@ -73,6 +74,7 @@ class PartitionOptions:
                               minimum=0)
     expected: int = 0
     least_blocks: int = 1
+    workers: int = 1
     least_gaussians: int = LEAST_GAUSSIANS
 
     def __post_init__(self) -> None:
@@ -91,12 +93,18 @@ class PartitionOptions:
         if count > MOST_BLOCKS:
             raise InputError(f"{name}: makes {count:,} blocks, more than {MOST_BLOCKS:,}; use a "
                              "smaller --grid")
-        most = max(1, self.expected // max(1, self.least_gaussians))
-        if self.expected and count > most:
+        most = self.most_blocks
+        if count > most:
             raise InputError(
                 f"{name}: makes {count:,} blocks, but the scene will have about "
                 f"{self.expected:,} gaussians, enough for {most:,} blocks of at least "
                 f"{self.least_gaussians}; use a smaller --grid")
+
+    @property
+    def most_blocks(self) -> int:
+        """How many blocks the scene has gaussians for."""
+        most = max(1, self.expected // max(1, self.least_gaussians))
+        return min(most, MOST_BLOCKS) if self.expected else MOST_BLOCKS
 
     @property
     def needed(self) -> int:

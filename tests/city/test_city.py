@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.city import stages
+from clsplat.city import scoring, stages
 from clsplat.city.forecast import gaussians_that_fit, scale_table
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
@@ -262,12 +262,22 @@ def test_a_model_that_cannot_be_written_loses_nothing(copy, capsys):
 
 
 @pytest.mark.slow
-def test_two_workers_end_in_the_same(copy):
-    before = model(copy)
+def test_two_workers_end_in_the_same(copy, monkeypatch):
+    def scores():
+        return [{key: value for key, value in record.items() if "seconds" not in key}
+                for record in RunFolder(copy.path).records()
+                if record["event"] in ("eval", "seams")]
+
+    before, scored, shares = model(copy), scores(), []
     for block in copy.blocks():
         shutil.rmtree(block.run)
+    joined = scoring.joined
+    monkeypatch.setattr(scoring, "LEAST_VIEWS", 2)
+    monkeypatch.setattr(scoring, "joined", lambda files: shares.extend(files) or joined(files))
     city(copy.path, "--workers", "2")
     assert model(copy) == before
+    assert len(shares) == 2 and len(scored) == 2 and scores() == scored
+    assert not (copy.path / scoring.FOLDER).exists()
 
 
 def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path):

@@ -1,8 +1,11 @@
-"""How many gaussians a city is expected to have."""
+"""How many gaussians a city is expected to have, and when its blocks end."""
+
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from clsplat.city.forecast import PIXELS_PER_GAUSSIAN, expected_gaussians
+from clsplat.city.forecast import PIXELS_PER_GAUSSIAN, block_table, expected_gaussians
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from tests.data.tiny_training import CITY
@@ -21,3 +24,15 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
     assert expected(schedule="constant") == pixels // PIXELS_PER_GAUSSIAN
     assert expected(pixels_per_gaussian=20.0) == pixels // 20
     assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)
+
+
+def test_the_end_of_the_blocks_on_several_devices_follows_from_their_steps():
+    def block(number, steps):
+        record = {"own": 10, "margin": 4, "surroundings": 0, "views": 8,
+                  "options": {"iterations": steps}}
+        return SimpleNamespace(path=Path(f"{number:03d}"), read=lambda *_: record)
+
+    city = SimpleNamespace(blocks=lambda: [block(n, 100 * n) for n in (1, 2, 3, 4)])
+    table = block_table(city, None, [10] * 4)
+    assert table.rows[3] == ("004", "10", "4", "0", "0", "8", "400") and len(table.rows) == 4
+    assert "50% on 2, 40% on 3, 40% on 8 (--workers)" in table.notes[0]

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from clsplat.city.merge import cropped, joined
-from clsplat.city.seams import LEAST_PIXELS, _scores, find_borders, find_seams
+from clsplat.city.seams import (
+    LEAST_PIXELS,
+    Strips,
+    _scores,
+    find_borders,
+    find_seams,
+    inspect_views,
+)
 from clsplat.constants import SH_C0
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, Gaussians
@@ -121,9 +128,9 @@ def unspoilt(number, gaussians):
 
 
 @functools.cache
-def report(device, scene, model, spoil=unspoilt):
+def report(device, scene, model, spoil=unspoilt, shares=0):
     """Seams of four blocks that err alike, as the reference does, and a little by themselves;
-    spoil: changes a block."""
+    spoil: changes a block; shares: of the views that are inspected by themselves."""
     reference = noisy(model, 9, 0.2)
     space = Space(np.eye(3), scene.offset, np.full(3, 30.0))
     partition = boxes(QUARTERS, space, margin=0.15)
@@ -131,8 +138,11 @@ def report(device, scene, model, spoil=unspoilt):
     pieces = [cropped(block, partition, number, scene.offset)
               for number, block in enumerate(blocks)]
     counts = [piece.count for piece in pieces]
-    return find_seams(device, partition, scene, scene.views, OPTIONS, joined(pieces), counts,
-                      reference, lambda number: blocks[number])
+    merged, views = joined(pieces), scene.views
+    parts = [inspect_views(device, partition, scene, views, OPTIONS, merged, reference,
+                           range(share, len(views), shares)).arrays() for share in range(shares)]
+    return find_seams(device, partition, scene, views, OPTIONS, merged, counts, reference,
+                      lambda number: blocks[number], Strips.joined(parts) if parts else None)
 
 
 def by_pair(seams, key):
@@ -150,6 +160,11 @@ def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
         assert min(record["gaussians"]) > 50
     table = seam_table(seams).text()
     assert "000 | 001" in table and "all" in table
+
+
+def test_shares_of_the_views_make_the_same_report(item_device, photographed, model):
+    assert report(item_device, photographed, model, shares=3) == report(
+        item_device, photographed, model)
 
 
 def test_blocks_that_are_worse_everywhere_have_no_seam(item_device, photographed, model):

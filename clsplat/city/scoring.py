@@ -1,0 +1,165 @@
+"""Scores of a merged city, a share of the views in each of several processes.
+
+    python -m clsplat.city.scoring CITY SHARE SHARES [REFERENCE]
+
+writes one share; `clsplat.distribute` starts it on every device. Every view is scored by itself, so
+that all shares together are what one process computes, to the bit where the devices are alike.
+"""
+
+import json
+import logging
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clsplat.city.seams import Strips, inspect_views
+from clsplat.device import Device, choose_device
+from clsplat.distribute import Task, run
+from clsplat.evaluation.held_out_responses import predicted_responses
+from clsplat.evaluation.run import Run
+from clsplat.evaluation.views import evaluate_views, final_metrics
+from clsplat.io.atomic import replacing
+from clsplat.io.city import CityFolder
+from clsplat.io.ply import read_ply
+from clsplat.io.run import RunFolder
+from clsplat.options import TrainOptions
+from clsplat.scene import Scene, View
+
+FOLDER = "scores"  # of the shares, in the city's folder while they are computed
+LEAST_VIEWS = 8  # of a share: with fewer, a process begins longer than it scores
+MOST_SHARES = 64  # on a cluster, whose workers are not counted before
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """The scores of views.
+
+    Attributes
+    ----------
+    per_view : of the held-out views, see `evaluate_views`.
+    strips : of all views that are inspected for seams; None for a single block.
+    """
+
+    per_view: list[dict[str, Any]]
+    strips: Strips | None
+
+
+def views_of(scene: Scene, options: TrainOptions) -> tuple[list[View], bool]:
+    """The views on which a city is scored, and whether they were held out.
+
+    Parameters
+    ----------
+    scene : the whole, at the size of the renders.
+    options : of the whole.
+    """
+    train, test = scene.split(options.test_every, options.test_offset)
+    return list(test or train), bool(test)
+
+
+def score_share(city: CityFolder, share: int, shares: int, reference: Path | None, device: Device
+                ) -> None:
+    """Score every `shares`-th view of a merged city, from the view `share` on, and write the file.
+
+    Parameters
+    ----------
+    reference : the PLY file of the reference for seams; None: that of the coarse model.
+    """
+    opened, partition = Run.open(city.path), city.partition()
+    scene, options, merged = opened.scene(), opened.options, opened.finished_model
+    views, held_out = views_of(scene, options)
+    chosen, per_view = range(share, len(views), shares), {}
+    if held_out:
+        model = opened.opened(device, scene, merged)
+        predicted = predicted_responses(scene.views, opened.folder.load_exposures())
+        metrics = final_metrics(options.lpips)
+        for index in chosen:
+            scores = evaluate_views(*model, [views[index]], None, metrics, predicted)["per_view"]
+            if scores:
+                per_view[index] = scores[0]
+    arrays = {}
+    if len(partition.regions) > 1:
+        other = reference_model(city, scene, reference)
+        arrays = inspect_views(device, partition, scene, views, options, merged, other,
+                               chosen).arrays()
+    with replacing(done_file(city, share)) as file:
+        np.savez(file, per_view=np.array(json.dumps(per_view)), **arrays)
+
+
+def reference_model(city: CityFolder, scene: Scene, reference: Path | None) -> Any:
+    """The Gaussians with which seams are compared, in the frame of the scene."""
+    path = reference or RunFolder(city.coarse).model_path
+    return read_ply(path, scene.offset).without_spheres()
+
+
+def done_file(city: CityFolder, share: int) -> Path:
+    """The file of a share."""
+    return city.path / FOLDER / f"{share:03d}" / "scores.npz"
+
+
+def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
+                    scheduler: str = "", devices: Sequence[str] = (), views: int = 0
+                    ) -> Scored | None:
+    """Score the views of a merged city on all workers.
+
+    Parameters
+    ----------
+    reference : as for `score_share`.
+    workers, scheduler, devices : see `distribute.run`.
+    views : how many there are.
+
+    Returns
+    -------
+    The scores; None where one process is to compute them: there are few views or one worker, or a
+    share has failed.
+    """
+    shares = min(views // LEAST_VIEWS, MOST_SHARES if scheduler else workers)
+    if shares < 2:
+        return None
+    shutil.rmtree(city.path / FOLDER, ignore_errors=True)  # of another model
+    try:
+        outcomes = run([Task(f"scores {share}", (
+            str(city.path.resolve()), str(share), str(shares),
+            *((str(reference.resolve()),) if reference else ())), done_file(city, share))
+            for share in range(shares)], workers, scheduler, devices=devices,
+            program="clsplat.city.scoring")
+        for outcome in outcomes:
+            if not outcome.ok:
+                log.warning("%s failed on %s (%s); one process scores all views",
+                            outcome.task.name, outcome.worker, outcome.message)
+                return None
+        return joined([done_file(city, share) for share in range(shares)])
+    finally:
+        shutil.rmtree(city.path / FOLDER, ignore_errors=True)
+
+
+def joined(files: Sequence[Path]) -> Scored:
+    """The scores of all views from the files of all shares."""
+    per_view: dict[int, dict[str, Any]] = {}
+    parts = []
+    for path in files:
+        with np.load(path) as arrays:
+            parts.append(dict(arrays))
+        per_view |= {int(view): scores
+                     for view, scores in json.loads(str(parts[-1].pop("per_view"))).items()}
+    return Scored([per_view[view] for view in sorted(per_view)],
+                  Strips.joined(parts) if parts[0] else None)
+
+
+def main(folder: str, share: str, shares: str, reference: str = "") -> None:
+    """Compute one share on the device that CLSPLAT_DEVICE names, else on that of the city."""
+    city = CityFolder(folder)
+    options = Run.open(city.path).options
+    device = choose_device(os.environ.get("CLSPLAT_DEVICE") or options.device, form=options.form)
+    score_share(city, int(share), int(shares), Path(reference) if reference else None, device)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
