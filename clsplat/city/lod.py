@@ -29,9 +29,11 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
-from clsplat.rendering.tree import MOST_SIGMA_PIXELS
 from clsplat.scene import Scene
 
+# pixels that the mean sigma of a level may cover, by whether the renderer is antialiased (measured:
+# up to there it fits photos of that size better than the finest level, or at most 0.2 dB worse)
+MOST_SIGMA_PIXELS = {False: 2.0, True: 1.1}
 CELL_GAUSSIANS = 2048  # of the finest level, at most
 TAIL_SHARE = 0.01  # of a cell's gaussians at each end of each axis that its box leaves out
 

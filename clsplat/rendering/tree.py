@@ -30,11 +30,14 @@ from clsplat.rendering.slabs import (
     gaussian_limit,
 )
 
-# pixels that the mean sigma of a level may cover, by whether the renderer is antialiased (measured:
-# up to there it fits photos of that size better than the finest level, or at most 0.2 dB worse)
-MOST_SIGMA_PIXELS = {False: 2.0, True: 1.1}
+# pixels that the mean sigma of a node may cover, by whether the renderer is antialiased (measured:
+# up to there no view loses more than 0.2 dB). Levels that were trained may cover more (city/lod.py)
+MOST_SIGMA_PIXELS = {False: 1.0, True: 0.55}
 HOST_BYTES = 1 << 30  # of host memory, for the nodes that are kept and for what is drawn
-CACHE_SHARE = 0.5  # of these bytes for the nodes
+CACHE_SHARE = 0.5  # of these bytes for the nodes; the rest for what is drawn at a time
+ORDER_BYTES = 16  # for each gaussian of the chosen nodes, to sort those that do not fit
+GATHER_BYTES = 64  # for each gaussian that is drawn at a time: which node has it
+PAIR_BYTES = 128  # likewise, where the device has the host's memory: pairs with tiles (measured)
 
 
 def choose(tree: Tree, camera: Camera, pixels: float, near: float, low_pass: float = LOW_PASS
@@ -90,10 +93,15 @@ class NodeCache:
             values = self.tree.read(node, name)
             self.read_bytes += values.nbytes
             self._bytes += values.nbytes
-            while self._kept and self._bytes > self.limit:
-                self._bytes -= self._kept.popitem(last=False)[1].nbytes
+            self.restrict(self.limit)
         self._kept[node, name] = values
         return values
+
+    def restrict(self, limit: float) -> None:
+        """Keep at most so many bytes from now on."""
+        self.limit = limit
+        while self._kept and self._bytes > limit:
+            self._bytes -= self._kept.popitem(last=False)[1].nbytes
 
 
 class NodeParts:
@@ -150,9 +158,9 @@ class TreeRenderer:
     device, near, antialiased, background : as for `pipeline.Renderer`.
     tree : that will be drawn, in the world of its cameras.
     bias : levels are as coarse as if everything were this many times as far away; 0: the finest.
-    host_bytes : of host memory, for nodes that are kept and for what is drawn at a time. On a
-        device whose memory is the host's, this includes what it draws at a time. Slabs need 16
-        bytes more for each gaussian that a camera sees.
+    host_bytes : of host memory, for nodes that are kept and for what is drawn at a time; on a
+        device whose memory is the host's, for its arrays too. More is taken where the chosen nodes
+        have more gaussians than a 32nd of this.
     limit : gaussians that are drawn at a time; None: as many as memory allows.
 
     Attributes
@@ -167,7 +175,8 @@ class TreeRenderer:
                  host_bytes: float = HOST_BYTES, limit: int | None = None) -> None:
         self.device, self.near = device, near
         self._pixels = bias * MOST_SIGMA_PIXELS[antialiased]
-        self.cache = NodeCache(tree, CACHE_SHARE * host_bytes)
+        self._cache_bytes = CACHE_SHARE * host_bytes
+        self.cache = NodeCache(tree, self._cache_bytes)
         self.limit = limit or max(1, min(
             gaussian_limit(device, tree.sh_degree), int(
                 (1 - CACHE_SHARE) * host_bytes / _drawn_bytes(device, tree.sh_degree))))
@@ -189,7 +198,9 @@ class TreeRenderer:
         parts = NodeParts(self.cache, chosen)
         self.drawn, self.frames = self.drawn + parts.count, self.frames + 1
         is_same, self.chosen = np.array_equal(chosen, self.chosen), chosen
-        if not 0 < parts.count <= self.limit:
+        is_whole = 0 < parts.count <= self.limit
+        self.cache.restrict(self._cache_bytes - ORDER_BYTES * parts.count * (not is_whole))
+        if not is_whole:
             self._rows = {}
             return self._slabs.render(parts, self._slabs.pack(camera), width, height, sh_degree,
                                       with_depth)
@@ -204,6 +215,5 @@ class TreeRenderer:
 def _drawn_bytes(device: Device, sh_degree: int) -> int:
     """Bytes of host memory that a gaussian takes while it is drawn."""
     largest = max(4 * field.width(sh_degree) for field in LEARNED)  # on its way to the device
-    if not device.is_cpu:
-        return largest
-    return largest + row_bytes(sh_degree) + 4 * (SPLAT_REALS + INDICES)
+    on_device = row_bytes(sh_degree) + 4 * (SPLAT_REALS + INDICES) + PAIR_BYTES
+    return largest + GATHER_BYTES + on_device * device.is_cpu
