@@ -11,6 +11,7 @@ from clsplat.city.merge import Merged, merge
 from clsplat.city.scoring import reference_model, score_in_shares, views_of
 from clsplat.city.seams import find_seams
 from clsplat.city.stages import COARSE_FACTOR, draw
+from clsplat.city.tree import merge_tree
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
@@ -20,6 +21,7 @@ from clsplat.io.city import CityFolder
 from clsplat.io.georeference.files import placement_comments
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
+from clsplat.io.tree import TREE
 from clsplat.options import TrainOptions
 from clsplat.report.city import seam_table, share_table
 from clsplat.report.page import embedded
@@ -45,6 +47,8 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
                fill: bool = False) -> Merged:
     """Merge the blocks of a city into its model and its levels of detail.
 
+    A tree of an earlier merge is removed, since it may be of other blocks.
+
     Parameters
     ----------
     city : its folder.
@@ -59,20 +63,40 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     """
     merged = merge(city, scene, fill)
     merged.check()
+    run = RunFolder(city.path)
+    (run.path / TREE).unlink(missing_ok=True)
+    _note_merge(city, scene, options, device, merged)
+    run.save_model(merged.gaussians, scene.offset, (
+        f"merged of {len(merged.shares)} blocks",
+        *placement_comments(scene.up, scene.georeference)))
+    keep_coarse_levels(city, scene)
+    merge_levels(city, scene)
+    return merged
+
+
+def merge_city_tree(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+                    fill: bool = False) -> Merged:
+    """Merge the blocks of a city into its tree, with one block at a time in memory.
+
+    A model and scores of an earlier merge stay. Arguments and errors as for `merge_city`.
+    """
+    merged = merge_tree(city.path / TREE, city, scene, options.sh_degree, fill)
+    if not RunFolder(city.path).has_model:
+        _note_merge(city, scene, options, device, merged)
+    return merged
+
+
+def _note_merge(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+                merged: Merged) -> None:
+    """Make the city's folder a run, with the record of a merge and the learned exposures."""
     run, spent = RunFolder(city.path), cost(city)
     run.write_options({**run_record(scene, options, device), "blocks": len(merged.shares)})
     run.write_placement(scene)
     run.rewind(-1)
-    run.log({"event": "merge", **spent, "level": 1.0, "gaussians": merged.gaussians.count,
+    run.log({"event": "merge", **spent, "level": 1.0, "gaussians": merged.count,
              **merged.record()})
-    run.save_model(merged.gaussians, scene.offset, (
-        f"merged of {len(merged.shares)} blocks",
-        *placement_comments(scene.up, scene.georeference)))
     if responses := RunFolder(city.coarse).load_exposures():
         run.save_exposures(responses)
-    keep_coarse_levels(city, scene)
-    merge_levels(city, scene)
-    return merged
 
 
 def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:

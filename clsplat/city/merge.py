@@ -4,6 +4,7 @@ A block trains a margin around its cell, and surroundings; both belong to its ne
 blocks are listed, never ignored: `Merged.check` refuses a model with holes.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,8 @@ class Merged:
 
     Attributes
     ----------
-    gaussians : in the frame of the whole scene, block after block.
+    gaussians : in the frame of the whole scene, block after block; none where the blocks were kept
+        elsewhere.
     shares : one for each block, in the same order.
     dropped : name of a view -> the reason why no block has it.
     path : the folder of the city.
@@ -82,13 +84,19 @@ class Merged:
         raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be "
                          f"merged: {named}; {cure}")
 
+    @property
+    def count(self) -> int:
+        """How many gaussians the model has."""
+        return sum(share.gaussians for share in self.shares)
+
     def record(self) -> dict[str, Any]:
         """A dict for JSON."""
         return {"blocks": [asdict(share) for share in self.shares], "dropped": self.dropped,
-                "gaussians": self.gaussians.count}
+                "gaussians": self.count}
 
 
-def merge(city: CityFolder, scene: Scene, fill: bool = False) -> Merged:
+def merge(city: CityFolder, scene: Scene, fill: bool = False,
+          keep: Callable[[Gaussians], object] | None = None) -> Merged:
     """Merge the finished blocks of a city; `Merged.check` says whether the model has holes.
 
     One block at a time is in memory.
@@ -99,6 +107,8 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False) -> Merged:
     scene : the whole, as `read_scene` returns it.
     fill : take the coarse model's gaussians for blocks that are missing, unfinished or starved, but
         not for a block that another process trains at this moment.
+    keep : called with the gaussians of each block, which then are not in the result; None: they
+        are joined.
 
     Raises
     ------
@@ -111,25 +121,24 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False) -> Merged:
     _check_numbers(city, len(partition.regions))
     owner = partition.owner(world_of(scene, scene.points))
     points = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
-    pieces, shares = [], []
+    pieces: list[Gaussians] = []
+    shares, coarse, keep = [], None, keep or pieces.append
     for number, views in enumerate(partition.views):
         state, trained, piece, note = _block(city.block(number), number, partition, scene)
         if piece and piece.count < STARVED * points[number]:
             state, note = "starved", f"only {piece.count} gaussians in its cell"
             piece = None
-        pieces.append(piece)
+        if fill and state not in ("merged", *NEVER_FILLED):
+            coarse = coarse or RunFolder(city.coarse).load_model(scene.offset)
+            piece = cropped(coarse, partition, number, scene.offset)
+            state, note = "coarse", f"{state}: {note}"
         shares.append(Share(number, state, piece.count if piece else 0, trained, len(views),
                             int(points[number]), note))
-    lacking = [s for s in shares if s.state not in ("merged", *NEVER_FILLED)]
-    if fill and lacking:
-        coarse = RunFolder(city.coarse).load_model(scene.offset)
-        for share in lacking:
-            piece = cropped(coarse, partition, share.block, scene.offset)
-            pieces[share.block] = piece
-            shares[share.block] = Share(share.block, "coarse", piece.count, share.trained,
-                                        share.views, share.points, f"{share.state}: {share.note}")
+        if piece:
+            keep(piece)
+        del piece  # else it is in memory beside the next one
     dropped = {scene.views[view].name: reason for view, reason in partition.dropped.items()}
-    return Merged(joined([piece for piece in pieces if piece]), tuple(shares), dropped, city.path)
+    return Merged(joined(pieces), tuple(shares), dropped, city.path)
 
 
 def cropped(gaussians: Gaussians, partition: Partition, number: int,

@@ -42,17 +42,19 @@ BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
               "gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
               "scene, or its PLY, as the reference for seams, in place of the coarse model.")
+@click.option("--tree", is_flag=True, **BLOCKS, help="Merge into a tree of levels of detail, "
+              "CITY/point_cloud.tree, which `render`, `film` and `view` read in parts, in place of "
+              "point_cloud.ply: one block at a time is in memory, and nothing is evaluated.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 @click.pass_context
 def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, scheduler: str,
-         fill: bool, against: Path | None, quiet: bool, **_options: object) -> None:
+         fill: bool, against: Path | None, tree: bool, quiet: bool, **_options: object) -> None:
     """Train a large SCENE in blocks, and merge them.
 
     The stages are a coarse run, partition, training of the blocks, merge and evaluation. After any
     failure, the same command continues. The folder is a run like any other, for `clsplat eval`,
     `render` and `compare`. For several devices, use --device 0,1 with --workers 2.
     """
-    from clsplat.city.finish import reference_file
     from clsplat.city.forecast import block_table
     from clsplat.city.stages import begin, cut_into_blocks, train_all_blocks, train_coarse
     from clsplat.device import choose_device
@@ -66,7 +68,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
     check_workers(workers)
-    against = reference_file(against)
+    against = _reference(against, tree)
     if options.init != "sfm" or options.coarse:
         raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out")
     data = read_scene(scene, options.images)
@@ -113,7 +115,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     for outcome in failed:
         click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
                    err=True)
-    _finish(folder, data, options, device, fill, against, quiet, workers, scheduler, devices)
+    _finish(folder, data, options, device, fill, against, tree, quiet, workers, scheduler, devices)
 
 
 @click.command("partition", cls=SectionedCommand)
@@ -151,37 +153,55 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
               "missing, unfinished, or has too few gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
               "PLY, as the reference for seams, in place of the coarse model.")
+@click.option("--tree", is_flag=True, help="Merge into a tree of levels of detail, "
+              "CITY/point_cloud.tree, which `render`, `film` and `view` read in parts, in place of "
+              "point_cloud.ply: one block at a time is in memory, and nothing is evaluated.")
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--scene", type=click.Path(path_type=Path), help="Where the scene is now, if it was "
               "moved.")
 @click.pass_context
-def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, device: str,
-          scene: Path | None) -> None:
+def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tree: bool,
+          device: str, scene: Path | None) -> None:
     """Merge the finished blocks of CITY into one model.
 
     It is evaluated on the held-out views. If blocks are missing, the command lists them and ends
     with exit code 2.
     """
-    from clsplat.city.finish import reference_file
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     city = CityFolder(folder)
     city.check_there()
-    against = reference_file(against)
+    against = _reference(against, tree)
     ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(city, scene)
-    _finish(city, data, options, choose_device(device), fill, against, False)
+    _finish(city, data, options, choose_device(device), fill, against, tree, False)
+
+
+def _reference(against: Path | None, tree: bool) -> Path | None:
+    from clsplat.city.finish import reference_file
+    if against and tree:
+        raise InputError("--against: has no effect with --tree, which measures no seams; leave one "
+                         "of them out")
+    return reference_file(against)
 
 
 def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device, fill: bool,
-            against: Path | None, quiet: bool, workers: int = 1, scheduler: str = "",
+            against: Path | None, tree: bool, quiet: bool, workers: int = 1, scheduler: str = "",
             devices: Sequence[str] = ()) -> None:
-    from clsplat.city.finish import evaluate_city, merge_city
+    from clsplat.city.finish import evaluate_city, merge_city, merge_city_tree
     from clsplat.cli.evaluate import summary
+    from clsplat.io.tree import TREE
     from clsplat.report.city import seam_table, share_table
+    if tree:
+        merged = merge_city_tree(folder, data, options, device, fill)
+        if not quiet:
+            click.echo(share_table(merged.record()).text())
+            click.echo(f"{folder.path / TREE}: {merged.count:,} gaussians of "
+                       f"{len(merged.shares)} blocks")
+        return
     merged = merge_city(folder, data, options, device, fill)
     scores, seams = evaluate_city(folder, options, device, against, workers, scheduler, devices)
     if against and seams is None:
@@ -193,7 +213,7 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
         click.echo(seam_table(seams).text())
     if scores:
         click.echo(summary(scores))
-    click.echo(f"{folder.path}: {merged.gaussians.count:,} gaussians of {len(merged.shares)} "
+    click.echo(f"{folder.path}: {merged.count:,} gaussians of {len(merged.shares)} "
                "blocks")
 
 

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import FiniteRange, Parsed, check_free, device_flag, moved_scene_flag
+from clsplat.cli.flags import (
+    FiniteRange,
+    Parsed,
+    check_free,
+    check_streaming,
+    device_flag,
+    moved_scene_flag,
+    streaming_flags,
+)
 from clsplat.errors import InputError
 
 LARGEST_SIDE = 8192  # pixels: the most that H.264 has a level for
@@ -40,10 +48,15 @@ def size_of(text: str) -> tuple[int, int]:
 @click.option("--fov", type=FiniteRange(1, 170), help="Horizontal angle of view, degrees. Default: "
               "that of the photos or of the camera path.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing film.")
+@click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of detail, and "
+              "read only what a picture needs; needs a city with a tree (`clsplat merge --tree`).")
+@streaming_flags
 @moved_scene_flag
 @device_flag
-def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: tuple[int, int],
-         fov: float | None, overwrite: bool, scene: Path | None, device: str) -> None:
+@click.pass_context
+def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: float, fps: float,
+         size: tuple[int, int], fov: float | None, overwrite: bool, lod: bool, lod_bias: float,
+         host_memory: float, scene: Path | None, device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
 
@@ -52,6 +65,7 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
+    from clsplat.evaluation.streamed import streaming_of
     from clsplat.export.camera_path import (
         eased,
         film_degrees,
@@ -68,6 +82,7 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
         write_film,
         write_frames,
     )
+    check_streaming(ctx, lod)
     as_film = output.suffix.lower() in SUFFIXES
     if not as_film and output.suffix:
         raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: "
@@ -93,7 +108,8 @@ def film(run: Path, output: Path, route: str, seconds: float, fps: float, size: 
     cameras = interpolated(keys, times, size, film_degrees(data) if fov is None else fov)
     with Progress() as progress:
         progress.phase("opening the device")
-        pictures = frames(opened, data, cameras, choose_device(device))
+        pictures = frames(opened, data, cameras, choose_device(device),
+                          streaming_of(opened, lod, lod_bias, host_memory))
 
         def shown(number: int) -> None:
             progress.count("frame", number, count)

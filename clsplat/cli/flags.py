@@ -24,6 +24,7 @@ from clsplat.config.option import (
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 
+LEAST_HOST_BYTES = 16 << 20
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
 NAMES = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -121,6 +122,40 @@ device_flag = click.option("--device", default="auto", show_default=True,
                            help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 moved_scene_flag = click.option("--scene", type=click.Path(path_type=Path),
                                 help="Where the scene is now, if it was moved.")
+
+
+def bytes_of(text: str) -> float:
+    """Bytes of a size such as 512MiB or 2GiB."""
+    units = {"kib": 1 << 10, "mib": 1 << 20, "gib": 1 << 30}
+    number, unit = text.strip()[:-3], text.strip()[-3:].lower()
+    try:
+        size = float(number) * units[unit]
+    except (ValueError, KeyError):
+        size = 0.0
+    if not LEAST_HOST_BYTES <= size < math.inf:
+        raise ValueError("not a size of memory; give at least 16MiB, such as 512MiB or 2GiB")
+    return size
+
+
+def streaming_flags(command: Command) -> Command:
+    """Add the flags of commands that draw the tree of a city."""
+    for decorate in (
+            click.option("--host-memory", type=Parsed("SIZE", bytes_of), default="1GiB",
+                         show_default=True, help="With --lod, for a city with a tree: host memory "
+                         "for the gaussians that are read, such as 512MiB."),
+            click.option("--lod-bias", type=FiniteRange(0, 1e6, min_open=True), default=1.0,
+                         show_default=True, help="With --lod: multiply distances by this when "
+                         "choosing the levels; more than 1 is coarser.")):
+        command = decorate(command)
+    return command
+
+
+def check_streaming(ctx: click.Context, lod: bool) -> None:
+    """InputError where a flag of `streaming_flags` was given without --lod."""
+    for name in ("lod_bias", "host_memory"):
+        if not lod and ctx.get_parameter_source(name) is not ParameterSource.DEFAULT:
+            flag = "--" + name.replace("_", "-")
+            raise InputError(f"{flag}: has no effect without --lod; add --lod, or leave this out")
 
 
 def check_free(output: Path, overwrite: bool) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import FiniteRange, device_flag
+from clsplat.cli.flags import check_streaming, device_flag, streaming_flags
 from clsplat.errors import InputError
 
 
@@ -20,28 +20,44 @@ from clsplat.errors import InputError
               show_default=True, help="Which views of the scene to render.")
 @click.option("--beside", is_flag=True, help="Put each render beside its photo.")
 @click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of detail; needs a "
-              "run that was trained with --snapshots.")
-@click.option("--lod-bias", type=FiniteRange(0, 1e6, min_open=True), default=1.0,
-              show_default=True, help="With --lod: multiply distances by this when choosing the "
-              "levels; more than 1 is coarser.")
+              "city with a tree (`clsplat merge --tree`), or a run that was trained with "
+              "--snapshots.")
+@streaming_flags
 @device_flag
-def render(model: Path, scene: Path | None, output: Path, views: str, beside: bool, lod: bool,
-           lod_bias: float, device: str) -> None:
-    """Render a run, or a file of gaussians, from the cameras of a scene."""
+@click.pass_context
+def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path, views: str,
+           beside: bool, lod: bool, lod_bias: float, host_memory: float, device: str) -> None:
+    """Render a run, or a file of gaussians, from the cameras of a scene.
+
+    A city that was merged with --tree is read in parts, and need not fit memory.
+    """
     from functools import partial
 
     from clsplat.device import choose_device
-    from clsplat.evaluation.run import Run, to_render
+    from clsplat.evaluation.run import Run, scene_of_views, to_render
+    from clsplat.evaluation.streamed import has_tree, open_tree, streaming_of
     from clsplat.evaluation.views import opened, render_view, render_views
-    if lod_bias != 1 and not lod:
-        raise InputError("--lod-bias: has no effect without --lod; add --lod, or leave this out")
-    run = Run.open(model) if lod else None
-    gaussians, data, options = to_render(model, scene)
+    check_streaming(ctx, lod)
+    run = Run.open(model) if lod or model.is_dir() else None
+    streaming = run and has_tree(run) and streaming_of(run, lod, lod_bias, host_memory)
+    if run and streaming:
+        options = run.options
+        data = scene_of_views(run, scene).reduced(options.downscale, options.max_resolution)
+    else:
+        gaussians, data, options = to_render(model, scene)
     train, test = data.split(options.test_every, options.test_offset)
     chosen = {"all": data.views, "train": train, "test": test}[views]
     if not chosen:
         raise InputError(f"{data.name}: has no {views} views; choose others with --views")
-    if run is None:
+    if run and streaming:
+        renderer, tree = open_tree(run, choose_device(device), data.near(options.near), streaming)
+        render_views(lambda camera: render_view(
+            renderer, tree, tree.sh_degree, camera.shifted(tree.offset - data.offset)),
+            chosen, output, beside)
+        share = renderer.drawn / (len(chosen) * tree.count)
+        click.echo(f"{share:.1%} of {tree.count:,} gaussians drawn, mean of the views; "
+                   f"{renderer.cache.read_bytes / 2**20:,.0f} MiB read")
+    elif not (run and lod):
         draw = partial(render_view, *opened(choose_device(device), gaussians, data, options))
         render_views(draw, chosen, output, beside)
     else:

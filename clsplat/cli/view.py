@@ -6,15 +6,20 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import device_flag
+from clsplat.cli.flags import check_streaming, device_flag, streaming_flags
 
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--port", type=click.IntRange(0, 65535), default=0,
               help="Port of the page; default: 8642 if it is free, else any.")
+@click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of detail, and "
+              "read only what a picture needs; needs a city with a tree (`clsplat merge --tree`).")
+@streaming_flags
 @device_flag
-def view(run: Path, port: int, device: str) -> None:
+@click.pass_context
+def view(ctx: click.Context, /, run: Path, port: int, lod: bool, lod_bias: float,
+         host_memory: float, device: str) -> None:
     """Show the model of RUN on a page for the browser, until Ctrl-C.
 
     clsplat draws every frame itself, so the page works in any browser. It can only be opened on
@@ -22,10 +27,13 @@ def view(run: Path, port: int, device: str) -> None:
     """
     from clsplat.device import choose_device
     from clsplat.evaluation.run import Run
+    from clsplat.evaluation.streamed import streaming_of
     from clsplat.view.live import show_run
+    check_streaming(ctx, lod)
     opened = Run.open(run)
+    streaming = streaming_of(opened, lod, lod_bias, host_memory)
     try:
-        show_run(opened, choose_device(device), announce, port)
+        show_run(opened, choose_device(device), announce, port, streaming)
     except KeyboardInterrupt:
         click.echo("closed")
 

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,13 @@ from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
+from clsplat.evaluation.streamed import Streaming, open_tree
+from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
 from clsplat.io.images import eight_bits, write_image
-from clsplat.rendering.slabs import open_model
+from clsplat.io.tree import Tree
+from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.scene import Scene
 
 try:
@@ -40,8 +44,8 @@ def check_codec() -> None:
                          "for PNG files")
 
 
-def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device
-           ) -> Iterable[Pixels]:
+def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
+           streaming: Streaming | None = None) -> Iterable[Pixels]:
     """Draw a finished run.
 
     Parameters
@@ -50,10 +54,19 @@ def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device
     scene : of the run; tells where the near plane is.
     cameras : in original coordinates.
     device : an open device.
+    streaming : draw the tree of the run in this way; None: its model.
     """
-    model, options = run.finished_model, run.options
+    options = run.options
     near = scene.near(options.near) * scene.unit
-    renderer, rows = open_model(device, model, near, options.antialiased, options.background)
+    renderer: ModelRenderer
+    rows: Any
+    model: Tree | Gaussians
+    if streaming:
+        renderer, rows = open_tree(run, device, near, streaming)
+        model = rows
+    else:
+        model = run.finished_model
+        renderer, rows = open_model(device, model, near, options.antialiased, options.background)
     for camera in cameras:
         packed = renderer.pack(camera.shifted(model.offset))
         frame = renderer.render(rows, packed, camera.width, camera.height, model.sh_degree)

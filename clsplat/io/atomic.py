@@ -35,7 +35,8 @@ def replacing(path: str | Path, content: bytes | None = None) -> Iterator[Buffer
             file.flush()
             os.fsync(file.fileno())
             size = file.seek(0, os.SEEK_END)
-        if partial.stat().st_size != size or content not in (None, partial.read_bytes()):
+        if partial.stat().st_size != size or (
+                content is not None and content != partial.read_bytes()):
             raise OSError(errno.EIO, "what was written cannot be read back")
         os.replace(partial, path)
     except BaseException as error:

@@ -367,7 +367,7 @@ class RunFolder:
         """InputError if the training is not finished."""
         if not self.has_model:
             raise InputError(f"{self.model_path}: the run has no model yet; finish it with "
-                             "--resume")
+                             "--resume, or a city with `clsplat merge`")
 
     def load_model(self, offset: ArrayLike | None = None) -> Gaussians:
         """Load the finished model in the scene's local coordinates; see `ply.read_ply`."""

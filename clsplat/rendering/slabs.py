@@ -45,6 +45,7 @@ INDICES = 6  # uints for each gaussian that culling and sorting need
 PART_ROWS = 1 << 16  # rows that share a bounding box
 CUTOFF = 2.01 * np.log(ALPHA_STEPS)  # squared distance: at least largest_extent's of cl/cull.cl
 ROUNDING = 1e-5  # share of a coordinate that float32 may lose on the way to a pixel
+ROW = np.uint64(2**32 - 1)  # the bits of a row beside the key of its depth
 CULL_FIELDS = ("positions", "log_scales", "quaternions", "opacity_logits")
 
 
@@ -57,6 +58,16 @@ class ModelRenderer(Protocol):
     def render(self, rows: Any, camera: Any, width: int, height: int, sh_degree: int, /,
                with_depth: bool = False) -> Frame | SlabFrame:
         """Render the model from a packed camera."""
+
+
+class SlabParts(Protocol):
+    """What a SlabRenderer draws: fewer than 2^32 rows, as in `Parts`."""
+
+    def seen(self, camera: Camera, near: float, low_pass: float = LOW_PASS, /) -> list[slice]:
+        """Slices of the rows that a camera may see."""
+
+    def read(self, name: str, rows: slice | NDArray[np.int64], /) -> NDArray[np.floating]:
+        """A field of some rows."""
 
 
 def gaussian_limit(device: Device, sh_degree: int) -> int:
@@ -125,31 +136,50 @@ class Parts:
         return cls(rows, firsts, low, high, np.exp(largest))
 
     def seen(self, camera: Camera, near: float, low_pass: float = LOW_PASS) -> list[slice]:
-        """Slices of the rows that a camera may see: all that `cull` would draw is in one of them.
+        """Slices of the rows that a camera may see; all that `cull` would draw is in one."""
+        seen = boxes_seen(self.low, self.high, self.scales, camera, near, low_pass)
+        return [slice(*self.firsts[part:part + 2]) for part in np.flatnonzero(seen)]
 
-        A footprint reaches into the image from the left if f x/z + c + e > 0, where its half width
-        e is at most pad + reach/z with constants for each part. Times z this is linear in the
-        centre, so it holds for no centre in a box if it holds for no corner.
-        """
-        pick = np.array(list(np.ndindex(2, 2, 2)))
-        corners = np.stack([self.low, self.high], axis=1)[:, pick, np.arange(3)]
-        points = corners @ camera.rotation.T + camera.translation
-        slack = ROUNDING * (abs(corners).max(axis=(1, 2)) + abs(camera.translation).max())
-        slack = slack[:, None]
-        depth = points[..., 2] + slack
-        outside = (depth <= near).all(axis=1)
-        if camera.orthographic:
-            depth = np.ones_like(depth)
-        pad = np.sqrt(CUTOFF * low_pass)
-        ratios = np.abs(clamped_ratios(camera)).max(axis=0) * (not camera.orthographic)
-        for axis, size in enumerate((camera.width, camera.height)):
-            focal, centre, ratio = camera.focal[axis], camera.centre[axis], ratios[axis]
-            reach = focal * np.sqrt(CUTOFF * (1 + ratio**2)) * self.scales[:, None]
-            reach = reach + slack * (focal + 2 * size + abs(centre))
-            across = focal * points[..., axis]
-            for side in (across + (centre + pad) * depth, (size - centre + pad) * depth - across):
-                outside |= (side + reach <= 0).all(axis=1)
-        return [slice(*self.firsts[part:part + 2]) for part in np.flatnonzero(~outside)]
+    def read(self, name: str, rows: slice | NDArray[np.int64]) -> NDArray[np.floating]:
+        """A field of some rows."""
+        return self.rows[name][rows]
+
+
+def boxes_seen(low: NDArray[np.float64], high: NDArray[np.float64], scales: NDArray[np.float64],
+               camera: Camera, near: float, low_pass: float = LOW_PASS) -> NDArray[np.bool_]:
+    """bool[P]: whether a camera may see gaussians of boxes; where not, `cull` draws none of them.
+
+    A footprint reaches into the image from the left if f x/z + c + e > 0, where its half width
+    e is at most pad + reach/z with constants for each box. Times z this is linear in the
+    centre, so it holds for no centre in a box if it holds for no corner.
+
+    Parameters
+    ----------
+    low, high : float64[P, 3], corners of the bounding box of the centres, world units.
+    scales : float64[P], the largest standard deviation of a gaussian, world units.
+    camera : in the same world.
+    near : depth of the near plane, world units.
+    low_pass : as for `pipeline.Renderer`.
+    """
+    pick = np.array(list(np.ndindex(2, 2, 2)))
+    corners = np.stack([low, high], axis=1)[:, pick, np.arange(3)]
+    points = corners @ camera.rotation.T + camera.translation
+    slack = ROUNDING * (abs(corners).max(axis=(1, 2)) + abs(camera.translation).max())
+    slack = slack[:, None]
+    depth = points[..., 2] + slack
+    outside = (depth <= near).all(axis=1)
+    if camera.orthographic:
+        depth = np.ones_like(depth)
+    pad = np.sqrt(CUTOFF * low_pass)
+    ratios = np.abs(clamped_ratios(camera)).max(axis=0) * (not camera.orthographic)
+    for axis, size in enumerate((camera.width, camera.height)):
+        focal, centre, ratio = camera.focal[axis], camera.centre[axis], ratios[axis]
+        reach = focal * np.sqrt(CUTOFF * (1 + ratio**2)) * scales[:, None]
+        reach = reach + slack * (focal + 2 * size + abs(centre))
+        across = focal * points[..., axis]
+        for side in (across + (centre + pad) * depth, (size - centre + pad) * depth - across):
+            outside |= (side + reach <= 0).all(axis=1)
+    return ~outside
 
 
 @dataclass(eq=False)
@@ -198,7 +228,7 @@ class SlabRenderer:
         """The camera for `render`: in host memory, to choose the parts, and on the device."""
         return camera, self._renderer.pack(camera)
 
-    def render(self, parts: Parts, camera: tuple[Camera, Array], width: int, height: int,
+    def render(self, parts: SlabParts, camera: tuple[Camera, Array], width: int, height: int,
                sh_degree: int, with_depth: bool = False) -> SlabFrame:
         """Render a model; arguments as for `pipeline.Renderer.render`."""
         host_camera, packed = camera
@@ -206,11 +236,13 @@ class SlabRenderer:
         image, depth = np.zeros((3, height, width), real), np.zeros((height, width), real)
         left, slabs = np.ones((height, width), real), 0
         drawn = self._front_to_back(parts, host_camera, packed)
+        rows: dict[str, Array] = {}
         for begin in range(0, len(drawn), self.limit):
             if left.max() < TRANSMITTANCE_MIN:
                 break
-            chosen = drawn[begin:begin + self.limit]
-            rows = {f.name: device.upload(parts.rows[f.name][chosen]) for f in LEARNED}
+            chosen = (drawn[begin:begin + self.limit] & ROW).astype(np.int64)
+            rows.clear()  # gives its memory to the next slab
+            rows |= {f.name: device.upload(parts.read(f.name, chosen)) for f in LEARNED}
             slab = self._renderer.render(rows, packed, width, height, sh_degree,
                                          with_depth).blended
             image += left * slab.image.download()
@@ -226,15 +258,21 @@ class SlabRenderer:
         return SlabFrame(Blended(device.upload(image), device.upload(left), None,
                                  device.upload(depth)), slabs)
 
-    def _front_to_back(self, parts: Parts, camera: Camera, packed: Array) -> NDArray[np.int64]:
-        """int64[V]: the rows that are drawn, by depth as the device computes it, ties by row."""
-        rows, keys = [np.empty(0, np.int64)], [np.empty(0, np.uint32)]
+    def _front_to_back(self, parts: SlabParts, camera: Camera, packed: Array
+                       ) -> NDArray[np.uint64]:
+        """uint64[V]: the rows that are drawn, by depth as the device computes it, ties by row.
+
+        The lower half of a number is the row, the upper half the key of its depth.
+        """
+        drawn = [np.empty(0, np.uint64)]
         for piece in parts.seen(camera, self.near, self._renderer.low_pass):
-            on_device = {name: self.device.upload(parts.rows[name][piece]) for name in CULL_FIELDS}
-            drawn, depth_keys = self._drawn(on_device, packed)
-            rows.append(piece.start + drawn.astype(np.int64))
-            keys.append(depth_keys)
-        return np.concatenate(rows)[np.argsort(np.concatenate(keys), kind="stable")]
+            on_device = {name: self.device.upload(parts.read(name, piece)) for name in CULL_FIELDS}
+            rows, depth_keys = self._drawn(on_device, packed)
+            drawn.append(depth_keys.astype(np.uint64) << np.uint64(32)
+                         | rows + np.uint64(piece.start))
+        order = np.concatenate(drawn)
+        order.sort()
+        return order
 
     def _drawn(self, rows: Rows, camera: Array
                ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:

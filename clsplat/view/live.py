@@ -10,8 +10,11 @@ from typing import Any, NoReturn
 
 from clsplat.device import Device
 from clsplat.evaluation.run import Run, shown
+from clsplat.evaluation.streamed import Streaming, open_tree
 from clsplat.export.page import filled, near_of, script_json, view_record
-from clsplat.rendering.slabs import open_model
+from clsplat.gaussians import Gaussians
+from clsplat.io.tree import Tree
+from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.scene import Scene
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
@@ -27,7 +30,8 @@ def live_page(title: str, view: dict[str, Any]) -> str:
     return filled("live.html", title=escape(title), model=script_json(view))
 
 
-def show_run(run: Run, device: Device, opened: Callable[[str], object], port: int = 0) -> NoReturn:
+def show_run(run: Run, device: Device, opened: Callable[[str], object], port: int = 0,
+             streaming: Streaming | None = None) -> NoReturn:
     """Serve a page of a run's model, and draw its frames, until KeyboardInterrupt.
 
     Parameters
@@ -36,16 +40,25 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
     device : that draws.
     opened : called with the address of the page.
     port : as for ViewServer.
+    streaming : draw the tree of the run in this way; None: its model.
 
     Raises
     ------
-    InputError : there is no model, or the port cannot be opened.
+    InputError : there is no model or no tree, or the port cannot be opened.
     """
-    model, options = shown(run.model, run.path), run.options
+    renderer: ModelRenderer
+    rows: Any
+    model: Tree | Gaussians
+    if streaming:
+        renderer, rows = open_tree(run, device, near_of(run), streaming)
+        model, positions = rows, rows.read(len(rows.nodes) - 1, "positions")  # of the root
+    else:
+        model, options = shown(run.model, run.path), run.options
+        positions = model.positions
+        renderer, rows = open_model(device, model, near_of(run), options.antialiased,
+                                    options.background)
     view = run.first_view.shifted(model.offset - run.first_view.offset)
-    page = live_page(run.path.resolve().name, view_record(view, run.up, model.positions))
-    renderer, rows = open_model(device, model, near_of(run), options.antialiased,
-                                options.background)
+    page = live_page(run.path.resolve().name, view_record(view, run.up, positions))
     requests = FrameRequests()
     with ViewServer(page, requests, lambda: {"gaussians": model.count}, port) as server:
         opened(server.address)

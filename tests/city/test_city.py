@@ -14,6 +14,7 @@ from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
 from clsplat.io.city import CityFolder
+from clsplat.io.images import read_image
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
@@ -97,6 +98,38 @@ def test_blocks_take_as_many_steps_a_view_as_one_run_would(made):
         assert record["options"]["test_every"] == 0 and record["options"]["levels"] == [1.0]
     assert RunFolder.open(made.coarse).read_options()["downscale"] == 8
     assert stages.block_steps(resolve({}, {}), 299.6)["iterations"] == 300
+
+
+def pictures(folder, out, *words):
+    """float[K, H, W, 3], 0 to 1: the held-out views, as `clsplat render` draws them."""
+    command("render", folder.path, "--views", "test", "-o", out, "--device", DEVICE, *words)
+    return np.array([read_image(path) for path in sorted(out.rglob("*.png"))]) / 255
+
+
+def test_a_tree_is_drawn_as_the_model_it_replaces(copy, tmp_path, capsys):
+    whole = pictures(copy, tmp_path / "whole")
+    merged = RunFolder(copy.path).load_model()
+    (copy.path / "point_cloud.ply").unlink()
+    command("merge", copy.path, "--tree", "--device", DEVICE)
+    assert f"{merged.count:,} gaussians of 2 blocks" in capsys.readouterr().out
+    assert not (copy.path / "point_cloud.ply").exists()
+    near = ("--lod", "--lod-bias", "1e-6", "--host-memory", "16MiB")
+    for name, words in (("tree", ()), ("near", near)):
+        assert abs(pictures(copy, tmp_path / name, *words) - whole).max() <= 1 / 255
+    assert "of " + f"{merged.count:,} gaussians drawn" in capsys.readouterr().out
+    far = pictures(copy, tmp_path / "far", "--lod", "--lod-bias", "1e6")
+    assert 0.003 < abs(far - whole).mean() < 0.1
+    command("film", copy.path, "-o", tmp_path / "film", "--seconds", "0.1", "--fps", "20", "--size",
+            "64x48", "--lod", "--device", DEVICE)
+    assert len(list((tmp_path / "film").iterdir())) == 2
+    command("merge", copy.path, "--device", DEVICE)  # of other blocks perhaps
+    assert not (copy.path / "point_cloud.tree").exists()
+    command("render", copy.path, "-o", tmp_path / "none", "--host-memory", "1GiB", code=2)
+    assert "--host-memory: has no effect without --lod" in capsys.readouterr().err
+    command("film", copy.path, "-o", tmp_path / "none", "--lod", code=2)
+    assert "point_cloud.tree: no such file" in capsys.readouterr().err
+    command("merge", copy.path, "--tree", "--against", copy.coarse, code=2)
+    assert "--against: has no effect with --tree" in capsys.readouterr().err
 
 
 @pytest.mark.slow

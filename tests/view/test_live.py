@@ -9,13 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clsplat.city.tree import write_tree
 from clsplat.estimate.trial_steps import sampled
 from clsplat.evaluation.run import Run
+from clsplat.evaluation.streamed import Streaming
 from clsplat.evaluation.views import render_view
 from clsplat.export.page import view_record
 from clsplat.io.images import read_image
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
+from clsplat.io.tree import TREE
 from clsplat.rendering.slabs import open_model
 from clsplat.training.loop import train
 from clsplat.view import live
@@ -158,18 +161,39 @@ def test_frames_take_no_more_than_their_share(city, monkeypatch):
 
 
 def test_a_run_is_shown_as_its_model_is_rendered(item_device, city, tmp_path):
+    """So is its tree, without the model."""
     folder = RunFolder.create(tmp_path / "run")
     train(city, options_of(iterations=40), item_device, folder)
-    run, answers = Run.open(folder.path), {}
+    run = Run.open(folder.path)
     camera = city.views[5].camera.resized(*FRAME)
     middle = camera.cropped(30, 22, 32, 24)
+    model = run.model
+    write_tree(folder.path / TREE, iter([model]), model.sh_degree, model.offset)
+    local = camera.shifted(model.offset - camera.offset)
+    opened = open_model(item_device, model, city.near_plane)
+    expected = render_view(*opened, model.sh_degree, local)
+    assert expected.std() > 0.05
+    points = city.points[city.views[5].sees(city.points)]
+    depths = camera.project(points)[1]
+    for streaming in (None, Streaming(bias=0.0)):
+        answers = shown_on_a_page(run, item_device, streaming, camera, middle)
+        folder.model_path.unlink(missing_ok=True)
+        code, jpeg = answers["frame"]
+        assert code == 200
+        assert np.abs(read_image(jpeg) / 255.0 - expected).mean() < 0.02
+        depth = json.loads(answers["depth"][1])["depth"]
+        assert np.quantile(depths, 0.02) < depth < np.quantile(depths, 0.98)
+
+
+def shown_on_a_page(run, device, streaming, camera, middle):
+    """{"frame", "depth"}: what the page of a run answers for two cameras."""
+    answers, raise_in_next = {}, []
 
     def ask(address):
         for what, each in (("frame", camera), ("depth", middle)):
             answers[what] = asked(address, what, each)
         raise_in_next.append(True)
 
-    raise_in_next = []
     original = live.FrameRequests.next
 
     def until_answered(self, patience=0.0):
@@ -179,19 +203,9 @@ def test_a_run_is_shown_as_its_model_is_rendered(item_device, city, tmp_path):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(live.FrameRequests, "next", until_answered)
         with pytest.raises(KeyboardInterrupt):
-            show_run(run, item_device, lambda address: threading.Thread(
-                target=ask, args=(address,), daemon=True).start())
-    model = run.model
-    local = camera.shifted(model.offset - camera.offset)
-    opened = open_model(item_device, model, city.near_plane)
-    code, jpeg = answers["frame"]
-    expected = render_view(*opened, model.sh_degree, local)
-    assert code == 200 and expected.std() > 0.05
-    assert np.abs(read_image(jpeg) / 255.0 - expected).mean() < 0.02
-    depth = json.loads(answers["depth"][1])["depth"]
-    points = city.points[city.views[5].sees(city.points)]
-    depths = camera.project(points)[1]
-    assert np.quantile(depths, 0.02) < depth < np.quantile(depths, 0.98)
+            show_run(run, device, lambda address: threading.Thread(
+                target=ask, args=(address,), daemon=True).start(), streaming=streaming)
+    return answers
 
 
 def test_a_page_goes_on_after_a_frame_that_cannot_be_drawn(city, monkeypatch):

@@ -1,11 +1,13 @@
 """The quality and speed of levels of detail for distant cameras: prints a line for each view.
 
     python -m tools.studies.levels_of_detail RUN [--scene SCENE] [-r R] [--away A] [--bias B]
+        [--tree]
 
 Held-out views are drawn at levels of detail and with the full model. -r makes pictures and photos R
 times smaller, with as few pixels a world unit as from R times the distance; both are compared with
 the photos. --away moves each camera back by A times its distance to the scene; both are then
-compared with the full model at SUPERSAMPLING^2 samples a pixel.
+compared with the full model at SUPERSAMPLING^2 samples a pixel. --tree draws the tree of a city in
+place of the levels of its training.
 """
 
 import argparse
@@ -20,6 +22,7 @@ from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import Run, to_render
+from clsplat.evaluation.streamed import Streaming, open_tree
 from clsplat.evaluation.views import opened, photo_of, render_view
 from tools.studies.evidence import outermost
 
@@ -37,13 +40,14 @@ def main(argv):
     made.add_argument("-r", "--downscale", type=float, default=1.0)
     made.add_argument("--away", type=float, default=0.0)
     made.add_argument("--bias", type=float, default=1.0, help="see `clsplat.city.lod.Detail`")
+    made.add_argument("--tree", action="store_true")
     made.add_argument("--device", default="auto")
     given = made.parse_args(argv)
     print(f"{'view':<20}" + "".join(
         f"{name:>{how.partition('.')[0].rstrip(',')}}" for name, how in COLUMNS.items()))
     records = []
     for record in compare_views(given.run, given.scene, choose_device(given.device), given.bias,
-                                given.away, given.downscale):
+                                given.away, given.downscale, given.tree):
         records.append(record)
         print(line(record), flush=True)
     print(line({"name": "mean", **{key: np.mean([r[key] for r in records]) for key in COLUMNS}}))
@@ -55,7 +59,7 @@ def line(record):
         f"{record[key]:>{how}}" for key, how in COLUMNS.items())
 
 
-def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0):
+def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0, tree=False):
     """Yield a dict for each held-out view of a run.
 
     Its keys are name; gaussians, the number that is drawn, and share, the same as a share of the
@@ -65,19 +69,40 @@ def compare_views(path, scene_path, device, bias=1.0, away=0.0, downscale=1.0):
     run = Run.open(path)
     gaussians, scene, options = to_render(path, scene_path)
     scene = scene.reduced(downscale)
-    detail, full = Detail(run, scene, device, bias), opened(device, gaussians, scene, options)
+    detail = (TreeDetail if tree else Detail)(run, scene, device, bias)
+    full = opened(device, gaussians, scene, options)
     for view in scene.split(options.test_every, options.test_offset)[1] or scene.views:
         camera, part = view.camera, np.s_[:, :]
         if away:
             camera, part = moved_away(camera, scene.points, away)
+        drawn = detail.drawn
         image, seconds = _timed(device, detail.draw, camera)
+        drawn = detail.drawn - drawn
         whole, full_seconds = _timed(device, lambda camera: render_view(*full, camera), camera)
         image, whole, reference = image[part], whole[part], (
             supersampled(full, camera) if away else photo_of(view))[part]
-        yield {"name": view.name, "gaussians": detail.chosen.count,
-               "share": detail.chosen.count / gaussians.count, "psnr_full": psnr(image, whole),
+        yield {"name": view.name, "gaussians": drawn,
+               "share": drawn / gaussians.count, "psnr_full": psnr(image, whole),
                "psnr": psnr(image, reference), "full_psnr": psnr(whole, reference),
                "seconds": seconds, "full_seconds": full_seconds}
+
+
+class TreeDetail:
+    """Draws the tree of a run as `Detail` draws levels; arguments and attributes as there."""
+
+    def __init__(self, run, scene, device, bias=1.0):
+        self._renderer, self._tree = open_tree(run, device, scene.near(run.options.near),
+                                               Streaming(bias))
+        self._away = self._tree.offset - scene.offset
+
+    @property
+    def drawn(self):
+        return self._renderer.drawn
+
+    def draw(self, camera):
+        """[H, W, 3], 0 to 1: the picture of a camera."""
+        return render_view(self._renderer, self._tree, self._tree.sh_degree,
+                           camera.shifted(self._away))
 
 
 def supersampled(model, camera, samples=SUPERSAMPLING):

@@ -1,0 +1,170 @@
+"""The merged model of a city as a tree of levels of detail, made block by block.
+
+A block is halved across its longest side, again and again, until no part has more than CELL
+gaussians: these are the leaves. Four of them, or of the nodes above, are replaced by a quarter as
+many gaussians, which `decimated` merges; the tops of the blocks likewise. So host memory holds one
+block, and of the others only what is known of their tops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.city.lod import CELL_GAUSSIANS, TAIL_SHARE, frequency
+from clsplat.city.merge import Merged, merge
+from clsplat.edit.decimate import decimated
+from clsplat.edit.select import merged, selected
+from clsplat.gaussians import Gaussians
+from clsplat.io.city import CityFolder
+from clsplat.io.tree import TreeWriter, writing_tree
+from clsplat.scene import Scene
+
+CELL = CELL_GAUSSIANS  # of a leaf at most
+FANOUT = 4  # nodes that one above replaces, at most, and how many times fewer gaussians it has
+LEAST = 1e-30  # frequency, where all gaussians are transparent
+Node = tuple[int, Gaussians]  # its number and its content
+
+
+@dataclass
+class TreeBuilder:
+    """Builds a tree from blocks, which are added one after the other.
+
+    Attributes
+    ----------
+    writer : of the file.
+    cell : gaussians of a leaf at most.
+    """
+
+    writer: TreeWriter
+    cell: int = CELL
+    _tops: list[int] = field(default_factory=list)
+
+    def add(self, block: Gaussians) -> None:
+        """Write the nodes of a block; nothing for one without gaussians."""
+        if block.count:
+            number, _ = self._below(block, np.arange(block.count))
+            self._tops.append(number)
+
+    def finish(self) -> None:
+        """Write the nodes above the blocks; the last one is the root."""
+        tops = np.array(self._tops, np.intp)
+        middles = np.array([(self.writer.nodes[top]["usual_low"] + self.writer.nodes[
+            top]["usual_high"]) / 2 for top in tops]).reshape(-1, 3)
+
+        def above(rows: NDArray[np.intp]) -> Node:
+            if len(rows) == 1:
+                top = int(tops[rows[0]])
+                return top, self.writer.read(top)
+            return self._joined([above(part) for part in parted(middles, rows, 1)])
+
+        if len(tops):
+            above(np.arange(len(tops)))
+
+    def _below(self, block: Gaussians, rows: NDArray[np.intp]) -> Node:
+        if len(rows) <= self.cell:
+            content = selected(block, rows)
+            return self.writer.add(content, facts_of(content)), content
+        return self._joined([self._below(block, part)
+                             for part in parted(block.positions, rows, self.cell)])
+
+    def _joined(self, children: list[Node]) -> Node:
+        numbers = [number for number, _ in children]
+        whole = merged([content for _, content in children])
+        content = decimated(whole, -(-whole.count // FANOUT))
+        facts, below = facts_of(content), [self.writer.nodes[number] for number in numbers]
+        for names, end in ((("low", "usual_low"), np.min), (("high", "usual_high"), np.max),
+                           (("largest",), np.max)):
+            for name in names:
+                facts[name] = end([facts[name], *(node[name] for node in below)], axis=0)
+        return self.writer.add(content, facts, numbers), content
+
+
+def facts_of(content: Gaussians) -> dict[str, Any]:
+    """What the index of a tree says of the gaussians of a node, at least one (io/tree.py)."""
+    positions = content.positions.astype(np.float64)
+    usual = np.quantile(positions, (TAIL_SHARE, 1 - TAIL_SHARE), axis=0)
+    return {"low": positions.min(axis=0), "high": positions.max(axis=0), "usual_low": usual[0],
+            "usual_high": usual[1], "largest": np.exp(float(content.log_scales.max())),
+            "sigma": 1 / max(frequency(content.log_scales, content.opacity_logits), LEAST)}
+
+
+def parted(positions: NDArray[np.floating], rows: NDArray[np.intp], most: int
+           ) -> Iterator[NDArray[np.intp]]:
+    """Divide rows into two to FANOUT parts, each with its rows ascending.
+
+    Parts of more than `most` rows are halved across the longest side of most of their positions.
+
+    Parameters
+    ----------
+    positions : float[N, 3].
+    rows : int[M], more than `most`.
+    most : at least 1.
+    """
+    parts = [rows]
+    while len(parts) < FANOUT:
+        halves = [half for part in parts for half in (
+            _halves(positions, part) if len(part) > most else (part,))]
+        if len(halves) == len(parts):
+            break
+        parts = halves
+    yield from parts
+
+
+def _halves(positions: NDArray[np.floating], rows: NDArray[np.intp]
+            ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    within = positions[rows]
+    ends = np.quantile(within, (TAIL_SHARE, 1 - TAIL_SHARE), axis=0)
+    axis, half = int(np.argmax(ends[1] - ends[0])), len(rows) // 2
+    order = np.argpartition(within[:, axis], half)
+    return np.sort(rows[order[:half]]), np.sort(rows[order[half:]])
+
+
+def merge_tree(path: Path, city: CityFolder, scene: Scene, sh_degree: int, fill: bool = False
+               ) -> Merged:
+    """Merge the finished blocks of a city into a tree.
+
+    Parameters
+    ----------
+    path : the file, which is replaced as a whole.
+    city, scene, fill : as for `merge.merge`.
+    sh_degree : of the gaussians.
+
+    Returns
+    -------
+    What `merge` returns, without gaussians.
+
+    Raises
+    ------
+    InputError : as `merge` and `Merged.check`; nothing is written then.
+    """
+    with writing_tree(path, sh_degree, scene.offset) as writer:
+        builder = TreeBuilder(writer)
+        result = merge(city, scene, fill, builder.add)
+        result.check()
+        builder.finish()
+    return result
+
+
+def write_tree(path: Path, blocks: Iterator[Gaussians], sh_degree: int, offset: ArrayLike,
+               cell: int = CELL) -> None:
+    """Write a tree of blocks, of which one at a time is in memory.
+
+    Parameters
+    ----------
+    path : the file, which is replaced as a whole.
+    blocks : in one frame.
+    sh_degree : of the gaussians.
+    offset : float64[3], the origin of their coordinates in the original ones.
+    cell : gaussians of a leaf at most.
+    """
+    with writing_tree(path, sh_degree, offset) as writer:
+        builder = TreeBuilder(writer, cell)
+        for block in blocks:
+            builder.add(block)
+        builder.finish()

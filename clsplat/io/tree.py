@@ -1,0 +1,211 @@
+"""A model as a tree of gaussians in one file, of which any node can be read without the others.
+
+The leaves hold every gaussian of the model once. A node above holds fewer, larger ones, which
+replace those of its children where these would be too small to see.
+
+The file begins with HEADER. Each node then has its rows, one field of ORDER after the other, as
+float32; a node stands behind its children. The index comes last: a line of JSON and the table of
+the nodes. All is little endian. The file is written beside its place and renamed when it is whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BufferedReader, BufferedWriter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.errors import InputError
+from clsplat.gaussians import LEARNED, Field, Gaussians
+from clsplat.io.atomic import replacing
+from clsplat.io.reason import reason
+from clsplat.io.records import object_of
+
+TREE = "point_cloud.tree"  # in the folder of a run
+HEADER = struct.Struct("<16sQQI")  # MAGIC; where the index begins, its bytes and its CRC-32
+MAGIC = b"clsplat tree 1\n\0"
+# what decides whether a gaussian is drawn comes first
+ORDER = ("positions", "log_scales", "quaternions", "opacity_logits", "sh_constant", "sh_rest")
+FIELDS = {field.name: field for field in LEARNED}
+NO_PARENT = 2**32 - 1
+# place: byte of the file; low and high: corners of the box around the centres of its gaussians and
+# of those below; usual_low and usual_high: without the outermost ones; sigma: the mean standard
+# deviation of its gaussians; largest: the largest one, of those below too
+NODE = np.dtype([("place", "<u8"), ("count", "<u4"), ("parent", "<u4"),
+                 *((name, "<f8", 3) for name in ("low", "high", "usual_low", "usual_high")),
+                 ("sigma", "<f8"), ("largest", "<f8")])
+Numbers = NDArray[np.float32]
+
+
+class TreeWriter:
+    """Writes the nodes of a tree; see `writing_tree`.
+
+    Parameters
+    ----------
+    file : open for writing at its end, with room for the header before.
+    sh_degree : of all gaussians.
+
+    Attributes
+    ----------
+    nodes : NODE, one each, of what is written.
+    """
+
+    def __init__(self, file: BufferedWriter, sh_degree: int) -> None:
+        self._file, self.sh_degree = file, sh_degree
+        self.nodes: list[NDArray[Any]] = []
+
+    def add(self, gaussians: Gaussians, facts: dict[str, ArrayLike],
+            children: Sequence[int] = ()) -> int:
+        """Write a node; returns its number.
+
+        Parameters
+        ----------
+        gaussians : its content, in the frame of the whole tree.
+        facts : the fields of NODE from `low` on.
+        children : numbers of nodes that it replaces.
+        """
+        number, content = len(self.nodes), gaussians.with_sh_degree(self.sh_degree)
+        node = np.zeros((), NODE)
+        node["place"], node["count"] = self._file.tell(), content.count
+        node["parent"] = NO_PARENT
+        for name, values in facts.items():
+            node[name] = values
+        for name in ORDER:
+            self._file.write(np.ascontiguousarray(content.rows[name], "<f4").data)
+        for child in children:
+            self.nodes[child]["parent"] = number
+        self.nodes.append(node)
+        return number
+
+    def read(self, number: int) -> Gaussians:
+        """The content of a node, from the file."""
+        self._file.flush()
+        with open(self._file.name, "rb") as file:
+            return Gaussians({name: _read(file, self.nodes[number], self.sh_degree, name)
+                              for name in ORDER}, self.sh_degree)
+
+
+@contextmanager
+def writing_tree(path: Path, sh_degree: int, offset: ArrayLike) -> Iterator[TreeWriter]:
+    """Write a tree, which appears as a whole when the block ends.
+
+    Parameters
+    ----------
+    path : the file; an existing one is replaced.
+    sh_degree : of the gaussians.
+    offset : float64[3], the origin of their coordinates in the original ones.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+    with replacing(path) as file:
+        file.write(bytes(HEADER.size))
+        writer = TreeWriter(file, sh_degree)
+        yield writer
+        record = {"sh_degree": sh_degree, "offset": np.asarray(offset, np.float64).tolist(),
+                  "nodes": len(writer.nodes)}
+        index = json.dumps(record).encode() + b"\n" + np.array(writer.nodes, NODE).tobytes()
+        place = file.tell()
+        file.write(index)
+        file.seek(0)
+        file.write(HEADER.pack(MAGIC, place, len(index), zlib.crc32(index)))
+
+
+class Tree:
+    """A tree on disk, whose index is in memory.
+
+    Parameters
+    ----------
+    path : of the file.
+
+    Attributes
+    ----------
+    sh_degree : of its gaussians.
+    offset : float64[3], the origin of their coordinates in the original ones.
+    nodes : NODE[K]; a node stands behind its children, the root is the last.
+    children : int[K + 1] and int[K - 1]: where the children of each node begin in the second.
+    count : how many gaussians the leaves have.
+
+    Raises
+    ------
+    InputError : there is no such file, or it is damaged.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        try:
+            # it stays open: a tree that replaces this one does not change what is read
+            self._file = open(path, "rb")  # noqa: SIM115
+            record, self.nodes = _index(self._file)
+            self.sh_degree, self.offset = int(record["sh_degree"]), np.array(
+                record["offset"], np.float64).reshape(3)
+            _check(self.nodes, self.sh_degree, os.fstat(self._file.fileno()).st_size)
+        except (OSError, ValueError, KeyError, TypeError, struct.error) as error:
+            raise InputError(f"{self.path}: no tree of gaussians, damaged or cut short "
+                             f"({reason(error)}); write it again with `clsplat merge --tree`"
+                             ) from None
+        parents = self.nodes["parent"][:-1]
+        self.children = (np.searchsorted(np.sort(parents), np.arange(len(self.nodes) + 1)),
+                         np.argsort(parents, kind="stable"))
+        self.is_leaf = np.diff(self.children[0]) == 0
+        self.count = int(self.nodes["count"][self.is_leaf].sum())
+
+    def read(self, number: int, name: str) -> Numbers:
+        """float32[n, *row shape]: the rows of a field of a node."""
+        try:
+            return _read(self._file, self.nodes[number], self.sh_degree, name)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{self.path}: cannot be read ({reason(error)}); write it again with "
+                             "`clsplat merge --tree`") from None
+
+
+def row_bytes(sh_degree: int) -> int:
+    """Bytes of a gaussian in the file."""
+    return 4 * sum(field.width(sh_degree) for field in LEARNED)
+
+
+def _index(file: BufferedReader) -> tuple[dict[str, Any], NDArray[Any]]:
+    magic, place, size, crc = HEADER.unpack(file.read(HEADER.size))
+    if magic != MAGIC:
+        raise ValueError("its header is that of another format")
+    if place + size != os.fstat(file.fileno()).st_size:
+        raise ValueError("its size is not that in its header")
+    file.seek(place)
+    index = file.read(size)
+    if zlib.crc32(index) != crc:
+        raise ValueError("its index has another checksum")
+    line, _, table = index.partition(b"\n")
+    record = object_of(line)
+    nodes = np.frombuffer(table, NODE)
+    if not len(nodes) or len(nodes) != record["nodes"]:
+        raise ValueError("it has no nodes")
+    return record, nodes
+
+
+def _check(nodes: NDArray[Any], sh_degree: int, size: int) -> None:
+    if sh_degree not in range(4):
+        raise ValueError("its harmonics have no degree from 0 to 3")
+    ends = nodes["place"].astype(np.float64) + row_bytes(sh_degree) * nodes["count"]
+    parents = nodes["parent"].astype(np.int64)
+    if (ends > size).any() or parents[-1] != NO_PARENT or not (
+            (parents[:-1] > np.arange(len(nodes) - 1)) & (parents[:-1] < len(nodes))).all():
+        raise ValueError("its index does not fit")
+
+
+def _read(file: BufferedReader, node: NDArray[Any], sh_degree: int, name: str) -> Numbers:
+    field: Field = FIELDS[name]
+    before = sum(FIELDS[other].width(sh_degree) for other in ORDER[:ORDER.index(name)])
+    values = np.empty((int(node["count"]), *field.row_shape(sh_degree)), "<f4")
+    file.seek(int(node["place"]) + 4 * before * int(node["count"]))
+    if values.size and file.readinto(values.data.cast("B")) != values.nbytes:
+        raise ValueError("it ends early")
+    return values

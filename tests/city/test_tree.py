@@ -1,0 +1,147 @@
+"""Trees of levels of detail: every gaussian in one leaf, every view by the nodes that it needs."""
+
+import numpy as np
+import pytest
+
+from clsplat.city.tree import parted, write_tree
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.atomic import PARTIAL
+from clsplat.io.tree import HEADER, NO_PARENT, ORDER, Tree, writing_tree
+from clsplat.rendering.tree import NodeCache, NodeParts, choose
+from tests.city.test_lod import LENGTH, at, strip, table
+
+CELL, COUNT = 40, 1000
+
+
+def blocks(model):
+    """The strip in three blocks along x."""
+    number = (model.positions[:, 0] * 3 / LENGTH).astype(int)
+    return [Gaussians({name: rows[number == block] for name, rows in model.rows.items()},
+                      model.sh_degree) for block in range(3)]
+
+
+@pytest.fixture(scope="module")
+def model():
+    return strip(COUNT, 0.05)
+
+
+@pytest.fixture(scope="module")
+def tree(model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("tree") / "model.tree"
+    write_tree(path, iter(blocks(model)), model.sh_degree, (1e6, 2e6, 3.0), CELL)
+    return Tree(path)
+
+
+def content(tree, node):
+    return Gaussians({name: tree.read(node, name) for name in ORDER}, tree.sh_degree)
+
+
+def leaves_below(tree, node):
+    firsts, children = tree.children
+    below = children[firsts[node]:firsts[node + 1]]
+    return [node] if not len(below) else [leaf for child in below
+                                          for leaf in leaves_below(tree, child)]
+
+
+def test_the_leaves_are_the_model_and_the_others_a_quarter_of_what_they_replace(model, tree):
+    leaves, (firsts, children) = np.flatnonzero(tree.is_leaf), tree.children
+    assert tree.count == COUNT and tree.offset.tolist() == [1e6, 2e6, 3.0]
+    assert sorted(leaves_below(tree, len(tree.nodes) - 1)) == leaves.tolist()
+    assert (tree.nodes["count"][leaves] <= CELL).all() and len(leaves) < 3 * COUNT / CELL
+    whole = Gaussians({name: np.concatenate([tree.read(leaf, name) for leaf in leaves])
+                       for name in ORDER}, 1)
+    assert np.array_equal(table(whole), table(model))
+    for number in np.flatnonzero(~tree.is_leaf):
+        node, below = tree.nodes[number], tree.nodes[children[firsts[number]:firsts[number + 1]]]
+        assert 2 <= len(below) <= 4 and node["count"] == -(-int(below["count"].sum()) // 4)
+        assert (node["low"] <= below["low"]).all() and (node["high"] >= below["high"]).all()
+        assert node["sigma"] > below["sigma"].mean() and node["largest"] >= max(below["largest"])
+        inside = content(tree, number)
+        assert (inside.positions >= node["low"] - 1e-6).all()
+        assert np.exp(inside.log_scales).max() <= node["largest"] * (1 + 1e-6)
+
+
+def test_a_leaf_lies_in_one_block(model, tree):
+    for leaf in np.flatnonzero(tree.is_leaf):
+        assert len(set((tree.read(leaf, "positions")[:, 0] * 3 / LENGTH).astype(int))) == 1
+
+
+@pytest.mark.parametrize("x, focal", [(-1.0, 500.0), (-1.0, 40.0), (30.0, 100.0), (-3000.0, 60.0)])
+def test_nodes_replace_all_leaves_that_are_seen_once(tree, x, focal):
+    """Near ones are finer; what is behind the camera is left out."""
+    camera, pixels = at(x, focal), 2.0
+    chosen = choose(tree, camera, pixels, 0.1)
+    leaves = [leaf for node in chosen for leaf in leaves_below(tree, node)]
+    assert len(set(leaves)) == len(leaves)
+    every = np.flatnonzero(tree.is_leaf)
+    for leaf in set(every) - set(leaves):  # none of it is in the picture
+        assert (camera.project(tree.read(leaf, "positions"))[1] < 0.1 + 4).all()
+    sigma = tree.nodes["sigma"][chosen]
+    middle = (tree.nodes["usual_low"] + tree.nodes["usual_high"])[chosen, 0] / 2
+    far = np.maximum(tree.nodes["usual_low"][chosen, 0] - x, 0)
+    fine = ~tree.is_leaf[chosen]
+    assert (focal * sigma[fine] <= pixels * np.hypot(far[fine], 1) + 1e-9).all()
+    if x == -3000.0:
+        assert chosen.tolist() == [len(tree.nodes) - 1]
+    else:
+        assert len(chosen) > 1 and np.corrcoef(middle, sigma)[0, 1] > 0 or focal == 500.0
+    assert choose(tree, camera, 0.0, 0.1).tolist() == sorted(leaves_below(
+        tree, len(tree.nodes) - 1)) or x == 30.0
+
+
+def test_what_is_read_is_kept_within_its_limit(tree):
+    everything = np.flatnonzero(tree.is_leaf)
+    cache = NodeCache(tree, 3000.0)
+    parts = NodeParts(cache, everything)
+    assert parts.count == COUNT
+    whole = np.concatenate([tree.read(leaf, "positions") for leaf in everything])
+    rows = np.random.default_rng(0).permutation(COUNT)[:300]
+    for _ in range(2):
+        assert np.array_equal(parts.read("positions", rows), whole[rows])
+        assert sum(values.nbytes for values in cache._kept.values()) <= 3000
+    assert np.array_equal(parts.read("positions", slice(0, COUNT)), whole)
+    before = cache.read_bytes
+    last = int(everything[-1])
+    assert cache.get(last, "positions") is cache.get(last, "positions")
+    assert cache.read_bytes == before
+
+
+def test_rows_at_one_place_are_parted():
+    parts = list(parted(np.zeros((9, 3)), np.arange(9), 2))
+    assert sorted(map(len, parts)) == [2, 2, 2, 3] and sorted(np.concatenate(parts)) == list(
+        range(9))
+
+
+def test_a_tree_is_whole_or_as_it_was(model, tmp_path):
+    path = tmp_path / "model.tree"
+    write_tree(path, iter([model]), 1, np.zeros(3))
+    before = path.read_bytes()
+
+    def breaks():
+        yield model
+        raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        write_tree(path, breaks(), 1, np.zeros(3))
+    assert path.read_bytes() == before
+    (tmp_path / ("model.tree" + PARTIAL)).write_bytes(b"left by a process that was killed")
+    write_tree(path, iter([model]), 1, np.zeros(3))
+    assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+
+def test_damaged_trees_are_refused(tree, tmp_path):
+    whole, path = tree.path.read_bytes(), tmp_path / "damaged.tree"
+    place = HEADER.unpack(whole[:HEADER.size])[1]
+    for damaged in (b"", b"ply\n", whole[:-1], whole[1:], whole + b"\0",
+                    whole[:place + 90] + b"\xff" + whole[place + 91:]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="damaged.tree: no tree of gaussians"):
+            Tree(path)
+    with pytest.raises(InputError, match="missing.tree"):
+        Tree(tmp_path / "missing.tree")
+    with writing_tree(path, 0, np.zeros(3)):
+        pass
+    with pytest.raises(InputError, match="has no nodes"):
+        Tree(path)
+    assert tree.nodes["parent"][-1] == NO_PARENT

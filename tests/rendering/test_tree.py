@@ -1,0 +1,87 @@
+"""Frames of trees: those of the model in one piece, with bounded memory."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from clsplat.city.tree import facts_of, write_tree
+from clsplat.edit.select import selected
+from clsplat.gaussians import Gaussians
+from clsplat.io.tree import ORDER, Tree, writing_tree
+from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.tree import TreeRenderer
+from tests.city.test_lod import strip
+from tests.kernels.chain import camera_of, size_of, stored_degree
+from tests.rendering.test_slabs import downloaded, faint, same_to_rounding
+
+
+@pytest.mark.parametrize("limit", [None, 17])
+def test_the_finest_nodes_are_drawn_as_the_model(float_device, tmp_path, limit):
+    """In one piece to the same bytes, given the rows in the same order; else to rounding."""
+    case = faint("plain")
+    degree = stored_degree(case)
+    model = Gaussians(case["rows"], degree)
+    write_tree(tmp_path / "tree", iter([model]), degree, np.zeros(3), 16)
+    tree = Tree(tmp_path / "tree")
+    settings = float_device, degree, case["near"], False, case["background"]
+    leaves = np.flatnonzero(tree.is_leaf)
+    renderer = Renderer(*settings)
+    rows = {name: float_device.upload(np.concatenate([tree.read(leaf, name) for leaf in leaves]))
+            for name in ORDER}
+    camera = camera_of(case)
+    whole = downloaded(renderer.render(rows, renderer.pack(camera), *size_of(case), degree, True))
+    streamed = TreeRenderer(float_device, tree, case["near"], False, case["background"], bias=0.0,
+                            limit=limit)
+    for _ in range(2):
+        frame = streamed.render(tree, streamed.pack(camera), *size_of(case), degree, True)
+        if limit is None:
+            assert all(map(np.array_equal, downloaded(frame), whole))
+        else:
+            assert frame.slabs > 1
+            same_to_rounding(downloaded(frame), whole)
+    assert streamed.frames == 2 and streamed.drawn <= 2 * tree.count
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from clsplat.camera import Camera
+from clsplat.device import choose_device
+from clsplat.io.tree import Tree
+from clsplat.rendering.tree import TreeRenderer
+
+def resident(name):
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return float(status[name].split()[0]) / 1024
+
+camera = Camera.looking_at((50, 0.5, 0.5), (50, -60, 40), width=96, height=64)
+device = choose_device("Portable")
+for path in sys.argv[1:]:  # the first compiles the kernels
+    before = resident("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # the peak so far is forgotten
+    tree = Tree(path)
+    renderer = TreeRenderer(device, tree, 0.1, bias=0.0, host_bytes=16 << 20)
+    renderer.render(tree, camera, 96, 64, 1)
+    assert renderer.drawn > 0.9 * tree.count
+print(resident("VmHWM") - before)
+"""
+
+
+@pytest.mark.slow
+def test_a_model_larger_than_the_memory_for_it_is_drawn(tmp_path):
+    """50 MiB of gaussians with 16."""
+    paths = [tmp_path / "small", tmp_path / "large"]
+    for path, count in zip(paths, (2000, 550_000)):
+        model = strip(count, 0.02)
+        with writing_tree(path, 1, np.zeros(3)) as writer:
+            leaves = [writer.add(part, facts_of(part)) for part in (
+                selected(model, np.arange(begin, min(begin + 2048, count)))
+                for begin in range(0, count, 2048))]
+            writer.add(selected(model, np.arange(10)), facts_of(model), leaves)
+    done = subprocess.run([sys.executable, "-c", PROGRAM, *map(str, paths)], capture_output=True,
+                          text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    assert paths[1].stat().st_size > 48 << 20
+    assert float(done.stdout) < 16 + 8
