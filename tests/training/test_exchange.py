@@ -109,7 +109,11 @@ def test_a_block_goes_on_from_what_others_own(city):
 def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
     block, copy = city.block(0), CityFolder(city.path.with_name("copy"))
     shutil.copytree(city.path, copy.path, symlinks=True)
+    around, resume = [], training_block.resume
+    monkeypatch.setattr(training_block, "resume", lambda scene, *rest, **more: (
+        around.append(scene.surroundings), resume(scene, *rest, **more)))
     assert train_block(block, block_options(block)) == "finished"
+    assert around == [block.around]
     killed, save = copy.block(0), RunFolder.save_checkpoint
 
     def save_and_die(self, arrays, state):
