@@ -2,7 +2,7 @@
 
 import pytest
 
-from clsplat.city.forecast import PIXELS_PER_GAUSSIAN, expected_gaussians
+from clsplat.city.forecast import PIXELS_PER_GAUSSIAN, exchange_notes, expected_gaussians
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from tests.data.tiny_training import CITY
@@ -21,3 +21,10 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
     assert expected(schedule="constant") == pixels // PIXELS_PER_GAUSSIAN
     assert expected(pixels_per_gaussian=20.0) == pixels // 20
     assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)
+
+
+def test_exchanges_leave_files():
+    blocks = [{"own": 2**20, "exchanges": [100, 200]}, {"own": 2**19, "exchanges": [100, 200]}]
+    (note,) = exchange_notes(blocks, 3.0)
+    assert "2 times" in note and "6,372 MiB" in note  # 708 * 3 * 2 * 1.5
+    assert exchange_notes([{"own": 9}], 3.0) == ()
