@@ -1,11 +1,12 @@
 """Forecasts of the memory and time of a city's blocks."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.gaussians import LEARNED
-from clsplat.io.city import LAYERS, CityFolder
+from clsplat.io.city import EXCHANGES, LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition.grid import makespan
@@ -19,6 +20,7 @@ from clsplat.training.model import GROWTH_ROOM
 GIB = 2**30
 COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole
 PLY_BYTES = 248  # of a gaussian with all spherical harmonics
+PART_BYTES = 708  # the same with Adam's moments, in a file of an exchange
 # for each block, of a cluster's scheduler, client and workers: tools/studies/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
@@ -119,4 +121,19 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 10), (
         f"{note} The number at the end, MiB and minutes are forecasts for a block that has "
         f"{device.name} to itself, from steps of block {largest.path.name}. All blocks take "
-        f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",))
+        f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",
+        *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
+
+
+def exchange_notes(records: Iterable[Mapping[str, Any]], growth: float) -> tuple[str, ...]:
+    """What the exchanges of blocks leave on the disk, as notes of a table; none without exchanges.
+
+    Parameters
+    ----------
+    records : of the blocks, as `BlockFolder.read` returns them.
+    growth : gaussians of a block at the end over those at the start.
+    """
+    times = [(len(record.get(EXCHANGES, ())), record["own"]) for record in records]
+    written = growth * PART_BYTES * sum(count * own for count, own in times)
+    return (f"The blocks exchange gaussians {max(times)[0]} times; that leaves files of at most "
+            f"{written / MIB:,.0f} MiB.",) if written else ()

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import final_metrics
 from clsplat.io.atomic import replacing
-from clsplat.io.city import LAYERS, PARTITION, BlockFolder, CityFolder
+from clsplat.io.city import EXCHANGES, LAYERS, PARTITION, BlockFolder, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.folders import make_folder
 from clsplat.io.run import CITY, RunFolder
@@ -37,6 +37,7 @@ from clsplat.report.map import write_map
 from clsplat.scene import Scene
 from clsplat.schedule import chooses_steps, planned_steps, schedule_of
 from clsplat.training.block import block_options, decided_by, options_of_blocks, train_block
+from clsplat.training.exchange import exchange_steps, most_exchanges
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 
@@ -188,6 +189,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     draw(city, partition, scene, counts)
     exposures, steps = coarse.folder.load_exposures(), whole_steps(options, scene)
     as_layers = draws_layers(city, options)
+    exchanges = planned_exchanges(city, options, [
+        steps * len(chosen) / len(views) for chosen in partition.views])
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
                                   observations=None)
@@ -202,8 +205,25 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             options_of_blocks(given, decided),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings,
-             **({} if part.around is None else {LAYERS: part.around.count})}, part.around)
+             **({} if part.around is None else {LAYERS: part.around.count}),
+             **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
+            part.around)
     return partition, counts
+
+
+def planned_exchanges(city: CityFolder, options: TrainOptions, steps: Sequence[float]) -> int:
+    """How often the blocks of a city exchange gaussians.
+
+    Not at all with a time budget, as it is not known before when which step is taken.
+
+    Parameters
+    ----------
+    steps : of the blocks.
+    """
+    requested = (city.read_partition().get(REQUESTED) or {}).get("exchanges") or 0
+    if options.time_budget or len(steps) < 2:
+        return 0
+    return min(requested, *(most_exchanges(round(number)) for number in steps))
 
 
 def draws_layers(city: CityFolder, options: TrainOptions) -> bool:
@@ -245,8 +265,12 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
                  devices: Sequence[str] = (),
                  progress: Callable[[str], AbstractContextManager[Any]] | None = None,
                  ended: Callable[[Outcome, str], object] | None = None,
-                 began: Callable[[str, str], object] | None = None) -> list[Outcome]:
+                 began: Callable[[str, str], object] | None = None,
+                 fill: bool = False) -> list[Outcome]:
     """Train the blocks that are not finished, the longest first; return the outcome of every block.
+
+    Where blocks exchange gaussians, all of them come to an exchange before any goes on. If one
+    fails, the others wait there, or go on alone.
 
     Parameters
     ----------
@@ -255,25 +279,44 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
         the progress of that training.
     ended : called with each outcome and such a title.
     began : called with the name of a block that begins and such a title.
+    fill : whether blocks go on alone when another has failed.
     """
     blocks = {block.path.name: block
               for block in sorted(city.blocks(), key=expected_work, reverse=True)}
-    titles = {name: f"block {number} of {len(blocks)}" for number, name in enumerate(blocks, 1)}
+    exchanges = max((len(block.exchanges) for block in blocks.values()), default=0)
     chosen = ("--device", devices[0]) if len(devices) == 1 and not scheduler else ()
-    tasks = [Task(name, ("block", str(block.path.resolve()), "-q", *chosen),
-                  RunFolder(block.run).model_path)
-             for name, block in blocks.items()]
 
-    def in_this_process(task: Task) -> None:
-        block = blocks[task.name]
-        block.check()
-        options = block_options(block, **({"device": devices[0]} if devices else {}))
-        with progress(titles[task.name]) if progress else nullcontext() as shown:
-            train_block(block, options, shown)
+    def train_part(names: Iterable[str], number: int, alone: bool = False) -> list[Outcome]:
+        """Train blocks to an exchange, from 1, or to the end after the last one."""
+        to_end = alone or number > exchanges
+        part = f", part {number} of {exchanges + 1}" if exchanges else ""
+        titles = {name: f"block {place} of {len(blocks)}{part}"
+                  for place, name in enumerate(blocks, 1)}
+        tasks = [Task(name, ("block", str(blocks[name].path.resolve()), "-q", *chosen,
+                             *(("--alone",) if alone else ())),
+                      RunFolder(blocks[name].run).model_path if to_end else
+                      blocks[name].part(number)) for name in names]
 
-    return run(tasks, workers, scheduler, devices=devices, call=in_this_process,
-               progress=ended and (lambda outcome: ended(outcome, titles[outcome.task.name])),
-               began=began and (lambda name: began(name, titles[name])))
+        def in_this_process(task: Task) -> None:
+            block = blocks[task.name]
+            block.check()
+            options = block_options(block, **({"device": devices[0]} if devices else {}))
+            with progress(titles[task.name]) if progress else nullcontext() as shown:
+                train_block(block, options, shown, **({"alone": True} if alone else {}))
+
+        return run(tasks, workers, scheduler, devices=devices, call=in_this_process,
+                   progress=ended and (lambda outcome: ended(outcome, titles[outcome.task.name])),
+                   began=began and (lambda name: began(name, titles[name])))
+
+    for number in range(1, exchanges + 1):
+        outcomes = train_part(blocks, number)
+        failed = {outcome.task.name: outcome for outcome in outcomes if not outcome.ok}
+        if failed and fill and not too_large(outcomes):
+            rest = train_part([name for name in blocks if name not in failed], number, alone=True)
+            return [*failed.values(), *rest]
+        if failed:
+            return outcomes
+    return train_part(blocks, exchanges + 1)
 
 
 def expected_work(block: BlockFolder) -> int:

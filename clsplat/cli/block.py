@@ -18,13 +18,19 @@ from clsplat.errors import Interrupted
 @click.option("--stop-at", type=click.IntRange(min=1), help="Stop after this step.")
 @click.option("--wait", type=FiniteRange(0, 86400), default=0, show_default=True,
               help="Seconds to wait for another process that trains this block.")
+@click.option("--alone", is_flag=True, help="Do without the exchanges with other blocks that are "
+              "left.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
-def block(folder: Path, device: str | None, stop_at: int | None, wait: float, quiet: bool) -> None:
+def block(folder: Path, device: str | None, stop_at: int | None, wait: float, alone: bool,
+          quiet: bool) -> None:
     """Train the block of a city in FOLDER.
 
     FOLDER is a CITY/blocks/NNN; the run is written to run/ in it. Continues from the last
     checkpoint, and does nothing if the block is finished. It needs only the folder and the photos,
     so it runs on any machine: `clsplat city` calls it, and so may the queue of a cluster.
+
+    Where blocks exchange gaussians (--exchanges of `clsplat partition`), it ends at an exchange for
+    which another block has not come far enough; the same command then goes on.
     """
     from clsplat.cli.progress import Progress
     from clsplat.io.city import BlockFolder
@@ -36,9 +42,9 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, qu
                                                 if value})
     try:
         with nullcontext() if quiet else Progress(options.stop_at) as progress:
-            trained = train_block(city_block, options, progress, wait)
+            state = train_block(city_block, options, progress, wait, alone)
     except Interrupted:
         raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues"
                           ) from None
     if not quiet:
-        click.echo(f"{city_block.run}: {'finished' if trained else 'was finished before'}")
+        click.echo(f"{city_block.run}: {state}")

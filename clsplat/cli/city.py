@@ -107,7 +107,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
             click.echo(block_table(folder, None if several else device, counts).text())
         outcomes = train_all_blocks(folder, data, options, device, workers=workers,
                                     scheduler=scheduler, devices=devices, progress=shown,
-                                    began=began, ended=ended)
+                                    began=began, ended=ended, fill=fill)
     except Interrupted:
         raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues"
                           ) from None

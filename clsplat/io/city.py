@@ -42,6 +42,7 @@ WINDOWS = "windows"  # key of region.json
 LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
 REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
 DEPTH = "depth"  # folder of a block's depth maps
+EXCHANGES = "exchanges"  # key of block.json: after how many steps blocks exchange gaussians
 INITIAL, SURROUNDINGS, PACKED = "initial.ply", "surroundings.ply", "scene.npz"
 
 
@@ -235,11 +236,27 @@ class BlockFolder:
     ----------
     initial : the PLY of its initial gaussians.
     run : the folder of its run.
+    around : the PLY of its surroundings after the first exchange, in its run.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.initial, self.run = self.path / INITIAL, self.path / "run"
+        self.around = self.run / SURROUNDINGS
+
+    @property
+    def exchanges(self) -> list[int]:
+        """After how many steps the block exchanges gaussians with others, ascending."""
+        steps = self.read().get(EXCHANGES, [])
+        if type(steps) is not list or not all(
+                type(step) is int and step > before for before, step in zip([0, *steps], steps)):
+            raise InputError(f"{self.path / BLOCK}: damaged ({EXCHANGES} is {str(steps)[:20]!r}); "
+                             "remove the block, and run `clsplat partition` again")
+        return steps
+
+    def part(self, number: int) -> Path:
+        """The file of what the block owns at the exchange of this number, from 1."""
+        return self.run / f"exchange_{number}.npz"
 
     @property
     def is_there(self) -> bool:

@@ -5,11 +5,12 @@ of exception. Here the claim of each member is compared with its bytes first; no
 """
 
 import io
+import json
 import math
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,20 @@ def read_npz(path: Path, complaint: str, cure: str, names: Collection[str] | Non
         raise InputError(f"{path}: no such file; check the path") from None
     except Exception as error:  # zipfile and numpy raise many kinds
         raise InputError(f"{path}: {complaint} ({reason(error)}); {cure}") from None
+
+
+def write_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays by name into an open file; equal arrays make equal bytes."""
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            # ZipInfo's fixed date keeps the bytes equal from run to run
+            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+
+
+def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """A dict for JSON as an array of bytes, to be kept among arrays."""
+    return np.frombuffer(json.dumps(state, default=lambda value: value.tolist()).encode(), np.uint8)
 
 
 class Bounded(io.BufferedReader):

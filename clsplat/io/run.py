@@ -6,7 +6,7 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.folders import make_folder, remove_files
 from clsplat.io.georeference import files as placement_files
 from clsplat.io.lock import HOLDER, LOCK, exclusive
-from clsplat.io.npz import read_npz
+from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.poses import POSES
 from clsplat.io.reason import reason
@@ -288,22 +288,23 @@ class RunFolder:
     def save_checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
         """Replace the checkpoint by arrays and a state for JSON; if this fails, such as on a full
         disk, the previous checkpoint stays."""
-        text = json.dumps(state, default=lambda value: value.tolist()).encode()
-        with replacing(self.path / CHECKPOINT) as file, \
-                zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-            for name, array in {**arrays, STATE: np.frombuffer(text, np.uint8)}.items():
-                # ZipInfo's fixed date keeps the bytes equal from run to run
-                with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+        with replacing(self.path / CHECKPOINT) as file:
+            write_npz(file, {**arrays, STATE: state_array(state)})
 
-    def load_checkpoint(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Load the arrays and the state; every byte is checked against its CRC."""
+    def checkpoint_iteration(self) -> int:
+        """The number of steps before the checkpoint; 0 without one."""
+        step = self.load_checkpoint((STATE,))[1].get("iteration") if self.has_checkpoint else 0
+        return step if type(step) is int else 0
+
+    def load_checkpoint(self, names: Collection[str] | None = None
+                        ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Load arrays, all if `names` is None, and the state; their bytes are checked by CRCs."""
         path = self.path / CHECKPOINT
         if not self.has_checkpoint:
             raise InputError(f"{path}: no checkpoint to resume from; train without --resume")
         complaint, cure = ("the checkpoint is damaged or cut short",
                            "copy it again, or start the run again with --overwrite")
-        arrays = read_npz(path, complaint, cure)
+        arrays = read_npz(path, complaint, cure, names)
         try:
             return arrays, object_of(arrays.pop(STATE).tobytes())
         except (KeyError, ValueError) as error:

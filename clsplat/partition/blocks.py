@@ -43,6 +43,8 @@ class BlockStart:
     Attributes
     ----------
     gaussians : the model.
+    indices : int[K], where the gaussians of the model and then those of `around` are among those
+        of the whole.
     own : in the block's cell.
     margin : in the margin around the cell.
     surroundings : farther away; the model holds them, frozen.
@@ -52,6 +54,7 @@ class BlockStart:
     """
 
     gaussians: Gaussians
+    indices: NDArray[np.integer]
     own: int
     margin: int
     surroundings: int
@@ -91,14 +94,16 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     rows = {name: values[keeps] for name, values in gaussians.rows.items()}
     rows["log_scales"] = (rows["log_scales"] - np.log(size[keeps])[:, None]).astype(np.float32)
     unseen, kept, around = int((size == 0).sum()), Gaussians(rows, gaussians.sh_degree), None
+    indices = np.flatnonzero(keeps)
     surroundings = int((keeps & rest).sum())
     if as_layers:
         held = enters_reach(scene, kept)
         kept, around = (Gaussians({name: values[which] for name, values in rows.items()},
                                   gaussians.sh_degree) for which in (held, ~held))
         surroundings -= around.count
-    return BlockStart(kept, int(own.sum()), int((reached & ~own).sum()), surroundings, around,
-                      unseen, int((~keeps).sum()) - unseen)
+        indices = np.concatenate([indices[held], indices[~held]])
+    return BlockStart(kept, indices, int(own.sum()), int((reached & ~own).sum()), surroundings,
+                      around, unseen, int((~keeps).sum()) - unseen)
 
 
 def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]

@@ -70,6 +70,10 @@ class PartitionOptions:
                                "view; gaussians: hold them all, as it does with --depth or "
                                "--reproject",
                                choices=("layers", "gaussians"))
+    exchanges: int = option(0, "Blocks", "how often neighbouring blocks exchange their gaussians "
+                            "while they train, so that both sides of a border agree; blocks with "
+                            "few steps do it less often, and with --time-budget never",
+                            minimum=0, maximum=20)
     least_views: int = option(8, "Blocks", "number of views below which a block has too few",
                               minimum=0)
     expected: int = 0

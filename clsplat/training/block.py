@@ -1,19 +1,24 @@
 """Trains one block of a larger scene from its folder, which contains all that it needs."""
 
+from dataclasses import replace
 from typing import Any
 
 from clsplat.config.option import differences
-from clsplat.device import choose_device
-from clsplat.errors import InputError
+from clsplat.device import Device, choose_device
+from clsplat.errors import InputError, Interrupted
 from clsplat.io.city import DEPTH, BlockFolder
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import EARLIER, TrainOptions, checked, resolve
+from clsplat.training.exchange import exchange, lacking_blocks, write_part
+from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
 from clsplat.training.progress import SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
 DECIDED = ("exposure", "vignetting", "tone", "sh_degree")
+BEFORE = "was finished before"
+MOST_NAMED = 5  # blocks in a message
 MAY_DIFFER = "init"  # a path in the block's folder, which may have been moved
 
 
@@ -52,8 +57,11 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
 
 
 def train_block(block: BlockFolder, options: TrainOptions,
-                progress: SilentProgress | None = None, patience: float = 0.0) -> bool:
+                progress: SilentProgress | None = None, patience: float = 0.0,
+                alone: bool = False) -> str:
     """Train a block to its end, from the start or from the last checkpoint of its run.
+
+    It ends before, where it exchanges gaussians with blocks that have not come as far.
 
     Parameters
     ----------
@@ -61,10 +69,11 @@ def train_block(block: BlockFolder, options: TrainOptions,
     options : those of `block_options`.
     progress : receives steps, messages and phases.
     patience : seconds to wait for another process that trains the block.
+    alone : do without the exchanges that are left.
 
     Returns
     -------
-    Whether it had to be trained: a finished run is not trained again.
+    "finished", "was finished before", or for which blocks it waits.
 
     Raises
     ------
@@ -73,18 +82,43 @@ def train_block(block: BlockFolder, options: TrainOptions,
     run = RunFolder(block.run)
     if run.is_finished:  # checked before locking: the disk may be read-only
         _check_same(run, options)
-        return False
+        return BEFORE
     with run.locked(patience):
-        begun = run.is_begun
-        if begun:
+        if run.is_begun:
             _check_same(run, options)
         if run.is_finished:
-            return False
-        scene = read_scene(block.path)
+            return BEFORE
         device = choose_device(options.device, form=options.form)
-        run, start = (run, resume) if begun else (RunFolder.create(run.path), train)
-        start(scene, options, device, run, progress=progress)
-    return True
+        exchanges = [] if alone else block.exchanges
+        for number, step in enumerate(exchanges, 1):
+            if run.checkpoint_iteration() < step:
+                _go_on(block, options, device, progress, step)
+            if run.checkpoint_iteration() > step:
+                continue
+            write_part(block, number)
+            if lacking := lacking_blocks(block, number):
+                return (f"waits at exchange {number} of {len(exchanges)}, after step {step}: train "
+                        f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "
+                        "too, then this block again")
+            exchange(block, options, number)
+        _go_on(block, options, device, progress)
+    return "finished"
+
+
+def _go_on(block: BlockFolder, options: TrainOptions, device: Device,
+           progress: SilentProgress | None, until: int = 0) -> None:
+    """Train until a step, or to the end if that is 0; other arguments as for `train_block`."""
+    run, scene = RunFolder(block.run), read_scene(block.path)
+    if run.checkpoint_iteration() and block.around.is_file():
+        scene = replace(scene, surroundings=block.around)
+    start = resume if run.is_begun else train
+    stop_at = min(filter(None, (until, options.stop_at)), default=0)
+    try:
+        start(scene, replace(options, stop_at=stop_at), device,
+              run if run.is_begun else RunFolder.create(run.path), progress=progress)
+    except Interrupted as stopped:
+        if not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at:
+            raise
 
 
 def _check_same(run: RunFolder, options: TrainOptions) -> None:

@@ -5,7 +5,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from clsplat.city.forecast import PIXELS_PER_GAUSSIAN, block_table, expected_gaussians
+from clsplat.city.forecast import (
+    PIXELS_PER_GAUSSIAN,
+    block_table,
+    exchange_notes,
+    expected_gaussians,
+)
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from tests.data.tiny_training import CITY
@@ -36,3 +41,10 @@ def test_the_end_of_the_blocks_on_several_devices_follows_from_their_steps():
     table = block_table(city, None, [10] * 4)
     assert table.rows[3] == ("004", "10", "4", "0", "0", "8", "400") and len(table.rows) == 4
     assert "50% on 2, 40% on 3, 40% on 8 (--workers)" in table.notes[0]
+
+
+def test_exchanges_leave_files():
+    blocks = [{"own": 2**20, "exchanges": [100, 200]}, {"own": 2**19, "exchanges": [100, 200]}]
+    (note,) = exchange_notes(blocks, 3.0)
+    assert "2 times" in note and "6,372 MiB" in note  # 708 * 3 * 2 * 1.5
+    assert exchange_notes([{"own": 9}], 3.0) == ()

@@ -198,9 +198,10 @@ def test_cut(offset):
     kept = [OWN, EDGE, NEAR, REACHING, OTHER_SIDE]
     for name, values in result.gaussians.rows.items():
         assert np.array_equal(values, given.rows[name][kept]), name
-    assert asdict(replace(result, gaussians=None)) == {
-        "gaussians": None, "own": 1, "margin": 1, "surroundings": 3, "around": None, "unseen": 2,
-        "thinned": 0}
+    assert result.indices.tolist() == kept
+    assert asdict(replace(result, gaussians=None, indices=None)) == {
+        "gaussians": None, "indices": None, "own": 1, "margin": 1, "surroundings": 3,
+        "around": None, "unseen": 2, "thinned": 0}
 
 
 def test_sizes_in_the_view_that_shows_them_largest():

@@ -1,0 +1,191 @@
+"""Blocks that exchange gaussians: what they go on from, and that a kill changes nothing of it."""
+
+import json
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from clsplat.city import stages
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.city import BLOCK, EXCHANGES, LAYERS, CityFolder
+from clsplat.io.npz import read_npz
+from clsplat.io.ply import read_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.options import resolve
+from clsplat.partition.blocks import block_start, trainable
+from clsplat.partition.partition import Partition
+from clsplat.partition.region import Region, Space
+from clsplat.training import block as training_block
+from clsplat.training.block import block_options, train_block
+from clsplat.training.exchange import exchange, exchange_steps, lacking_blocks, most_exchanges
+from tests.data.tiny_training import CITY, model_digest
+
+OPTIONS = {"iterations": 130, "downscale": 8.0, "test_every": 0, "schedule": "constant",
+           "sh_degree": 1, "sh_every": 1, "densify_from": 20, "densify_every": 40,
+           "densify_until": 120, "reset_every": 0, "eval_every": 0, "exposure": "off",
+           "checkpoint_every": 0}
+AT = 100  # the exchange
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory, item_device):
+    """A city of two blocks, both at their exchange: the first waits for the second."""
+    scene = read_scene(CITY)
+    world = scene.points + scene.offset
+    space = Space(np.eye(3), world.mean(axis=0), np.ptp(world, axis=0) / 2)
+    west, east = Region(space, margin=0.2).cut(0, 0.1)
+    views = np.arange(0, 16, 2), np.arange(3, 16, 2)
+    city = CityFolder(tmp_path_factory.mktemp("exchange") / "city")
+    city.path.mkdir()
+    city.write({"fingerprint": fingerprint(scene), "scene": str(scene.path)})
+    city.write_partition(Partition("by hand", (west, east), views, {}, ()).record())
+    first = Gaussians.from_points(scene.points, scene.colours, 1)
+    for number, region in enumerate((west, east)):
+        part = replace(scene, views=tuple(scene.views[i] for i in views[number]),
+                       observations=None).reduced(8.0, 10_000)
+        start = block_start(first, scene, region, part.views, True)
+        city.write_block(number, scene, views[number], region, {}, start.gaussians, None, OPTIONS, {
+            **city.identity(), LAYERS: start.around.count, EXCHANGES: [AT]}, start.around)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
+        said = train_block(city.block(0), block_options(city.block(0)))
+        assert said.startswith("waits at exchange 1 of 1, after step 100: train 001 too")
+        patch.setattr(training_block, "exchange", lambda *_: pytest.exit("not yet"))
+        patch.setattr(training_block, "lacking_blocks", lambda *_: ["000"])
+        train_block(city.block(1), block_options(city.block(1)))
+    return city
+
+
+@pytest.fixture
+def city(stopped, tmp_path, item_device, monkeypatch):
+    monkeypatch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
+    monkeypatch.setattr("clsplat.report.run.drawn", lambda *_, **__: "")
+    shutil.copytree(stopped.path, tmp_path / "city", symlinks=True)
+    return CityFolder(tmp_path / "city")
+
+
+def in_world(scene, positions):
+    return scene.offset + scene.unit * positions.astype(float)
+
+
+@pytest.mark.slow
+def test_a_block_goes_on_from_what_others_own(city):
+    block, run = city.block(0), RunFolder(city.block(0).run)
+    before, _ = run.load_checkpoint()
+    exchange(block, block_options(block), 1)
+    after, state = run.load_checkpoint()
+    scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
+    other = read_scene(city.block(1).path).normalised()
+    part = read_npz(city.block(1).part(1), "", "")
+    own = scene.region.owns(in_world(scene, before["row.positions"]))
+    count = int(own.sum())
+    assert 0 < count < len(own) and state["iteration"] == AT
+    for name in ("row.positions", "row.sh_rest", "m.positions", "v.log_scales"):
+        assert np.array_equal(after[name][:count], before[name][own]), name
+    owned = in_world(other, part["row.positions"])
+    taken = in_world(scene, after["row.positions"][count:])
+    distance, row = cKDTree(owned).query(taken)
+    assert distance.max() < 1e-5 * scene.unit and len(set(row)) == len(row)
+    reached = scene.region.reaches(owned)
+    assert 50 < reached.sum() < len(owned) and np.isin(np.flatnonzero(reached), row).all()
+    for name, power in (("m.positions", 1), ("v.positions", 2)):  # gradients by the same lengths
+        assert np.allclose(after[name][count:] * (other.unit / scene.unit) ** power,
+                           part[name][row], rtol=1e-4), name
+    frozen = after["statistics.frozen"] > 0
+    trains = trainable(scene, after["row.positions"], after["row.log_scales"])
+    assert np.array_equal(frozen, ~trains) and 0 < frozen[count:].sum() < len(row)
+    around = read_ply(block.around, scene.offset)
+    distance, _ = cKDTree(owned).query(around.positions + scene.offset)
+    assert around.count > 50 and distance.max() < 1e-5 * scene.unit
+
+
+@pytest.mark.slow
+def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
+    block, copy = city.block(0), CityFolder(city.path.with_name("copy"))
+    shutil.copytree(city.path, copy.path, symlinks=True)
+    around, resume = [], training_block.resume
+    monkeypatch.setattr(training_block, "resume", lambda scene, *rest, **more: (
+        around.append(scene.surroundings), resume(scene, *rest, **more)))
+    assert train_block(block, block_options(block)) == "finished"
+    assert around == [block.around]
+    killed, save = copy.block(0), RunFolder.save_checkpoint
+
+    def save_and_die(self, arrays, state):
+        save(self, arrays, state)
+        raise SystemExit(9)
+
+    for dies in (lambda *_: (_ for _ in ()).throw(SystemExit(9)), save_and_die):
+        with monkeypatch.context() as patch:
+            patch.setattr(RunFolder, "save_checkpoint", dies)
+            with pytest.raises(SystemExit):
+                train_block(killed, block_options(killed))
+        assert killed.around.is_file()
+    assert train_block(killed, block_options(killed)) == "finished"
+    assert model_digest(RunFolder(killed.run)) == model_digest(RunFolder(block.run))
+    assert train_block(killed, block_options(killed)) == "was finished before"
+
+
+@pytest.mark.slow
+def test_parts_that_cannot_be_used_are_named(city):
+    block, other = city.block(0), city.block(1)
+    content = other.part(1).read_bytes()
+    other.part(1).write_bytes(content[:-300])
+    with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
+        exchange(block, block_options(block), 1)
+    record = json.loads((other.path / BLOCK).read_text())
+    (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
+    with pytest.raises(InputError, match="a block of another partition"):
+        lacking_blocks(block, 1)
+    shutil.rmtree(other.path)
+    assert lacking_blocks(block, 1) == ["001"]
+    shutil.move(block.path, city.path.parent / "far" / "away" / "000")
+    with pytest.raises(InputError, match="with --alone"):
+        lacking_blocks(type(block)(city.path.parent / "far" / "away" / "000"), 1)
+
+
+def test_exchanges_lie_in_the_second_half():
+    assert exchange_steps(7000, 3) == [3500, 4700, 5800]
+    for steps in (200, 399, 1000, 1234, 30_000):
+        for count in range(1, min(9, most_exchanges(steps)) + 1):
+            found = exchange_steps(steps, count)
+            assert len({*found}) == count and found == sorted(found)
+            assert found[0] >= 100 and found[-1] < steps and not any(step % 100 for step in found)
+    asked = SimpleNamespace(read_partition=lambda: {stages.REQUESTED: {"exchanges": 3}})
+    for steps, budget, wanted in (([900, 1300], "", 3), ([900, 500], "", 2), ([199, 900], "", 0),
+                                  ([9000, 9000], "10m", 0), ([9000], "", 0)):
+        assert stages.planned_exchanges(asked, resolve({}, {"time_budget": budget}),
+                                        steps) == wanted
+
+
+@pytest.mark.parametrize("fill", [False, True])
+def test_all_blocks_come_to_an_exchange_before_any_goes_on(tmp_path, monkeypatch, fill):
+    ran = []
+    blocks = [SimpleNamespace(path=tmp_path / f"00{n}", run=tmp_path / f"00{n}" / "run",
+                              exchanges=[100, 200], part=lambda number: f"part {number}")
+              for n in range(3)]
+
+    def run(tasks, *_, **__):
+        ran.append([(task.name, "--alone" in task.command, getattr(task.done, "name", task.done))
+                    for task in tasks])
+        return [SimpleNamespace(task=task, message="", ok=(len(ran), task.name) != fails)
+                for task in tasks]
+
+    monkeypatch.setattr(stages, "run", run)
+    monkeypatch.setattr(stages, "expected_work", lambda block: 1)
+    fails, model = None, "point_cloud.ply"
+    city = SimpleNamespace(blocks=lambda: blocks)
+    stages.train_blocks(city, fill=fill)
+    assert ran == [[(f"00{n}", False, done) for n in range(3)]
+                   for done in ("part 1", "part 2", model)]
+    ran, fails = [], (2, "001")
+    outcomes = stages.train_blocks(city, fill=fill)
+    assert sorted((o.task.name, o.ok) for o in outcomes) == [
+        ("000", True), ("001", False), ("002", True)]
+    assert len(ran) == (3 if fill else 2)
+    assert not fill or ran[2] == [("000", True, model), ("002", True, model)]
