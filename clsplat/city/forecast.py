@@ -108,6 +108,7 @@ def block_table(city: CityFolder, device: Device, counts: Iterable[int]) -> Tabl
             "MiB", "minutes")
     return Table("Blocks", head, rows, range(1, 10), (
         "Gaussians: of the coarse run; around: those that the block holds without training them; "
-        "in layers: those that it only draws, once for each view. The number at the end, MiB and "
+        "in layers: those that it only draws, once for each view, where that takes less memory "
+        "(--surroundings). The number at the end, MiB and "
         f"minutes are forecasts for a block that has {device.name} to itself, from steps of block "
         f"{largest.path.name}.",))
