@@ -10,7 +10,7 @@ from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import EARLIER, TrainOptions, checked, resolve
 from clsplat.training.loop import resume, train
-from clsplat.training.progress import SilentProgress
+from clsplat.training.progress import NotedProgress, SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
 DECIDED = ("exposure", "vignetting", "tone", "sh_degree")
@@ -83,7 +83,8 @@ def train_block(block: BlockFolder, options: TrainOptions,
         scene = read_scene(block.path)
         device = choose_device(options.device, form=options.form)
         run, start = (run, resume) if begun else (RunFolder.create(run.path), train)
-        start(scene, options, device, run, progress=progress)
+        noted = NotedProgress(run.path, progress or SilentProgress())
+        start(scene, options, device, run, progress=noted)
     return True
 
 
