@@ -5,6 +5,8 @@ from typing import Any
 
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
+from clsplat.estimate.measured import MeasuredSteps
+from clsplat.estimate.step_time import fitted
 from clsplat.gaussians import LEARNED
 from clsplat.io.city import EXCHANGES, LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
@@ -37,48 +39,70 @@ def expected_gaussians(scene: Scene, options: TrainOptions) -> int:
     return max(facts.count, facts.pixels // PIXELS_PER_GAUSSIAN if limit is None else limit)
 
 
-def gaussians_that_fit(device: Device, options: TrainOptions) -> int:
-    """How many gaussians a block may have at the end on this device."""
+def gaussians_that_fit(device: Device, options: TrainOptions, memory_bytes: int = 0) -> int:
+    """How many gaussians a block may have at the end on a device.
+
+    Parameters
+    ----------
+    device, options : of the training.
+    memory_bytes : of another device that is meant; 0: this one's.
+    """
     degree = options.sh_degree if isinstance(options.sh_degree, int) else 3  # auto
     floats = sum(field.width(degree) for field in LEARNED)
     each = 3 * floats * GROWTH_ROOM * device.real.itemsize
-    return max(1, int(MODEL_SHARE * device.handle.global_mem_size / each))
+    return max(1, int(MODEL_SHARE * (memory_bytes or device.handle.global_mem_size) / each))
 
 
 def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: float,
-                photos: Iterable[int]) -> Table:
+                photos: Iterable[int], size: tuple[int, int] | None = None, workers: int = 1,
+                known: MeasuredSteps | None = None) -> Table:
     """The cost of cities with more photos like those of a planned scene.
 
-    Everything grows with the number of photos, but a block is as large as the device allows.
+    Everything grows with the number of photos, but a block is as large as the device allows, or
+    smaller where there are more devices. With the size of a photo grow the gaussians that it
+    shows, and what a step takes but for its fixed part.
 
     Parameters
     ----------
     planned, forecast : of the scene, which is taken as typical.
     margin : of blocks.
     photos : numbers of photos, a row for each.
+    size : width and height of the photos; None: those of the scene.
+    workers : devices that train blocks at the same time.
+    known : steps of another device, on which `forecast` rests; None: `device` is meant.
     """
     views, options = planned.prepared.train_views, planned.prepared.options
     pixels = sum(view.camera.width * view.camera.height for view in views) / len(views)
-    limit, shared = gaussians_that_fit(device, options), (1 + 2 * margin) ** 2
+    larger = 1.0 if size is None else size[0] * size[1] / pixels
+    fixed = fitted(forecast.measured)[0] * forecast.steps if size else 0.0
+    once = fixed + larger * (forecast.seconds - fixed)  # all steps of the scene
+    limit = gaussians_that_fit(device, options, known.memory_bytes if known else 0)
+    shared = (1 + 2 * margin) ** 2
     rows = []
     for count in photos:
         share = count / len(views)
-        gaussians = int(forecast.gaussians * share)
-        whole = gaussians <= limit
+        gaussians = int(forecast.gaussians * share * larger)
+        whole = gaussians <= limit and workers == 1
         times = 1 if whole else shared  # blocks that train with a photo, on average
-        blocks = -(-int(gaussians * times) // limit)
-        seconds = forecast.seconds * share * (times + (0 if whole else COARSE_COST))
+        blocks = max(-(-int(gaussians * times) // limit), workers)
+        coarse = 0.0 if whole else COARSE_COST * once * share
+        trained = once * share * times
+        elapsed = coarse + trained / blocks * -(-blocks // workers)
         steps = options.iterations * share * times / blocks
         rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
                      f"{steps:,.0f}", f"{gaussians:,}", f"{gaussians * PLY_BYTES / GIB:,.1f}",
-                     f"{3 * pixels * count / GIB:,.1f}", f"{seconds / 3600:,.1f}",
+                     f"{3 * larger * pixels * count / GIB:,.1f}",
+                     f"{(trained + coarse) / 3600:,.2f}", f"{elapsed / 3600:,.2f}",
                      f"{DASK_SECONDS * blocks:,.1f}", f"{DASK_BYTES * blocks / MIB:,.2f}"))
     head = ("photos", "blocks", "photos a block", "steps a block", "gaussians", "model, GiB",
-            "pixels, GiB", "device hours", "scheduler, s", "MiB")
-    return Table("At scale", head, rows, range(10), (
-        f"For photos like these, on {device.name}, in as few blocks as fit it, with as many steps "
-        "a photo; a part of a scene that two blocks train counts twice. Scheduler: total CPU time "
-        "and bytes of a Dask cluster.",))
+            "pixels, GiB", "device hours", f"hours on {workers}", "scheduler, s", "MiB")
+    name = known.device if known else device.name
+    of_size = f" of {size[0]}x{size[1]}" if size else ""
+    return Table("At scale", head, rows, range(11), (
+        f"For photos like these{of_size}, on {name}, in as few blocks as fit it and at least one a "
+        "device, with as many steps a photo; a part of a scene that two blocks train counts twice. "
+        "The coarse run is on one device. Scheduler: total CPU time and bytes of a Dask cluster.",
+    ))
 
 
 def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) -> Table:
@@ -102,7 +126,8 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     head: tuple[str, ...] = ("block", "gaussians", "margin", "around", "in layers", "views",
                              "steps")
     note = ("Gaussians: of the coarse run; around: those that the block holds without training "
-            "them; in layers: those that it only draws, once for each view.")
+            "them; in layers: those that it only draws, once for each view, where that takes less "
+            "memory (--surroundings).")
     ends = {workers: makespan(steps, workers) for workers in DEVICES}
     if device is None:
         shares = ", ".join(f"{end / sum(steps):.0%} on {workers}" for workers, end in ends.items())

@@ -25,6 +25,7 @@ from clsplat.scene import Scene
 STARVED = 0.1  # gaussians for each sparse point of its cell; a block with fewer did not train well
 FILLED = ("merged", "coarse")  # states of a block whose cell is filled
 TRAINS = "in training"  # by another process, at this moment
+MISSING = "missing"
 NEVER_FILLED = (TRAINS, "refused")  # states of a block; the message gives the cure of the last one
 
 
@@ -77,8 +78,10 @@ class Merged:
         if not lacking:
             return
         named = ", ".join(f"{share.block:03d} {share.state}" for share in lacking)
-        cure = (f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`, or fill them from "
-                "the coarse model with --fill")
+        see = (f"see `clsplat block {self.path}/blocks/{lacking[0].block:03d}`"
+               if lacking[0].state != MISSING else
+               "run the `clsplat city` or `clsplat partition` that wrote the blocks again")
+        cure = f"{see}, or fill them from the coarse model with --fill"
         for state in NEVER_FILLED:
             cure = next((share.note for share in lacking if share.state == state), cure)
         raise InputError(f"{self.path}: {len(lacking)} of {len(self.shares)} blocks cannot be "
@@ -170,7 +173,7 @@ def _block(folder: BlockFolder, number: int, partition: Partition, scene: Scene
            ) -> tuple[str, int, Gaussians | None, str]:
     """The state of a block, its number of trained gaussians, those of its cell, and a note."""
     if not folder.is_there:
-        return "missing", 0, None, "it was never written"
+        return MISSING, 0, None, "it was never written"
     run = RunFolder(folder.run)
     if not run.has_model:
         if is_locked(folder.run):

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from clsplat.distribute import Outcome, Task, run
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import final_metrics
+from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.city import EXCHANGES, LAYERS, PARTITION, BlockFolder, CityFolder
 from clsplat.io.depth import with_depths
@@ -38,6 +40,7 @@ from clsplat.scene import Scene
 from clsplat.schedule import chooses_steps, planned_steps, schedule_of
 from clsplat.training.block import block_options, decided_by, options_of_blocks, train_block
 from clsplat.training.exchange import exchange_steps, most_exchanges
+from clsplat.training.layers import compared_bytes
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 
@@ -188,7 +191,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
                          minlength=len(partition.regions))
     draw(city, partition, scene, counts)
     exposures, steps = coarse.folder.load_exposures(), whole_steps(options, scene)
-    as_layers = draws_layers(city, options)
+    surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, [
         steps * len(chosen) / len(views) for chosen in partition.views])
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
@@ -196,7 +199,10 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
                                   observations=None)
         windows = find_windows(gaussians, scene, region, own.views)
         own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
-        part = block_start(gaussians, scene, region, own.views, as_layers)
+        compared: dict[str, int] = {}
+        part = block_start(gaussians, scene, region, own.views, partial(
+            takes_layers, surroundings, dataclasses.replace(own, region=region),
+            decided, compared))
         given = block_steps(options, steps * len(chosen) / len(views))
         if not any(view.depth for view in own.views):
             given["depth"] = ""
@@ -204,7 +210,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             number, scene, chosen, region, windows, part.gaussians, exposures,
             options_of_blocks(given, decided),
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
-             "surroundings": part.surroundings,
+             "surroundings": part.surroundings, **compared,
              **({} if part.around is None else {LAYERS: part.around.count}),
              **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
             part.around)
@@ -226,15 +232,36 @@ def planned_exchanges(city: CityFolder, options: TrainOptions, steps: Sequence[f
     return min(requested, *(most_exchanges(round(number)) for number in steps))
 
 
-def draws_layers(city: CityFolder, options: TrainOptions) -> bool:
-    """Whether the blocks of a city draw their surroundings as layers.
+def surroundings_of(city: CityFolder, options: TrainOptions) -> str:
+    """What the blocks of a city do with their surroundings: layers, gaussians or auto.
 
     Layers have no depth, so blocks that need it hold all gaussians. A partition that does not
     record the choice is of a version without layers.
     """
     requested = city.read_partition().get(REQUESTED) or {}
-    return (requested.get("surroundings") == "layers" and not options.depth
-            and options.reproject == "off")
+    if options.depth or options.reproject != "off":
+        return "gaussians"
+    return str(requested.get("surroundings", "gaussians"))
+
+
+def takes_layers(surroundings: str, scene: Scene, decided: dict[str, Any],
+                 compared: dict[str, int], around: Gaussians) -> bool:
+    """Whether a block draws these gaussians around it as layers.
+
+    Parameters
+    ----------
+    surroundings : layers, gaussians, or auto for whichever takes fewer bytes.
+    scene : the block's, with the whole scene's frame.
+    decided : options that the coarse run decided (`decided_by`).
+    compared : receives what decided, for block.json.
+    around : in that frame.
+    """
+    if surroundings != "auto":
+        return surroundings == "layers"
+    layers, gaussians = compared_bytes(scene, around, decided["sh_degree"],
+                                       decided["exposure"] == "on")
+    compared |= {"layers_bytes": layers, "gaussians_bytes": gaussians}
+    return layers < gaussians
 
 
 def block_steps(options: TrainOptions, steps: float) -> dict[str, Any]:

@@ -16,8 +16,23 @@ if TYPE_CHECKING:
     from clsplat.estimate.forecast import Forecast
 
 MIB = 2**20
-MOST_PHOTOS = 10**9
+MOST_PHOTOS, MOST_SIDE = 10**9, 10**6
 NAME_WIDTH = 12  # characters
+
+
+def _size(ctx: click.Context, parameter: click.Parameter, text: str | None
+          ) -> tuple[int, int] | None:
+    """A width and a height from text such as 1152x864."""
+    if text is None:
+        return None
+    try:
+        width, height = (int(part) for part in text.split("x"))
+        if not (1 <= width <= MOST_SIDE and 1 <= height <= MOST_SIDE):
+            raise ValueError
+    except ValueError:
+        raise InputError(f"--photo-size {text[:80]}: expects width and height, such as 1152x864"
+                         ) from None
+    return width, height
 
 
 @click.command(cls=SectionedCommand)
@@ -29,9 +44,18 @@ NAME_WIDTH = 12  # characters
               "like those of SCENE, such as 1000,10000,100000.")
 @click.option("--margin", default=0.3, show_default=True,
               help="With --photos: margin of the blocks, as for `clsplat city`.")
+@click.option("--photo-size", callback=_size, help="With --photos: width and height of those "
+              "photos, such as 1152x864; default: as in SCENE.")
+@click.option("--workers", type=click.IntRange(1, MOST_PHOTOS), default=1, show_default=True,
+              help="With --photos: number of devices.")
+@click.option("--steps-to", type=click.Path(path_type=Path), help="Write the steps that are timed "
+              "here, and the device's name and memory, to a JSON file.")
+@click.option("--steps-from", type=click.Path(path_type=Path), help="Forecast the time for the "
+              "device of such a file, instead of timing steps here.")
 @click.pass_context
 def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, margin: float,
-         **_options: object) -> None:
+         photo_size: tuple[int, int] | None, workers: int, steps_to: Path | None,
+         steps_from: Path | None, **_options: object) -> None:
     """Forecast the decisions, memory and time of a training.
 
     Takes the options of `clsplat train`. Prints a line for each part of the training that can be
@@ -41,6 +65,7 @@ def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, m
     from clsplat.cli.progress import Progress
     from clsplat.device import choose_device
     from clsplat.estimate.forecast import Planned
+    from clsplat.estimate.measured import MeasuredSteps
     from clsplat.estimate.step_time import load
     from clsplat.io.scenes import read_scene
     from clsplat.options import from_toml, resolve
@@ -48,7 +73,8 @@ def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, m
     from clsplat.training.photos import size_note
     options = resolve(from_toml(config) if config else {}, given_options(ctx))
     counts, margin = _numbers(photos), PartitionOptions(margin=margin).margin
-    busy, progress = load(), Progress()
+    known = MeasuredSteps.read(steps_from) if steps_from else None
+    busy, progress = None if known else load(), Progress()
     with progress:
         progress.phase("reading the scene")
         data = read_scene(scene, options.images)
@@ -62,13 +88,17 @@ def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, m
     for name, reason in prepared.decisions.reasons.items():
         _line(name, reason)
     with progress:
-        forecast = planned.forecast()
+        forecast = planned.forecast(known.steps if known else ())
     _line("photos", forecast.streaming.reason)
     _line("memory", _memory(forecast, device))
-    _line("time", _time(forecast, busy))
+    _line("time", _time(forecast, busy) + (f"; on {known.device}" if known else ""))
+    if steps_to:
+        (known or MeasuredSteps(device.name, device.handle.global_mem_size, forecast.measured)
+         ).write(steps_to)
     if counts:
         from clsplat.city.forecast import scale_table
-        click.echo("\n" + scale_table(planned, forecast, device, margin, counts).text())
+        click.echo("\n" + scale_table(planned, forecast, device, margin, counts,
+                                      photo_size, workers, known).text())
 
 
 def _numbers(text: str) -> list[int]:

@@ -16,6 +16,7 @@ from clsplat.distribute.task import (
     DONE,
     FAILED,
     GRACE_SECONDS,
+    HANG_SECONDS,
     INPUT,
     INTERRUPTED,
     LOST,
@@ -24,7 +25,9 @@ from clsplat.distribute.task import (
     Result,
     Task,
 )
+from clsplat.io.lock import latest_change
 
+HUNG = 1000  # in place of an exit code
 LOG = "log.txt"  # in the task's folder: the output of all tries
 POLL_SECONDS = 0.2
 
@@ -42,6 +45,17 @@ def in_child(task: Task, program: str, device: str = "", folder: str | None = No
     stopping : polled; once it returns true, the child is told to save its state and end.
     """
     began = time.monotonic()
+    try:
+        code, log_start = _tried(task, program, device, folder, stopping)
+        ending, message = _ending(task, code, log_start)
+    except OSError as error:  # its folder was removed, or the disk is full
+        ending, message = FAILED, f"{task.folder}: {error.strerror or error}"
+    return Result(ending, message, time.monotonic() - began)
+
+
+def _tried(task: Task, program: str, device: str, folder: str | None,
+           stopping: Callable[[], bool]) -> tuple[int, int]:
+    """Run a child to its end; its exit code, and where its output begins in the log."""
     with open(task.folder / LOG, "ab") as log:
         log.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} on {socket.gethostname()}: {program} "
                   f"{' '.join(task.command)}\n".encode())
@@ -55,11 +69,9 @@ def in_child(task: Task, program: str, device: str = "", folder: str | None = No
             env=environment(device), start_new_session=True,
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0))
     try:
-        code = _exit_code(child, stopping)
+        return _exit_code(child, stopping, task.folder), log_start
     finally:
         _end_input(child)
-    ending, message = _ending(task, code, log_start)
-    return Result(ending, message, time.monotonic() - began)
 
 
 def environment(device: str = "") -> dict[str, str]:
@@ -77,14 +89,29 @@ def device_fault() -> str:
     return done.stderr.strip().splitlines()[-1] if done.returncode else ""
 
 
-def _exit_code(child: subprocess.Popen[bytes], stopping: Callable[[], bool]) -> int:
+def _exit_code(child: subprocess.Popen[bytes], stopping: Callable[[], bool], folder: Path) -> int:
+    """Wait for a child; HUNG if it did nothing in its folder for too long, and was killed."""
+    change, changed = latest_change(folder), time.monotonic()
     while True:
         try:
             return child.wait(POLL_SECONDS)
         except subprocess.TimeoutExpired:
             if stopping():
-                _end_input(child)
-                return child.wait(GRACE_SECONDS + 10)  # it ends itself before
+                break
+        if time.monotonic() - changed > HANG_SECONDS:
+            latest = latest_change(folder)
+            if latest == change:
+                child.kill()  # it could neither save its state nor end itself
+                child.wait()
+                return HUNG
+            change, changed = latest, time.monotonic()
+    _end_input(child)
+    try:
+        return child.wait(GRACE_SECONDS + 10)  # it ends itself before, unless it hangs
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+        return TERMINATED
 
 
 def _end_input(child: subprocess.Popen[bytes]) -> None:
@@ -100,7 +127,9 @@ def _ending(task: Task, code: int, log_start: int) -> tuple[str, str]:
     if code in (INTERRUPTED, TERMINATED):
         return LOST, "it was stopped"
     log = task.folder / LOG
-    if code < 0:
+    if code == HUNG:
+        cause = f"it did nothing for {HANG_SECONDS} s, and was ended"
+    elif code < 0:
         cause = f"it was ended by {signal.Signals(-code).name}"
     else:
         with open(log, "rb") as file:

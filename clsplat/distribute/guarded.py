@@ -22,9 +22,9 @@ from pathlib import Path
 
 from clsplat.distribute.task import GRACE_SECONDS, INPUT, INTERRUPTED, LOCKED
 from clsplat.errors import InputError
-from clsplat.io.lock import LockTaken, exclusive
+from clsplat.io.lock import LockTaken, exclusive, latest_change
 
-LOCK_SECONDS = 300  # to wait for another process in the folder, which may be saving its state
+LOCK_SECONDS = 300  # to wait for another process in the folder that may be saving its state
 
 
 def main(done_path: str, module: str, *arguments: str) -> None:
@@ -33,7 +33,7 @@ def main(done_path: str, module: str, *arguments: str) -> None:
     done = Path(done_path)
     try:
         with ExitStack() as stack:
-            stack.enter_context(exclusive(done.parent, LOCK_SECONDS))
+            _lock(stack, done.parent)
             if done.exists():  # another process has finished the task
                 return
             os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache(stack))
@@ -44,6 +44,21 @@ def main(done_path: str, module: str, *arguments: str) -> None:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(LOCKED if isinstance(error, LockTaken) else INPUT)
+
+
+def _lock(stack: ExitStack, folder: Path) -> None:
+    """Lock a folder; LockTaken once its process has done nothing there for LOCK_SECONDS.
+
+    A worker that the scheduler has lost may still train the block, and finish it.
+    """
+    while True:
+        before = latest_change(folder)
+        try:
+            stack.enter_context(exclusive(folder, LOCK_SECONDS))
+            return
+        except LockTaken:
+            if latest_change(folder) == before:
+                raise
 
 
 def _follow_parent() -> None:

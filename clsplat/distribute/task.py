@@ -16,6 +16,7 @@ LOST = "lost"  # the worker has disappeared, or was stopped
 
 # exit codes of children
 INPUT, LOCKED, INTERRUPTED, TERMINATED = 2, 75, 130, 143
+HANG_SECONDS = 3600  # without a change in its folder, after which a child is ended
 GRACE_SECONDS = 120  # for an interrupted child to save its state
 
 

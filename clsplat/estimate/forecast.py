@@ -1,6 +1,7 @@
 """Plans a training: its decisions, and a forecast of its memory and time."""
 
 import dataclasses
+from collections.abc import Sequence
 
 from clsplat.device import Device
 from clsplat.estimate.detail import photo_detail
@@ -33,6 +34,7 @@ class Forecast:
     seconds : time of training.
     ends : (level, gaussians, seconds per step) at the beginning and at the end of the run.
     streaming : whether photos stay on the device.
+    measured : [(pixels, gaussians, seconds), ...] of the steps on which the times rest.
     """
 
     steps: int
@@ -41,6 +43,7 @@ class Forecast:
     seconds: float
     ends: list[tuple[float, int, float]]
     streaming: Decision
+    measured: list[tuple[float, float, float]]
 
 
 class Planned:
@@ -63,8 +66,9 @@ class Planned:
         self.prepared = prepare(scene, options, device)
         self._details: dict[float, float] = {}  # level -> `photo_detail`
 
-    def forecast(self) -> Forecast:
-        """Forecast the training; this takes some real steps on the device.
+    def forecast(self, known: Sequence[tuple[float, float, float]] = ()) -> Forecast:
+        """Forecast the training; this takes some real steps on the device, unless `known` has
+        steps of another device (`predicted_seconds`).
 
         Raises DeviceError where these steps, or those to come, do not fit the device.
         """
@@ -72,8 +76,8 @@ class Planned:
         gaussians = initial_gaussians(prepared.scene, options)
         self.progress.phase("planning: how many gaussians")
         segments = self._segments(options, gaussians)
-        seconds, ends = predicted_seconds(self.device, prepared, gaussians, segments,
-                                          self.progress)
+        seconds, ends, measured = predicted_seconds(self.device, prepared, gaussians, segments,
+                                                    self.progress, known)
         if options.time_budget:
             budget = seconds_of(options.time_budget)
             options = laid_over(options, max(1, int(options.iterations * budget / seconds)))
@@ -81,7 +85,8 @@ class Planned:
         self.progress.phase("planning: memory")
         memory = predicted_memory(self.device, prepared, gaussians, segments)
         return Forecast(options.iterations, largest(segments), memory, seconds, ends,
-                        self._streaming(memory, len({segment.level for segment in segments})))
+                        self._streaming(memory, len({segment.level for segment in segments})),
+                        measured)
 
     def _segments(self, options: TrainOptions, gaussians: Gaussians) -> list[Segment]:
         """The simulated run, including the gaussians of a block that are frozen."""

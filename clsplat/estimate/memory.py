@@ -21,7 +21,6 @@ from clsplat.loss.term import LossTerm
 from clsplat.loss.terms import terms_of
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.pose import Poses
-from clsplat.partition.blocks import largest_sizes
 from clsplat.partition.surroundings import lies_behind
 from clsplat.rendering.bands import pair_limit
 from clsplat.rendering.bin import steps_of, tile_grid
@@ -31,7 +30,7 @@ from clsplat.rendering.project import CAMERA
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
 from clsplat.training.depth_maps import depth_array
-from clsplat.training.layers import layer_array
+from clsplat.training.layers import has_front, layer_array
 from clsplat.training.model import ENGINES, Model, grown_capacity
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.rooms import pairs_room, visible_room
@@ -201,8 +200,7 @@ def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], 
     sizes, widest = [], max(shown, key=lambda view: view.camera.width * view.camera.height)
     for view in shown:
         behind = lies_behind(prepared.scene, view.camera.position, around.positions)
-        deviations = np.exp(around.log_scales.max(axis=1))[~behind]
-        in_front = largest_sizes(around.positions[~behind], deviations, [view], near).any()
+        in_front = has_front(view, around, behind, near)
         sizes.append(layer_array(view, in_front).nbytes(device.real))
         most = max(most, int(behind.sum()), int((~behind).sum()))
     count = sum(layer_array(view, True).nbytes(device.real) for view in shown)

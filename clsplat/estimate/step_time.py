@@ -36,26 +36,34 @@ BUSY_LOAD = 0.5  # processes per core that run or wait
 
 def predicted_seconds(device: Device, prepared: PreparedScene, gaussians: Gaussians,
                       segments: Sequence[Segment], progress: SilentProgress | None = None,
-                      ) -> tuple[float, list[tuple[float, int, float]]]:
+                      known: Sequence[tuple[float, float, float]] = (),
+                      ) -> tuple[float, list[tuple[float, int, float]],
+                                 list[tuple[float, float, float]]]:
     """Predict the time of a training, without evaluations, files and compilation.
 
-    Arguments as for `memory.predicted_memory`.
+    Parameters
+    ----------
+    device, prepared, gaussians, segments : as for `memory.predicted_memory`.
+    progress : receives what is being timed.
+    known : [(pixels, gaussians, seconds of a step), ...] of another device, which counts; empty:
+        steps are timed on this one.
 
     Returns
     -------
-    (seconds, [(level, gaussians, seconds per step), ...] of the first and of the last segment).
+    (seconds, [(level, gaussians, seconds per step), ...] of the first and of the last segment,
+    steps like `known` on which this rests).
     """
     progress, views = progress or SilentProgress(), prepared.train_views
     regularises = any(segment.regularises for segment in segments)
-    measured = []
-    for level, count in stepped_with(views, gaussians.count, segments):
+    measured = list(known)
+    for level, count in () if known else stepped_with(views, gaussians.count, segments):
         progress.phase(f"planning: timing steps at level {level:.3g}, {count:,} gaussians")
         seconds = _step_seconds(device, prepared, level, count, regularises)
         measured.append((pixels(views, level), count, seconds))
     cost = fitted(measured)
     ends = [(s.level, s.gaussians, predicted(cost, views, [replace(s, steps=1)]))
             for s in (segments[0], segments[-1])]
-    return predicted(cost, views, segments), ends
+    return predicted(cost, views, segments), ends, measured
 
 
 def stepped_with(views: Sequence[View], count: int,

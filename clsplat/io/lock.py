@@ -81,6 +81,20 @@ def holder(folder: Path) -> str:
     return "another process"
 
 
+def note_work(folder: Path) -> None:
+    """Note in a locked folder that its process does not hang."""
+    with suppress(OSError):
+        os.utime(Path(folder) / HOLDER)
+
+
+def latest_change(folder: Path) -> int:
+    """When a file of a folder was last written, or work was noted, by the clock of the file system;
+    0 if there is none."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        return max((entry.stat().st_mtime_ns for entry in entries), default=0)
+    return 0
+
+
 def _sign(path: Path) -> None:
     record = {"process": os.getpid(), "host": socket.gethostname(),
               "since": time.strftime("%Y-%m-%d %H:%M:%S")}

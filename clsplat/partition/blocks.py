@@ -8,13 +8,13 @@ after merging, caliterra then lost 4 dB (docs/notebook/city.md). A gaussian that
 that extends beyond its reach, such as haze, is frozen for the same reason: every block trains its
 other gaussians with the same haze. Merging drops margin and surroundings. Of the surroundings, the
 model holds those that enter what the block reaches; the others are drawn once for each view, as
-layers (surroundings.py, clsplat/training/layers.py), or held as well. A block reads only the
-windows of its photos that show what it reaches.
+layers (surroundings.py, clsplat/training/layers.py) where that takes less memory. A block reads
+only the windows of its photos that show what it reaches.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -64,7 +64,7 @@ class BlockStart:
 
 
 def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View],
-                as_layers: bool = False) -> BlockStart:
+                as_layers: Callable[[Gaussians], bool] | None = None) -> BlockStart:
     """Choose the gaussians that the block of a region starts from.
 
     Surroundings that are smaller than a pixel in every view are thinned: where two standard
@@ -80,7 +80,8 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     scene : the whole scene.
     region : the block's cell and margin.
     views : of the block, with cameras of the size they are trained at (`Scene.reduced`).
-    as_layers : whether surroundings that do not enter the block's reach are drawn as layers.
+    as_layers : whether these surroundings, which do not enter the block's reach, are drawn as
+        layers; None: the model holds them.
     """
     scene = replace(scene, region=region)
     positions = gaussians.positions.astype(np.float64)
@@ -98,10 +99,12 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     surroundings = int((keeps & rest).sum())
     if as_layers:
         held = enters_reach(scene, kept)
-        kept, around = (Gaussians({name: values[which] for name, values in rows.items()},
-                                  gaussians.sh_degree) for which in (held, ~held))
-        surroundings -= around.count
-        indices = np.concatenate([indices[held], indices[~held]])
+        inside, outside = (Gaussians({name: values[which] for name, values in rows.items()},
+                                     gaussians.sh_degree) for which in (held, ~held))
+        if as_layers(outside):
+            kept, around = inside, outside
+            surroundings -= outside.count
+            indices = np.concatenate([indices[held], indices[~held]])
     return BlockStart(kept, indices, int(own.sum()), int((reached & ~own).sum()), surroundings,
                       around, unseen, int((~keeps).sum()) - unseen)
 

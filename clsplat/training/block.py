@@ -13,7 +13,7 @@ from clsplat.options import EARLIER, TrainOptions, checked, resolve
 from clsplat.training.exchange import exchange, lacking_blocks, write_part
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
-from clsplat.training.progress import SilentProgress
+from clsplat.training.progress import NotedProgress, SilentProgress
 
 # options that the coarse run decides, so that all blocks agree on colours and SH degree
 DECIDED = ("exposure", "vignetting", "tone", "sh_degree")
@@ -109,13 +109,14 @@ def _go_on(block: BlockFolder, options: TrainOptions, device: Device,
            progress: SilentProgress | None, until: int = 0) -> None:
     """Train until a step, or to the end if that is 0; other arguments as for `train_block`."""
     run, scene = RunFolder(block.run), read_scene(block.path)
+    noted = NotedProgress(run.path, progress or SilentProgress())
     if run.checkpoint_iteration() and block.around.is_file():
         scene = replace(scene, surroundings=block.around)
     start = resume if run.is_begun else train
     stop_at = min(filter(None, (until, options.stop_at)), default=0)
     try:
         start(scene, replace(options, stop_at=stop_at), device,
-              run if run.is_begun else RunFolder.create(run.path), progress=progress)
+              run if run.is_begun else RunFolder.create(run.path), progress=noted)
     except Interrupted as stopped:
         if not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at:
             raise

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
+from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.loss.exposure import Exposures
+from clsplat.partition.blocks import largest_sizes
 from clsplat.partition.surroundings import lies_behind
 from clsplat.rendering.blend import BACK_PLANES, FRONT_AND_BACK_PLANES
 from clsplat.rendering.slabs import open_model
 from clsplat.scene import Scene, View
+from clsplat.training.model import GROWTH_ROOM
 
 if TYPE_CHECKING:
     from clsplat.options import TrainOptions
@@ -107,6 +110,43 @@ def layer_array(view: View, has_front: bool) -> ArraySpec:
     """The device array of a view's layers."""
     planes = FRONT_AND_BACK_PLANES if has_front else BACK_PLANES
     return ArraySpec((planes, view.camera.height, view.camera.width), np.uint8)
+
+
+def has_front(view: View, surroundings: Gaussians, behind: NDArray[np.bool_], near: float) -> bool:
+    """Whether a view may show surroundings in front of the block, even if faintly.
+
+    Parameters
+    ----------
+    view, near : as for `drawn_layers`.
+    surroundings : of the block.
+    behind : bool[N], those behind the block (`lies_behind`).
+    """
+    deviations = np.exp(surroundings.log_scales[~behind].max(axis=1))
+    return bool(largest_sizes(surroundings.positions[~behind], deviations, [view], near).any())
+
+
+def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, exposes: bool
+                   ) -> tuple[int, int]:
+    """Device bytes of a block's surroundings as layers, and as gaussians that the model holds.
+
+    Both follow from counts alone, so that every machine finds the same.
+
+    Parameters
+    ----------
+    scene, surroundings : as for `Layers`; its views are those of the block's finest level.
+    sh_degree : of the block's model, which keeps room to grow for these gaussians and moments too.
+    exposes : whether a step exposes its image without layers too.
+    """
+    real, near = np.dtype(np.float32), scene.near_plane
+    layers = step = 0
+    for view in scene.views:
+        behind = lies_behind(scene, view.camera.position, surroundings.positions)
+        layers += layer_array(view, has_front(view, surroundings, behind, near)).nbytes(real)
+        step = max(step, sum(array.nbytes(real) for array in Exposures.frame_arrays(
+            view.camera.width, view.camera.height, vignetting=False, tone=False)))
+    floats = sum(field.width(sh_degree) for field in LEARNED)
+    return (layers + (0 if exposes else step),
+            int(3 * 4 * floats * GROWTH_ROOM * surroundings.count))
 
 
 def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, view: View, near: float,

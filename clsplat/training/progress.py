@@ -1,9 +1,14 @@
 """The interface of a progress line, which shows nothing."""
 
 import sys
+import time
 from contextlib import suppress
+from pathlib import Path
+
+from clsplat.io.lock import note_work
 
 WARNING = "warning: "  # begins a message that is always shown
+NOTE_SECONDS = 10.0
 
 
 class SilentProgress:
@@ -20,3 +25,36 @@ class SilentProgress:
 
     def phase(self, text: str) -> None:
         """Show what is being done now."""
+
+
+class NotedProgress(SilentProgress):
+    """Passes everything on, and notes in a locked folder that its process does not hang.
+
+    Parameters
+    ----------
+    folder : of the run.
+    shown : receives everything.
+    """
+
+    def __init__(self, folder: Path, shown: SilentProgress) -> None:
+        self._folder, self._shown, self._noted = folder, shown, time.monotonic()
+
+    def __call__(self, **values: object) -> None:
+        """Show values of a step."""
+        self._note()
+        self._shown(**values)
+
+    def message(self, text: str) -> None:
+        """Print a line that stays."""
+        self._note()
+        self._shown.message(text)
+
+    def phase(self, text: str) -> None:
+        """Show what is being done now."""
+        self._note()
+        self._shown.phase(text)
+
+    def _note(self) -> None:
+        if time.monotonic() - self._noted >= NOTE_SECONDS:
+            self._noted = time.monotonic()
+            note_work(self._folder)

@@ -271,10 +271,10 @@ def test_what_ten_times_the_photos_take():
     head, *_ = table = scale_table(planned, forecast, device, 0.5, [200, 2000]).rows
     small, large = (dict(zip(("photos", "blocks", "views", "steps", "gaussians", "model", "pixels",
                               "hours"), row)) for row in table)
-    assert head[0] == "200" and small["blocks"] == "1" and small["hours"] == "2.0"
+    assert head[0] == "200" and small["blocks"] == "1" and small["hours"] == "2.00"
     assert small["steps"] == "2,000" and small["views"] == "200"
     # twenty times the scene, each part of it in four blocks
-    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * 4.25:.1f}"
+    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * 4.25:.2f}"
     assert large["steps"] in ("2,000", "2,051")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from clsplat.city.stages import draws_layers
+from clsplat.city.stages import surroundings_of
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
@@ -302,10 +302,11 @@ def test_a_block_of_before_there_were_layers(city, scene, gaussians):
 
 
 @pytest.mark.parametrize("requested, options, layers", [
-    ({}, {}, False), ({"surroundings": "gaussians"}, {}, False),
-    ({"surroundings": "layers"}, {}, True), ({"surroundings": "layers"}, {"depth": "d"}, False),
-    ({"surroundings": "layers"}, {"reproject": "auto"}, False)])
+    ({}, {}, "gaussians"), ({"surroundings": "gaussians"}, {}, "gaussians"),
+    ({"surroundings": "layers"}, {}, "layers"), ({"surroundings": "auto"}, {}, "auto"),
+    ({"surroundings": "layers"}, {"depth": "d"}, "gaussians"),
+    ({"surroundings": "auto"}, {"reproject": "auto"}, "gaussians")])
 def test_layers_are_drawn_where_the_partition_says_so_and_no_depth_is_needed(
         city, requested, options, layers):
     city.write_partition({"method": "by hand", "asked": requested})
-    assert draws_layers(city, resolve({}, options)) == layers
+    assert surroundings_of(city, resolve({}, options)) == layers

@@ -5,17 +5,20 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 
 import pytest
 
 import clsplat
-from clsplat.distribute import Task, cluster, guarded, run
+from clsplat.distribute import Task, child, cluster, guarded, run
 from clsplat.distribute.child import LOG
 from clsplat.distribute.ledger import MOST_LOSSES, Ledger
-from clsplat.distribute.task import INTERRUPTED, LOCKED, LOST, Result
+from clsplat.distribute.task import FAILED, INTERRUPTED, LOCKED, LOST, Result
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.lock import exclusive
+from clsplat.io.lock import HOLDER, LockTaken, exclusive, latest_change
+from clsplat.training.progress import NotedProgress, SilentProgress
 from tests.data.tiny_training import CITY, flags
 from tests.distribute.driver import PROGRAM, stub_tasks
 from tests.distribute.stub_command import ENDS, NO_DEVICE, STARTS, STATE, STEP_SECONDS, STEPPED
@@ -173,6 +176,50 @@ def test_a_folder_that_stays_locked_is_reported(tmp_path, monkeypatch, capsys):
         guarded.main(str(tmp_path / "done"), PROGRAM, str(tmp_path))
     assert ended.value.code == LOCKED
     assert f"process {other} on" in capsys.readouterr().err
+
+
+def test_a_folder_at_work_is_waited_for(tmp_path, monkeypatch):
+    """By a second child: a worker that the scheduler has lost may still train."""
+    monkeypatch.setattr(guarded, "LOCK_SECONDS", 0.1)
+    changes = iter([0, 1, 1, 2, 2, 2])
+    monkeypatch.setattr(guarded, "latest_change", lambda folder: next(changes))
+    with held_elsewhere(tmp_path), pytest.raises(LockTaken), ExitStack() as stack:
+        guarded._lock(stack, tmp_path)
+    assert next(changes, None) is None  # three tries
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="a process cannot be stopped here")
+def test_a_child_that_hangs_is_ended_and_tried_again(tmp_path, monkeypatch):
+    [task] = stub_tasks(tmp_path, 1, "--fail", 1, "--code", -int(signal.SIGSTOP))
+    changes = count()
+    monkeypatch.setattr(child, "HANG_SECONDS", 0.3)
+    monkeypatch.setattr(child, "latest_change",
+                        lambda folder: 0 if starts(task) == 1 else next(changes))
+    [outcome] = run([task], retries=1, workers=1, program=PROGRAM)
+    assert outcome.ok and outcome.tries == 2 == starts(task)
+    [task] = stub_tasks(tmp_path / "again", 1, "--fail", 1, "--code", -int(signal.SIGSTOP))
+    [outcome] = run([task], retries=0, program=PROGRAM)
+    assert not outcome.ok and "it did nothing for 0.3 s, and was ended" in outcome.message
+
+
+def test_a_folder_that_was_removed_is_no_traceback(tmp_path):
+    result = child.in_child(Task("000", (), tmp_path / "gone" / "done"), PROGRAM)
+    assert result.ending == FAILED and "gone: No such file" in result.message
+
+
+def test_a_training_notes_that_it_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr("clsplat.training.progress.NOTE_SECONDS", 0.0)
+    assert latest_change(tmp_path / "gone") == 0
+    with exclusive(tmp_path):
+        for path in tmp_path.iterdir():
+            os.utime(path, (1, 1))
+        noted = NotedProgress(tmp_path, SilentProgress())
+        for note in (lambda: noted.phase("reading"), lambda: noted(iteration=1),
+                     lambda: noted.message("so")):
+            os.utime(tmp_path / HOLDER, (1, 1))
+            assert latest_change(tmp_path) == 10**9
+            note()
+            assert latest_change(tmp_path) > 10**9
 
 
 def test_a_worker_that_has_another_clsplat_or_not_the_files_is_unfit(tmp_path):

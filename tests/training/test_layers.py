@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clsplat.city.stages import takes_layers
 from clsplat.errors import InputError
 from clsplat.estimate.memory import layer_bytes, predicted_memory
 from clsplat.evaluation.metrics import psnr
@@ -17,6 +18,7 @@ from clsplat.rendering.slabs import open_model
 from clsplat.schedule.simulate import simulate
 from clsplat.training import layers, loop
 from clsplat.training.initialise import initial_gaussians
+from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import Photos
 from clsplat.training.session import prepare
 from tests.data.tiny_training import CITY, STILL, model_digest, options_of, resumed, trained
@@ -39,7 +41,7 @@ def block(city, tmp_path_factory):
     region = region_of(city, 0.4, margin=0.05)
     given = Gaussians.from_points(city.points, city.colours, 1)
     given.rows["opacity_logits"][:] = 1.0
-    start = block_start(given, city, region, city.reduced(4).views, as_layers=True)
+    start = block_start(given, city, region, city.reduced(4).views, as_layers=lambda around: True)
     write_ply(folder / "initial.ply", start.gaussians, city.offset)
     write_ply(folder / "surroundings.ply", start.around, city.offset)
     scene = replace(city, region=region, surroundings=folder / "surroundings.ply")
@@ -56,6 +58,28 @@ def test_all_gaussians_are_in_the_block_or_around_it(block, city):
     assert 0 < start.surroundings < every.surroundings == start.surroundings + start.around.count
     reached = replace(city, region=scene.region).reached(start.around.positions)
     assert not reached.any()
+
+
+def test_a_block_takes_whichever_is_smaller(block):
+    """Layers of 7 bytes a pixel, and the image exposed and its gradient, or gaussians with moments
+    and room; what decided is recorded."""
+    start, scene, _ = block
+    small, views = scene.reduced(4), len(scene.views)
+    pixels, sums = [view.camera.width * view.camera.height for view in small.views], 4 * 12 * 8
+    layers, gaussians = compared_bytes(small, start.around, 1, exposes=True)
+    assert 3 * sum(pixels) < layers <= 7 * sum(pixels)
+    assert gaussians == 1.5 * 3 * 4 * (3 + 3 + 4 + 1 + 3 + 9) * start.around.count
+    exposed = compared_bytes(small, start.around, 1, exposes=False)[0] - layers
+    assert 24 * max(pixels) < exposed < 24 * max(pixels) + sums * views
+    decided = {"sh_degree": 1, "exposure": "off"}
+    for chosen, compared in ((small, {}), (scene, {})):
+        taken = takes_layers("auto", chosen, decided, compared, start.around)
+        assert taken == (compared["layers_bytes"] < compared["gaussians_bytes"])
+        assert taken == (chosen is small)
+        assert not takes_layers("gaussians", chosen, decided, {}, start.around)
+        assert takes_layers("layers", chosen, decided, {}, start.around)
+    assert block_start(Gaussians.from_points(scene.points, scene.colours, 1), scene, scene.region,
+                       small.views, lambda around: False).around is None
 
 
 def shown(device, gaussians, scene, camera, background=(0.0, 0.0, 0.0)):
