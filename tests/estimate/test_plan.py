@@ -369,7 +369,7 @@ def test_a_time_budget_decides_the_steps(item_device, city, monkeypatch):
     monkeypatch.setattr("clsplat.estimate.forecast.predicted_memory",
                         lambda *_: Memory(0, 0, 0, True, 0))
     monkeypatch.setattr("clsplat.estimate.forecast.predicted_seconds",
-                        lambda *_: (3000.0, [(1.0, 4400, 0.1)]))
+                        lambda *_: (3000.0, [(1.0, 4400, 0.1)], []))
     options = resolve({}, {"time_budget": "2m", "schedule": "taming", "exposure": "off"})
     forecast = Planned(city, options, item_device).forecast()
     assert (forecast.steps, forecast.seconds) == (8400 * 120 // 3000, 120)  # 28 photos
