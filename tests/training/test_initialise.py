@@ -39,6 +39,18 @@ def test_on_the_sparse_points(scene):
     assert np.ptp(gaussians.log_scales, axis=1).max() == 0
 
 
+def test_neighbours_of_a_coarse_run_lie_together(scene):
+    """The same gaussians, in an order in which the next one is near."""
+    as_given, ordered = (initial_gaussians(scene, TrainOptions(sh_degree=1, coarse=coarse))
+                         for coarse in (False, True))
+    steps = [np.median(np.linalg.norm(np.diff(each.positions, axis=0), axis=1))
+             for each in (as_given, ordered)]
+    assert steps[1] < steps[0] / 4
+    places = [np.lexsort(each.positions.T) for each in (as_given, ordered)]
+    for name, rows in as_given.rows.items():
+        assert np.array_equal(rows[places[0]], ordered.rows[name][places[1]])
+
+
 def test_random(scene):
     first, again, other = (initial_gaussians(scene, TrainOptions(init="random", seed=seed))
                            for seed in (3, 3, 4))
