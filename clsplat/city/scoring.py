@@ -11,7 +11,7 @@ import logging
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views, final_metrics
 from clsplat.io.atomic import replacing
 from clsplat.io.city import CityFolder
+from clsplat.io.lock import note_work
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.options import TrainOptions
@@ -75,12 +76,18 @@ def score_share(city: CityFolder, share: int, shares: int, reference: Path | Non
     opened, partition = Run.open(city.path), city.partition()
     scene, options, merged = opened.scene(), opened.options, opened.finished_model
     views, held_out = views_of(scene, options)
-    chosen, per_view = range(share, len(views), shares), {}
+    per_view = {}
+
+    def chosen() -> Iterator[int]:
+        for index in range(share, len(views), shares):
+            note_work(done_file(city, share).parent)
+            yield index
+
     if held_out:
         model = opened.opened(device, scene, merged)
         predicted = predicted_responses(scene.views, opened.folder.load_exposures())
         metrics = final_metrics(options.lpips)
-        for index in chosen:
+        for index in chosen():
             scores = evaluate_views(*model, [views[index]], None, metrics, predicted)["per_view"]
             if scores:
                 per_view[index] = scores[0]
@@ -88,7 +95,7 @@ def score_share(city: CityFolder, share: int, shares: int, reference: Path | Non
     if len(partition.regions) > 1:
         other = reference_model(city, scene, reference)
         arrays = inspect_views(device, partition, scene, views, options, merged, other,
-                               chosen).arrays()
+                               chosen()).arrays()
     with replacing(done_file(city, share)) as file:
         np.savez(file, per_view=np.array(json.dumps(per_view)), **arrays)
 
