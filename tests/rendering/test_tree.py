@@ -6,13 +6,14 @@ import sys
 import numpy as np
 import pytest
 
-from clsplat.city.tree import facts_of, write_tree
+from clsplat.city.tree import facts_of
 from clsplat.edit.select import selected
 from clsplat.gaussians import Gaussians
 from clsplat.io.tree import ORDER, Tree, writing_tree
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.tree import TreeRenderer
 from tests.city.test_lod import strip
+from tests.data.made_tree import write_tree
 from tests.kernels.chain import camera_of, size_of, stored_degree
 from tests.rendering.test_slabs import downloaded, faint, same_to_rounding
 
