@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clsplat.city.lod import CELL_GAUSSIANS, TAIL_SHARE, frequency
 from clsplat.city.merge import Merged, merge
@@ -149,22 +149,3 @@ def merge_tree(path: Path, city: CityFolder, scene: Scene, sh_degree: int, fill:
         result.check()
         builder.finish()
     return result
-
-
-def write_tree(path: Path, blocks: Iterator[Gaussians], sh_degree: int, offset: ArrayLike,
-               cell: int = CELL) -> None:
-    """Write a tree of blocks, of which one at a time is in memory.
-
-    Parameters
-    ----------
-    path : the file, which is replaced as a whole.
-    blocks : in one frame.
-    sh_degree : of the gaussians.
-    offset : float64[3], the origin of their coordinates in the original ones.
-    cell : gaussians of a leaf at most.
-    """
-    with writing_tree(path, sh_degree, offset) as writer:
-        builder = TreeBuilder(writer, cell)
-        for block in blocks:
-            builder.add(block)
-        builder.finish()

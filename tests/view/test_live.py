@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.city.tree import write_tree
 from clsplat.estimate.trial_steps import sampled
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.streamed import Streaming
@@ -24,6 +23,7 @@ from clsplat.training.loop import train
 from clsplat.view import live
 from clsplat.view.frames import FrameRequest
 from clsplat.view.live import TrainingView, live_page, show_run
+from tests.data.made_tree import write_tree
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of
 from tests.export.browser import answer_of, needs_chromium
 
