@@ -70,7 +70,7 @@ class PartitionOptions:
                                "view; gaussians: hold them all, as it does with --depth or "
                                "--reproject; auto: whichever takes less memory in this block",
                                choices=("auto", "layers", "gaussians"))
-    exchanges: int = option(0, "Blocks", "how often neighbouring blocks exchange their gaussians "
+    exchanges: int = option(3, "Blocks", "how often neighbouring blocks exchange their gaussians "
                             "while they train, so that both sides of a border agree; blocks with "
                             "few steps do it less often, and with --time-budget never",
                             minimum=0, maximum=20)

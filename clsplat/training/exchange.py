@@ -5,7 +5,7 @@ after merging, its own gaussians stand beside others than those that they were t
 exchange, every block writes what it owns into a file, its part. Then each puts the parts of the
 others in place of its margin and its surroundings, and goes on. Blocks still take the same number
 of steps. This is the alternating method of Schwarz (1870) for domains that overlap; DOGS (Chen and
-Lee, 2024, sections 3.2 and 3.3) reaches the same aim with averages of what blocks share.
+Lee, 2024) reaches the same aim with averages of what blocks share.
 
 What a block goes on from follows from parts alone, and a part is written once: so a block that is
 killed during an exchange repeats it, and ends in the same bytes.
