@@ -137,7 +137,7 @@ def exchange(block: BlockFolder, options: TrainOptions, number: int) -> None:
     for other in other_blocks(block):
         part = _in_frame_of(scene, *_read_part(other.part(number), record))
         start = block_start(gaussians_of(part, degree), scene, scene.region, scene.views,
-                            LAYERS in record)
+                            lambda _: LAYERS in record)
         kept = start.indices[:start.gaussians.count]
         taken = {name: values[kept] for name, values in part.items()}
         taken["row.log_scales"] = start.gaussians.log_scales.astype(part["row.log_scales"].dtype)

@@ -49,7 +49,7 @@ def stopped(tmp_path_factory, item_device):
     for number, region in enumerate((west, east)):
         part = replace(scene, views=tuple(scene.views[i] for i in views[number]),
                        observations=None).reduced(8.0, 10_000)
-        start = block_start(first, scene, region, part.views, True)
+        start = block_start(first, scene, region, part.views, lambda _: True)
         city.write_block(number, scene, views[number], region, {}, start.gaussians, None, OPTIONS, {
             **city.identity(), LAYERS: start.around.count, EXCHANGES: [AT]}, start.around)
     with pytest.MonkeyPatch.context() as patch:
