@@ -15,7 +15,7 @@ def test_two_at_once(name):
 
 
 @pytest.mark.skipif(disk_full.can_mount() is not None, reason=str(disk_full.can_mount()))
-@pytest.mark.parametrize("name, coarser", [("train", 16), ("eval", 128)])
+@pytest.mark.parametrize("name, coarser", [("train", 30), ("eval", 250)])
 def test_full_disk(name, coarser):
     target = next(target for target in disk_full.TARGETS if target.name == name)
     target = disk_full.Target(**{**vars(target), "step": coarser * target.step})

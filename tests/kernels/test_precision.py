@@ -120,8 +120,8 @@ def test_variants_change_what_they_must(float_device):
 
 
 @pytest.mark.slow
-def test_flags_reach_the_compiler(float_device):
-    devices, small = Devices(float_device.handle, float_device.form), scene()
+def test_flags_reach_the_compiler(item_device):
+    devices, small = Devices(item_device.handle, item_device.form), scene()
     flag, define = (Frame(devices[variant], small).result() for variant in (
         Variant("", "", flags=("-DEXP_KIND=3",)), of("exponential", "degree 3")))
     assert errors(flag, define)["image_max"] == 0

@@ -8,7 +8,7 @@ from tests.adversarial.extreme.city import measure_city
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [200_000])
+@pytest.mark.parametrize("count", [100_000])
 def test_float_agrees_with_double(float_device, count):
     if not float_device.capabilities["HAVE_DOUBLE"]:
         pytest.skip(f"{float_device.name} has no double precision")
