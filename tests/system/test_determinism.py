@@ -66,20 +66,11 @@ def test_many_steps(float_device, city, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_whole_method(float_device, city, tmp_path, monkeypatch):
-    """Levels, exposures and adjacent photos."""
-    ends_in_the_same(float_device, city, tmp_path, monkeypatch, LEVELLED)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", [TAMING, MCMC], ids=lambda changes: changes["schedule"])
-def test_the_baselines(item_device, city, tmp_path, monkeypatch, changes):
-    """Scores, relocation and random steps."""
-    ends_in_the_same(item_device, city, tmp_path, monkeypatch, changes)
-
-
-def ends_in_the_same(device, city, tmp_path, monkeypatch, changes):
-    first = digest(tmp_path / "first", city, device, **changes)
+@pytest.mark.parametrize("changes", [LEVELLED, TAMING, MCMC],
+                         ids=lambda changes: changes["schedule"])
+def test_the_whole_method(item_device, city, tmp_path, monkeypatch, changes):
+    """Levels, exposures, adjacent photos, scores, relocation and random steps."""
+    first = digest(tmp_path / "first", city, item_device, **changes)
     monkeypatch.setattr(kernel, "RUNS_A_CORE", 3)
-    other = cut_otherwise(device, group_size=32, scan_group=64, compute_units=5)
+    other = cut_otherwise(item_device, group_size=32, scan_group=64, compute_units=5)
     assert digest(tmp_path / "other", city, other, **changes) == first

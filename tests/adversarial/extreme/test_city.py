@@ -8,8 +8,7 @@ from tests.adversarial.extreme.city import measure_city
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [100_000])
-def test_float_agrees_with_double(float_device, count):
+def test_float_agrees_with_double(float_device, count=100_000):
     if not float_device.capabilities["HAVE_DOUBLE"]:
         pytest.skip(f"{float_device.name} has no double precision")
     double = Device(float_device.handle, precision="double", form=float_device.form)
