@@ -329,7 +329,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
             block.check()
             options = block_options(block, **({"device": devices[0]} if devices else {}))
             with progress(titles[task.name]) if progress else nullcontext() as shown:
-                train_block(block, options, shown, **({"alone": True} if alone else {}))
+                train_block(block, options, shown, alone=alone)
 
         return run(tasks, workers, scheduler, devices=devices, call=in_this_process,
                    progress=ended and (lambda outcome: ended(outcome, titles[outcome.task.name])),

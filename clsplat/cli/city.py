@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from clsplat.scene import Scene
 
 BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
+TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, which `render`, `film` "
+             "and `view` read in parts, in place of point_cloud.ply: one block at a time is in "
+             "memory, and nothing is evaluated.")
 
 
 @click.command(cls=SectionedCommand)
@@ -42,9 +45,7 @@ BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
               "gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), **BLOCKS, help="A run of the whole "
               "scene, or its PLY, as the reference for seams, in place of the coarse model.")
-@click.option("--tree", is_flag=True, **BLOCKS, help="Merge into a tree of levels of detail, "
-              "CITY/point_cloud.tree, which `render`, `film` and `view` read in parts, in place of "
-              "point_cloud.ply: one block at a time is in memory, and nothing is evaluated.")
+@click.option("--tree", is_flag=True, **BLOCKS, help=TREE_HELP)
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 @click.pass_context
 def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, scheduler: str,
@@ -153,9 +154,7 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
               "missing, unfinished, or has too few gaussians; the report says so.")
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
               "PLY, as the reference for seams, in place of the coarse model.")
-@click.option("--tree", is_flag=True, help="Merge into a tree of levels of detail, "
-              "CITY/point_cloud.tree, which `render`, `film` and `view` read in parts, in place of "
-              "point_cloud.ply: one block at a time is in memory, and nothing is evaluated.")
+@click.option("--tree", is_flag=True, help=TREE_HELP)
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--scene", type=click.Path(path_type=Path), help="Where the scene is now, if it was "

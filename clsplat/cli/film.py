@@ -9,27 +9,18 @@ import click
 
 from clsplat.cli.flags import (
     FiniteRange,
-    Parsed,
     check_free,
     check_streaming,
     device_flag,
+    lod_flag,
     moved_scene_flag,
+    size_type,
     streaming_flags,
 )
 from clsplat.errors import InputError
 
 LARGEST_SIDE = 8192  # pixels: the most that H.264 has a level for
 PHOTOS, TURNTABLE = "photos", "turntable"
-
-
-def size_of(text: str) -> tuple[int, int]:
-    """Width and height in pixels of a text such as 1280x720."""
-    sides = text.lower().split("x")
-    if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) <= LARGEST_SIDE
-                                  for side in sides):
-        raise ValueError("not a size; give width and height in pixels, at most "
-                         f"{LARGEST_SIDE}, such as 1280x720")
-    return int(sides[0]), int(sides[1])
 
 
 @click.command()
@@ -43,13 +34,12 @@ def size_of(text: str) -> tuple[int, int]:
               help="Length of the film.")
 @click.option("--fps", type=FiniteRange(1, 240), default=30.0, show_default=True,
               help="Frames a second.")
-@click.option("--size", type=Parsed("WIDTHxHEIGHT", size_of), default="1280x720",
+@click.option("--size", type=size_type(LARGEST_SIDE), default="1280x720",
               show_default=True, help="Pixels of a frame.")
 @click.option("--fov", type=FiniteRange(1, 170), help="Horizontal angle of view, degrees. Default: "
               "that of the photos or of the camera path.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing film.")
-@click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of detail, and "
-              "read only what a picture needs; needs a city with a tree (`clsplat merge --tree`).")
+@lod_flag
 @streaming_flags
 @moved_scene_flag
 @device_flag

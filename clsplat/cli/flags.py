@@ -124,6 +124,23 @@ moved_scene_flag = click.option("--scene", type=click.Path(path_type=Path),
                                 help="Where the scene is now, if it was moved.")
 
 
+lod_flag = click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of "
+                        "detail, and read only what a picture needs; needs a city with a tree "
+                        "(`clsplat merge --tree`).")
+
+
+def size_type(most: int) -> Parsed:
+    """The type of a flag that takes a width and a height in pixels, at most `most` each."""
+    def size_of(text: str) -> tuple[int, int]:
+        sides = text.lower().split("x")
+        if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) <= most
+                                      for side in sides):
+            raise ValueError("not a size; give width and height in pixels, at most "
+                             f"{most}, such as 1280x720")
+        return int(sides[0]), int(sides[1])
+    return Parsed("WIDTHxHEIGHT", size_of)
+
+
 def bytes_of(text: str) -> float:
     """Bytes of a size such as 512MiB or 2GiB."""
     units = {"kib": 1 << 10, "mib": 1 << 20, "gib": 1 << 30}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import given_options, training_flags
+from clsplat.cli.flags import given_options, size_type, training_flags
 from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
 
@@ -20,21 +20,6 @@ MOST_PHOTOS, MOST_SIDE = 10**9, 10**6
 NAME_WIDTH = 12  # characters
 
 
-def _size(ctx: click.Context, parameter: click.Parameter, text: str | None
-          ) -> tuple[int, int] | None:
-    """A width and a height from text such as 1152x864."""
-    if text is None:
-        return None
-    try:
-        width, height = (int(part) for part in text.split("x"))
-        if not (1 <= width <= MOST_SIDE and 1 <= height <= MOST_SIDE):
-            raise ValueError
-    except ValueError:
-        raise InputError(f"--photo-size {text[:80]}: expects width and height, such as 1152x864"
-                         ) from None
-    return width, height
-
-
 @click.command(cls=SectionedCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
@@ -44,8 +29,8 @@ def _size(ctx: click.Context, parameter: click.Parameter, text: str | None
               "like those of SCENE, such as 1000,10000,100000.")
 @click.option("--margin", default=0.3, show_default=True,
               help="With --photos: margin of the blocks, as for `clsplat city`.")
-@click.option("--photo-size", callback=_size, help="With --photos: width and height of those "
-              "photos, such as 1152x864; default: as in SCENE.")
+@click.option("--photo-size", type=size_type(MOST_SIDE), help="With --photos: width and height of "
+              "those photos, such as 1152x864; default: as in SCENE.")
 @click.option("--workers", type=click.IntRange(1, MOST_PHOTOS), default=1, show_default=True,
               help="With --photos: number of devices.")
 @click.option("--steps-to", type=click.Path(path_type=Path), help="Write the steps that are timed "

@@ -6,15 +6,14 @@ from pathlib import Path
 
 import click
 
-from clsplat.cli.flags import check_streaming, device_flag, streaming_flags
+from clsplat.cli.flags import check_streaming, device_flag, lod_flag, streaming_flags
 
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--port", type=click.IntRange(0, 65535), default=0,
               help="Port of the page; default: 8642 if it is free, else any.")
-@click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of detail, and "
-              "read only what a picture needs; needs a city with a tree (`clsplat merge --tree`).")
+@lod_flag
 @streaming_flags
 @device_flag
 @click.pass_context

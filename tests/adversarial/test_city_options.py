@@ -244,7 +244,7 @@ def test_which_block_is_trained_is_told(city, monkeypatch, workers):  # noqa: F8
     monkeypatch.setattr(stages, "run", run_here)
     monkeypatch.setattr(stages, "expected_work", lambda block: 1)
     monkeypatch.setattr(stages, "block_options", lambda block: None)
-    monkeypatch.setattr(stages, "train_block", lambda *_: None)
+    monkeypatch.setattr(stages, "train_block", lambda *_, **__: None)
     stages.train_blocks(city, workers, progress=shown,
                         ended=lambda outcome, place: said.append(("ended", place)),
                         began=lambda name, place: said.append((name, place)))

@@ -3,13 +3,11 @@
 import json
 import os
 import shutil
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from clsplat.city import scoring, stages
-from clsplat.city.forecast import gaussians_that_fit, scale_table
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
@@ -234,11 +232,11 @@ def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch, killed):
     shutil.rmtree(copy.block(0).run)
     real, refused = stages.train_block, []
 
-    def train_block(block, options, progress):
+    def train_block(block, options, progress, **rest):
         if block.read()["number"] == 0 and not refused:
             refused.append(block.read()["own"])
             raise DeviceError(f"a small device: {TOO_LARGE}: no memory for 1 MiB more")
-        return real(block, options, progress)
+        return real(block, options, progress, **rest)
 
     monkeypatch.setattr(stages, "train_block", train_block)
     other = (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns
@@ -257,25 +255,6 @@ def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch, killed):
     halves = records[0]["own"], records[2]["own"]
     assert sum(halves) == refused[0] and abs(halves[0] - halves[1]) <= 1
     assert RunFolder.open(copy.path).read_options()["blocks"] == 3
-
-
-def test_what_ten_times_the_photos_take():
-    device = SimpleNamespace(name="a card", real=np.dtype(np.float32),
-                             handle=SimpleNamespace(global_mem_size=2**30))
-    view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
-    options = resolve({}, {"iterations": 1000})
-    planned = SimpleNamespace(prepared=SimpleNamespace(train_views=[view] * 100,
-                                                       options=options))
-    limit = gaussians_that_fit(device, options)
-    forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0)
-    head, *_ = table = scale_table(planned, forecast, device, 0.5, [200, 2000]).rows
-    small, large = (dict(zip(("photos", "blocks", "views", "steps", "gaussians", "model", "pixels",
-                              "hours"), row)) for row in table)
-    assert head[0] == "200" and small["blocks"] == "1" and small["hours"] == "2.00"
-    assert small["steps"] == "2,000" and small["views"] == "200"
-    # twenty times the scene, each part of it in four blocks
-    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * 4.25:.2f}"
-    assert large["steps"] in ("2,000", "2,051")
 
 
 @pytest.mark.slow

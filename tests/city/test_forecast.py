@@ -59,14 +59,32 @@ def test_exchanges_leave_files():
     assert exchange_notes([{"own": 9}], 3.0) == ()
 
 
-def test_larger_photos_on_another_device():
+def planned_photos():
+    """(A device of 1 GiB, a plan of 100 photos of 100x50 pixels, the gaussians that fit it)."""
     device = SimpleNamespace(name="a card", real=np.dtype(np.float32),
                              handle=SimpleNamespace(global_mem_size=2**30))
     view = SimpleNamespace(camera=SimpleNamespace(width=100, height=50))
     options = resolve({}, {"iterations": 1000})
     planned = SimpleNamespace(prepared=SimpleNamespace(train_views=[view] * 100,
                                                        options=options))
-    limit = gaussians_that_fit(device, options)
+    return device, planned, gaussians_that_fit(device, options)
+
+
+def test_what_ten_times_the_photos_take():
+    device, planned, limit = planned_photos()
+    forecast = SimpleNamespace(gaussians=limit // 2, seconds=3600.0)
+    head, *_ = table = scale_table(planned, forecast, device, 0.5, [200, 2000]).rows
+    small, large = (dict(zip(("photos", "blocks", "views", "steps", "gaussians", "model", "pixels",
+                              "hours"), row)) for row in table)
+    assert head[0] == "200" and small["blocks"] == "1" and small["hours"] == "2.00"
+    assert small["steps"] == "2,000" and small["views"] == "200"
+    # twenty times the scene, each part of it in four blocks
+    assert large["blocks"] in ("40", "39") and large["hours"] == f"{20 * 4.25:.2f}"
+    assert large["steps"] in ("2,000", "2,051")
+
+
+def test_larger_photos_on_another_device():
+    device, planned, limit = planned_photos()
     # photos of four times the pixels, on a card with eight times the memory: four times the
     # gaussians, and four times the time but for a quarter of it
     known = MeasuredSteps("another", 2**33, [(5000, 100, 0.9), (5000, 200, 0.9), (20000, 100, 2.7)])
