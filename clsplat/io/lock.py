@@ -91,7 +91,8 @@ def latest_change(folder: Path) -> int:
     """When a file of a folder was last written, or work was noted, by the clock of the file system;
     0 if there is none."""
     with suppress(OSError), os.scandir(folder) as entries:
-        return max((entry.stat().st_mtime_ns for entry in entries), default=0)
+        return max((entry.stat().st_mtime_ns for entry in entries
+                    if entry.name != LOCK), default=0)  # some filelock versions write it at each try
     return 0
 
 

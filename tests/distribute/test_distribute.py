@@ -17,7 +17,7 @@ from clsplat.distribute.child import LOG
 from clsplat.distribute.ledger import MOST_LOSSES, Ledger
 from clsplat.distribute.task import FAILED, INTERRUPTED, LOCKED, LOST, Result
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.lock import HOLDER, LockTaken, exclusive, latest_change
+from clsplat.io.lock import HOLDER, LOCK, LockTaken, exclusive, latest_change
 from clsplat.training.progress import NotedProgress, SilentProgress
 from tests.data.tiny_training import CITY, flags
 from tests.distribute.driver import PROGRAM, stub_tasks
@@ -220,6 +220,15 @@ def test_a_training_notes_that_it_goes_on(tmp_path, monkeypatch):
             assert latest_change(tmp_path) == 10**9
             note()
             assert latest_change(tmp_path) > 10**9
+
+
+def test_a_try_to_lock_is_no_sign_of_work(tmp_path):
+    """Some versions of filelock write the lock file whenever they try."""
+    with exclusive(tmp_path):
+        for path in tmp_path.iterdir():
+            os.utime(path, (1, 1))
+        os.utime(tmp_path / LOCK)
+        assert latest_change(tmp_path) == 10**9
 
 
 def test_a_worker_that_has_another_clsplat_or_not_the_files_is_unfit(tmp_path):
