@@ -80,9 +80,9 @@ def test_three_workers_are_killed_and_every_task_is_done_once(dask, tmp_path):
 
 def test_a_scheduler_that_is_restarted(dask, tmp_path):
     """Its workers end with it, as those of Dask do, and are started again."""
-    tasks = stub_tasks(tmp_path, 4, "--steps", 80)
+    tasks = stub_tasks(tmp_path, 3, "--steps", 60)
     dask.start_worker()
-    parent = driver(tmp_path, 4, 80, 1, dask.address)
+    parent = driver(tmp_path, 3, 60, 1, dask.address)
     assert eventually(lambda: tasks[0].done.exists() and len(at_work(tasks)) == 1)
     [interrupted] = at_work(tasks)
     dask.kill(dask.scheduler)

@@ -108,10 +108,12 @@ def worst(error):
 @pytest.mark.slow
 def test_variants_change_what_they_must(float_device):
     """Image or gradients differ from the default's wherever a switch is thrown; of a constant the
-    value next to the default's is tried, which changes least."""
+    value next to the default's is tried, which changes least. Rounding to half is the host's, and
+    so is tried in one form."""
     devices, small = Devices(float_device.handle, float_device.form), scene()
     default = Frame(devices[DEFAULT], small).result()
-    for variant in (DOUBLE, *(v for v in VARIANTS if v.half), *(
+    halves = [v for v in VARIANTS if v.half and float_device.form == "item"]
+    for variant in (DOUBLE, *halves, *(
             of("exponential", f"degree {degree}") for degree in (4, 5)),
             of("alpha cutoff", "1/512"), of("transmittance stop", "1e-3")):
         off = errors(Frame(devices[variant], small).result(), default)
@@ -188,9 +190,9 @@ def test_the_order_of_another_device_is_taken(double_device):
 
 
 @pytest.mark.slow
-def test_frames_that_share_a_device_keep_their_variant(float_device):
+def test_frames_that_share_a_device_keep_their_variant(item_device):
     """Variants are timed in turn: each must run as itself, whichever was prepared last."""
-    devices, scene = Devices(float_device.handle, float_device.form), city(300, (64, 48))
+    devices, scene = Devices(item_device.handle, item_device.form), city(300, (64, 48))
     coarse = Variant("alpha cutoff", "1/16", (("ALPHA_STEPS", 16),))
     frames = [Frame(devices[variant], scene) for variant in (DEFAULT, coarse)]
     assert frames[0].device is frames[1].device

@@ -10,9 +10,9 @@ from clsplat.device import Device, kernel
 from clsplat.rendering.bands import choose_bands
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
-LONG = {"iterations": 200, "densify_until": 180, "densify_every": 40, "max_gaussians": 7000,
+LONG = {"iterations": 100, "densify_until": 90, "densify_every": 20, "max_gaussians": 7000,
         "test_every": 0}
-SHORT = {**LONG, "iterations": 80, "densify_from": 20, "densify_until": 70, "densify_every": 20}
+SHORT = {**LONG, "iterations": 50, "densify_until": 45, "densify_every": 10}
 TAMING = {"schedule": "taming", "iterations": 80, "downscale": 4.0, "exposure": "on"}
 MCMC = {"schedule": "mcmc", "iterations": 100, "downscale": 4.0}
 
