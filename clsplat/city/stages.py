@@ -40,6 +40,7 @@ from clsplat.scene import Scene
 from clsplat.schedule import chooses_steps, planned_steps, schedule_of
 from clsplat.training.block import block_options, decided_by, options_of_blocks, train_block
 from clsplat.training.exchange import exchange_steps, most_exchanges
+from clsplat.training.facts import smallest_size
 from clsplat.training.layers import compared_bytes
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
@@ -203,7 +204,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         part = block_start(gaussians, scene, region, own.views, partial(
             takes_layers, surroundings, dataclasses.replace(own, region=region),
             decided, compared))
-        given = block_steps(options, steps * len(chosen) / len(views))
+        given = block_steps(options, steps * len(chosen) / len(views),
+                            smallest_size(own.views))
         if not any(view.depth for view in own.views):
             given["depth"] = ""
         city.write_block(
@@ -264,12 +266,17 @@ def takes_layers(surroundings: str, scene: Scene, decided: dict[str, Any],
     return layers < gaussians
 
 
-def block_steps(options: TrainOptions, steps: float) -> dict[str, Any]:
-    """The options, by name, of a block that takes this number of steps."""
+def block_steps(options: TrainOptions, steps: float, size: tuple[int, int]) -> dict[str, Any]:
+    """The options, by name, of a block that takes this number of steps.
+
+    Parameters
+    ----------
+    size : (width, height) of its smallest training image, pixels.
+    """
     schedule = schedule_of(options.schedule)
     shrunk = dataclasses.replace(options, iterations=max(1, round(steps)), eval_at=(),
-                                 eval_every=0, lpips="", snapshots="levels" in schedule.parts,
-                                 **schedule.options_of_block(options))
+                                 eval_every=0, lpips="", snapshots="levels" in schedule.parts)
+    shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}
 

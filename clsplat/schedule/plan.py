@@ -145,9 +145,15 @@ class Schedule:
         return None, "none: the schedule has no limit"
 
     @classmethod
-    def options_of_block(cls, options: TrainOptions) -> dict[str, Any]:
+    def options_of_block(cls, options: TrainOptions, size: tuple[int, int]) -> dict[str, Any]:
         """{option: value} that differ from `options` in a block of a city, which starts from a
-        coarse run."""
+        coarse run.
+
+        Parameters
+        ----------
+        options : of the whole, with the steps of the block.
+        size : (width, height) of the block's smallest training image, pixels.
+        """
         return {}
 
     def plan(self, iteration: int) -> Plan:

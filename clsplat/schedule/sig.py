@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from clsplat.options import TrainOptions
 
 LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
+LEVELS_OF_BLOCK = (2.0, 1.0)
 SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns at once
 TILE = 16  # pixels
 OBSERVE_STEPS = 100  # between samples of the frequency, fewer where levels are short
@@ -140,9 +141,12 @@ class Sig(Schedule):
         return limit, f"{limit:,}: one for each {each:.1f} training pixels, {shown}"
 
     @classmethod
-    def options_of_block(cls, options: "TrainOptions") -> dict[str, Any]:
-        """See `Schedule.options_of_block`: the coarse run, at half size, had the other levels."""
-        return {} if options.levels else {"levels": (1.0,)}
+    def options_of_block(cls, options: "TrainOptions", size: tuple[int, int]) -> dict[str, Any]:
+        """See `Schedule.options_of_block`: the coarse run, at half size, had the coarser levels,
+        and has pruned what it did not need."""
+        if options.levels:
+            return {}
+        return {"levels": chosen_levels(options, size, LEVELS_OF_BLOCK), "level_reset": False}
 
     def __init__(self, options: "TrainOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
@@ -348,7 +352,8 @@ def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> 
     return math.floor(facts.pixels / level**2 / each) if each else math.inf
 
 
-def chosen_levels(options: "TrainOptions", size: tuple[int, int]) -> tuple[float, ...]:
+def chosen_levels(options: "TrainOptions", size: tuple[int, int],
+                  candidates: tuple[float, ...] = LEVELS) -> tuple[float, ...]:
     """The down-sampling factors of a training.
 
     The default ones leave out sides below SMALLEST_SIDE, and the coarsest levels for which there is
@@ -358,6 +363,7 @@ def chosen_levels(options: "TrainOptions", size: tuple[int, int]) -> tuple[float
     ----------
     options : with scaled steps.
     size : (width, height) of the smallest training image, pixels.
+    candidates : the default ones.
 
     Raises
     ------
@@ -371,7 +377,7 @@ def chosen_levels(options: "TrainOptions", size: tuple[int, int]) -> tuple[float
                 f"{int(size[1] / levels[0])} pixels, less than a tile of {TILE}; use smaller "
                 "factors, or a smaller --downscale")
         return levels
-    levels = tuple(level for level in LEVELS if level == 1 or side / level >= SMALLEST_SIDE)
+    levels = tuple(level for level in candidates if level == 1 or side / level >= SMALLEST_SIDE)
     while (shares := level_shares(levels, options.level_share)) and (
             shares[0] * options.iterations < LEAST_STEPS):
         levels = levels[1:]
