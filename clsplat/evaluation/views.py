@@ -164,7 +164,7 @@ def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
 
 def photo_of(view: View) -> NDArray[np.float32]:
     """[H, W, 3], 0 to 1: the photo of a view at its camera's size."""
-    photo: NDArray[np.float32] = read_photo(view) / np.float32(255)
+    photo: NDArray[np.float32] = np.divide(read_photo(view), 255, dtype=np.float32)
     return photo
 
 
