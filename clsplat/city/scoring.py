@@ -97,7 +97,8 @@ def score_share(city: CityFolder, share: int, shares: int, reference: Path | Non
         arrays = inspect_views(device, partition, scene, views, options, merged, other,
                                chosen()).arrays()
     with replacing(done_file(city, share)) as file:
-        np.savez(file, per_view=np.array(json.dumps(per_view)), **arrays)
+        np.savez(file, per_view=np.array(json.dumps(per_view)),
+                 **arrays)  # type: ignore[arg-type]  # none of them is named allow_pickle
 
 
 def reference_model(city: CityFolder, scene: Scene, reference: Path | None) -> Any:

@@ -43,6 +43,7 @@ from clsplat.training.exchange import exchange_steps, most_exchanges
 from clsplat.training.layers import compared_bytes
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
+from clsplat.training.progress import SilentProgress
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
@@ -114,7 +115,7 @@ def begin_from_coarse(city: CityFolder, scene_path: Path | None = None
 
 
 def train_coarse(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-                 progress: Callable[..., object] | None = None) -> RunFolder:
+                 progress: SilentProgress | None = None) -> RunFolder:
     """Train the coarse model in CITY/coarse, or continue its training; return its folder."""
     folder = RunFolder(city.coarse)
     if folder.is_begun and folder.read_options().get("fingerprint") != fingerprint(scene):
@@ -290,7 +291,8 @@ def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[n
 
 def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
                  devices: Sequence[str] = (),
-                 progress: Callable[[str], AbstractContextManager[Any]] | None = None,
+                 progress: Callable[[str], AbstractContextManager[SilentProgress | None]]
+                 | None = None,
                  ended: Callable[[Outcome, str], object] | None = None,
                  began: Callable[[str, str], object] | None = None,
                  fill: bool = False) -> list[Outcome]:
@@ -353,7 +355,8 @@ def expected_work(block: BlockFolder) -> int:
     """
     record = block.read("own", "margin")
     steps = record["options"].get("iterations")  # checked when the block is trained
-    return (record["own"] + record["margin"]) * (steps if type(steps) is int else 1)
+    gaussians: int = record["own"] + record["margin"]
+    return gaussians * (steps if type(steps) is int else 1)
 
 
 def train_all_blocks(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
