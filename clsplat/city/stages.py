@@ -360,9 +360,10 @@ def expected_work(block: BlockFolder) -> int:
 
 
 def train_all_blocks(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-                     **settings: Any) -> list[Outcome]:
-    """`train_blocks` with these settings; blocks that do not fit their device are cut in two."""
-    outcomes = train_blocks(city, **settings)
+                     train_present: Callable[[], list[Outcome]]) -> list[Outcome]:
+    """Train all blocks by `train_present`, which calls `train_blocks`; those that do not fit their
+    device are cut in two."""
+    outcomes = train_present()
     for _ in range(MOST_SPLITS):
         numbers = too_large(outcomes)
         if not numbers:
@@ -372,7 +373,7 @@ def train_all_blocks(city: CityFolder, scene: Scene, options: TrainOptions, devi
         if len(whole) == len(numbers):
             break
         cut_into_blocks(city, scene, options, None, device)
-        outcomes = train_blocks(city, **settings)
+        outcomes = train_present()
     return outcomes
 
 
