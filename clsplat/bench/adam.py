@@ -68,8 +68,8 @@ def gradients_of(device: Device, count: int, share: float) -> Gradients:
     rng = np.random.default_rng(0)
     seen = max(1, int(share * count))
     chosen = np.sort(rng.permutation(-(-count // 16))[:-(-seen // 16)])
-    rows = (chosen[:, None] * 16 + np.arange(16)).ravel()
-    rows = device.upload(rows[rows < count].astype(np.uint32))
+    indices = (chosen[:, None] * 16 + np.arange(16)).ravel()
+    rows = device.upload(indices[indices < count].astype(np.uint32))
 
     def random(*shape: int) -> Array:
         return device.upload(rng.normal(0, 1e-4, (len(rows), *shape)))

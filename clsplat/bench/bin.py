@@ -18,7 +18,7 @@ def main(argv: list[str]) -> None:
     device = bench.device
     for count in bench.options.gaussians:
         city = CityFrame(device, count)
-        frame, pairs = city.frame, city.frame.pairs
+        frame, pairs = city.frame, city.pairs
         splats, number = frame.splats, pairs.count
         times = bench.milliseconds(partial(bin_splats, device, splats, frame.counts, frame.order,
                                            *frame.size, room=number))

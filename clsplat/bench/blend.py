@@ -1,5 +1,6 @@
 """Blending a frame's splats, and the adjoint by pair of tile and splat."""
 
+from collections.abc import Callable
 from functools import partial
 
 from clsplat.rendering.blend import blend, blend_adjoint, blend_defines
@@ -18,9 +19,9 @@ def main(argv: list[str]) -> None:
     for count in bench.options.gaussians:
         city = CityFrame(device, count)
         frame, background = city.frame, city.renderer.background
-        splats, pairs, (width, height) = frame.splats, frame.pairs, frame.size
+        splats, pairs, (width, height) = frame.splats, city.pairs, frame.size
         blended = blend(device, splats, pairs, width, height, background, defines)
-        cases = {
+        cases: dict[str, Callable[[], object]] = {
             "forward": partial(blend, device, splats, pairs, width, height, background, defines),
             # any gradients will do: their values do not change the work
             "adjoint": partial(blend_adjoint, device, splats, pairs, blended, background,

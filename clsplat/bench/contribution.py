@@ -22,7 +22,7 @@ def main(argv: list[str]) -> None:
         weights = device.upload(np.random.default_rng(0).random((height, width)))
         times = bench.milliseconds(partial(contribution, device, city.frame, weights))
         # two indices, the splat and four sums a pair, and the sums again to add them up
-        traffic = (city.frame.pairs.count * (8 + 20 * real) + width * height * (4 + real)
+        traffic = (city.pairs.count * (8 + 20 * real) + width * height * (4 + real)
                    + len(city.frame.splats) * 4 * real)
         blended_pixels = city.blended_pixels()
         bench.report("contribution", "all splats", times,

@@ -1,5 +1,6 @@
 """Project and its adjoint, all spherical harmonics active."""
 
+from collections.abc import Callable
 from functools import partial
 
 from clsplat.rendering.blend import blend_adjoint, blend_defines
@@ -20,14 +21,15 @@ def main(argv: list[str]) -> None:
     for count in bench.options.gaussians:
         city = CityFrame(device, count)
         rows, camera, frame, renderer = city.rows, city.camera, city.frame, city.renderer
-        visible, pairs = frame.visible, frame.pairs
+        visible, pairs = frame.visible, city.pairs
         seen = len(visible)
         splat_grads = blend_adjoint(
             device, frame.splats, pairs, frame.blended, renderer.background, frame.image,
             device.zeros((1, 1)), device.zeros((1, 1)),
             blend_defines(with_depth=False))
         inputs = device, rows, visible, frame.counts, camera, 3, DEFINES
-        cases = {  # function, bytes, operations
+        # function, bytes, operations
+        cases: dict[str, tuple[Callable[[], object], int, int]] = {
             "project": (partial(project, *inputs), seen * (8 + (PARAMETERS + 12) * real),
                         seen * PROJECT_OPERATIONS),
             # parameters, gradients (those of the harmonics as 6 numbers) and the mean's, nine

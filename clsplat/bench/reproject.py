@@ -19,7 +19,8 @@ def main(argv: list[str]) -> None:
     # about as far as the middle of the city
     depth = device.upload(0.75 * rng.normal(125, 3, (height, width)))
     transmittance = device.upload(np.full((height, width), 0.25))
-    geometries = pack_pairs(device, [[ring_camera(angle, (width, height)) for angle in (0, 0.1)]])
+    geometries = pack_pairs(device, [(ring_camera(0, (width, height)),
+                                      ring_camera(0.1, (width, height)))])
     colours = device.upload(np.eye(3, 4).reshape(1, 12))
 
     def run() -> tuple[Array, ...]:

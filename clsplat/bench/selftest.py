@@ -257,7 +257,7 @@ def _footprint(rows: Rows, i: int) -> NDArray[np.float64]:
                      [2 * (x*y + w*z), 1 - 2 * (x*x + z*z), 2 * (y*z - w*x)],
                      [2 * (x*z - w*y), 2 * (y*z + w*x), 1 - 2 * (x*x + y*y)]])
     slope = np.diag(CAMERA.focal) @ [[1, 0, -p[0] / p[2]], [0, 1, -p[1] / p[2]]] / p[2]
-    half = slope @ CAMERA.rotation @ turn * np.exp(rows["log_scales"][i])
+    half: NDArray[np.float64] = slope @ CAMERA.rotation @ turn * np.exp(rows["log_scales"][i])
     return half @ half.T + LOW_PASS * np.eye(2)
 
 
@@ -276,7 +276,7 @@ def culling(device: Device) -> Measured:
     seen = np.isin(np.arange(len(means)), kept)
     sure = np.abs(inside) > 0.01
     return _wrong((flags.download()[sure], inside[sure] > 0), (seen, flags.download()),
-                  (totals.download().sum(), np.sum(seen)))
+                  (totals.download().sum(keepdims=True), seen.sum(keepdims=True)))
 
 
 def tile_lists(device: Device) -> Measured:

@@ -118,6 +118,7 @@ class CityFrame:
     Attributes
     ----------
     camera : packed by the renderer.
+    pairs : of the frame, which has one band.
     rows : real[N, ...] by the name of the field.
     size : the numbers of gaussians, pixels and pairs, for `Bench.report`.
     """
@@ -129,8 +130,11 @@ class CityFrame:
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
         self.frame = self.renderer.render(self.rows, self.camera, camera.width, camera.height,
                                           sh_degree=3)
+        pairs = self.frame.pairs
+        assert pairs is not None  # the frame fits one band
+        self.pairs = pairs
         self.size = {"gaussians": count, "width": camera.width, "height": camera.height,
-                     "visible": len(self.frame.visible), "pairs": self.frame.pairs.count}
+                     "visible": len(self.frame.visible), "pairs": pairs.count}
 
     def blended_pixels(self) -> int:
         """How often a splat was blended into a pixel: the work that blending cannot avoid."""

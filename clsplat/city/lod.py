@@ -185,7 +185,7 @@ class Detail:
         models.append(folder.load_model(scene.offset))
         city = CityFolder(run.path)
         partition = city.partition() if city.has_partition else None
-        self.levels = Levels.of(models, partition and (
+        self.levels = Levels.of(models, None if partition is None else (
             lambda positions: partition.owner(scene.offset + positions)))
         self.pixels = bias * MOST_SIGMA_PIXELS[run.options.antialiased]
         self._opened = functools.partial(run.opened, device, scene)

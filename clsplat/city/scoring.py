@@ -24,6 +24,7 @@ from clsplat.distribute import Task, run
 from clsplat.evaluation.held_out_responses import predicted_responses
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views, final_metrics
+from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.city import CityFolder
 from clsplat.io.lock import note_work
@@ -97,10 +98,11 @@ def score_share(city: CityFolder, share: int, shares: int, reference: Path | Non
         arrays = inspect_views(device, partition, scene, views, options, merged, other,
                                chosen()).arrays()
     with replacing(done_file(city, share)) as file:
-        np.savez(file, per_view=np.array(json.dumps(per_view)), **arrays)
+        np.savez(file, per_view=np.array(json.dumps(per_view)),
+                 **arrays)  # type: ignore[arg-type]  # none of them is named allow_pickle
 
 
-def reference_model(city: CityFolder, scene: Scene, reference: Path | None) -> Any:
+def reference_model(city: CityFolder, scene: Scene, reference: Path | None) -> Gaussians:
     """The Gaussians with which seams are compared, in the frame of the scene."""
     path = reference or RunFolder(city.coarse).model_path
     return read_ply(path, scene.offset).without_spheres()

@@ -33,6 +33,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.options import TrainOptions
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Space
+from clsplat.rendering.slabs import ModelRenderer
 from clsplat.scene import Scene, View
 
 STRIP = 0.1  # of the cells' sides, where blocks have no margin
@@ -94,7 +95,7 @@ def find_borders(partition: Partition) -> list[Border]:
     return borders
 
 
-Model = tuple[Any, Any, int]  # on a device, see `evaluation.views.opened`
+Model = tuple[ModelRenderer, Any, int]  # on a device, see `evaluation.views.opened`
 Shown = tuple[int, int, NDArray[np.int64]]  # a strip in a view: pixels, view, flat indices [K]
 
 

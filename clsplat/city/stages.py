@@ -44,6 +44,7 @@ from clsplat.training.facts import smallest_size
 from clsplat.training.layers import compared_bytes
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
+from clsplat.training.progress import SilentProgress
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
 COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
@@ -115,7 +116,7 @@ def begin_from_coarse(city: CityFolder, scene_path: Path | None = None
 
 
 def train_coarse(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-                 progress: Callable[..., object] | None = None) -> RunFolder:
+                 progress: SilentProgress | None = None) -> RunFolder:
     """Train the coarse model in CITY/coarse, or continue its training; return its folder."""
     folder = RunFolder(city.coarse)
     if folder.is_begun and folder.read_options().get("fingerprint") != fingerprint(scene):
@@ -297,7 +298,8 @@ def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[n
 
 def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
                  devices: Sequence[str] = (),
-                 progress: Callable[[str], AbstractContextManager[Any]] | None = None,
+                 progress: Callable[[str], AbstractContextManager[SilentProgress | None]]
+                 | None = None,
                  ended: Callable[[Outcome, str], object] | None = None,
                  began: Callable[[str, str], object] | None = None,
                  fill: bool = False) -> list[Outcome]:
@@ -360,13 +362,15 @@ def expected_work(block: BlockFolder) -> int:
     """
     record = block.read("own", "margin")
     steps = record["options"].get("iterations")  # checked when the block is trained
-    return (record["own"] + record["margin"]) * (steps if type(steps) is int else 1)
+    gaussians: int = record["own"] + record["margin"]
+    return gaussians * (steps if type(steps) is int else 1)
 
 
 def train_all_blocks(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-                     **settings: Any) -> list[Outcome]:
-    """`train_blocks` with these settings; blocks that do not fit their device are cut in two."""
-    outcomes = train_blocks(city, **settings)
+                     train_present: Callable[[], list[Outcome]]) -> list[Outcome]:
+    """Train all blocks by `train_present`, which calls `train_blocks`; those that do not fit their
+    device are cut in two."""
+    outcomes = train_present()
     for _ in range(MOST_SPLITS):
         numbers = too_large(outcomes)
         if not numbers:
@@ -376,7 +380,7 @@ def train_all_blocks(city: CityFolder, scene: Scene, options: TrainOptions, devi
         if len(whole) == len(numbers):
             break
         cut_into_blocks(city, scene, options, None, device)
-        outcomes = train_blocks(city, **settings)
+        outcomes = train_present()
     return outcomes
 
 

@@ -57,7 +57,13 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     `render` and `compare`. For several devices, use --device 0,1 with --workers 2.
     """
     from clsplat.city.forecast import block_table
-    from clsplat.city.stages import begin, cut_into_blocks, train_all_blocks, train_coarse
+    from clsplat.city.stages import (
+        begin,
+        cut_into_blocks,
+        train_all_blocks,
+        train_blocks,
+        train_coarse,
+    )
     from clsplat.device import choose_device
     from clsplat.distribute import check_scheduler, check_workers
     from clsplat.io.city import CityFolder
@@ -106,9 +112,8 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
         if not quiet:  # trial steps would keep the other devices waiting
             several = workers > 1 or scheduler
             click.echo(block_table(folder, None if several else device, counts).text())
-        outcomes = train_all_blocks(folder, data, options, device, workers=workers,
-                                    scheduler=scheduler, devices=devices, progress=shown,
-                                    began=began, ended=ended, fill=fill)
+        outcomes = train_all_blocks(folder, data, options, device, lambda: train_blocks(
+            folder, workers, scheduler, devices, shown, ended, began, fill))
     except Interrupted:
         raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues"
                           ) from None

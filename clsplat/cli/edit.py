@@ -12,6 +12,9 @@ from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from clsplat.cli.progress import Progress
     from clsplat.edit.source import Source
 
@@ -145,7 +148,7 @@ def _cleaned(source: Source, progress: Progress, min_opacity: float, max_size: f
     """The source without floaters; one message for each reason."""
     from clsplat.edit.select import neighbours, opaque, small
 
-    def without(source: Source, keep: Any, reason: str) -> Source:
+    def without(source: Source, keep: NDArray[np.bool_], reason: str) -> Source:
         progress.message(f"{source.path}: {(~keep).sum():,} gaussians {reason}")
         return source.kept(keep)
 

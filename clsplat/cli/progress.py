@@ -9,12 +9,14 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TextIO
 
+from clsplat.training.progress import SilentProgress
+
 DEFAULT_COLUMNS = 80  # where a terminal does not tell its width
 DRAW_SECONDS, LOG_SECONDS = 0.1, 10.0  # least time between numbers on a terminal, and in a log
 SPEED_REPORTS = 8  # latest reports, over which speed is measured
 
 
-class Progress:
+class Progress(SilentProgress):
     """A line with the current phase, and in training with iteration, time left, speed and loss.
 
     It is a context manager, which may be entered again. A terminal gets one line, which is redrawn

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from clsplat.sfm.reconstruct import SfmOptions
 
 MATCHING = ("auto", "gps", "sequence", "all")
 SHOWN = 5  # photos that were not registered
@@ -84,13 +87,9 @@ def trained_scene(source: Path, output: Path, quiet: bool, overwrite: bool | Non
     return scene
 
 
-def make_scene(photos: Path, output: Path, options: Any, overwrite: bool, quiet: bool) -> None:
-    """Reconstruct a scene with a progress line, and say what came out.
-
-    Parameters
-    ----------
-    options : `clsplat.sfm.reconstruct.SfmOptions`.
-    """
+def make_scene(photos: Path, output: Path, options: SfmOptions, overwrite: bool, quiet: bool
+               ) -> None:
+    """Reconstruct a scene with a progress line, and say what came out."""
     from clsplat.cli.progress import Progress
     from clsplat.sfm.progress import Silent
     from clsplat.sfm.reconstruct import reconstruct

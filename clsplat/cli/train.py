@@ -6,7 +6,7 @@ import dataclasses
 import logging
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,6 +16,9 @@ from clsplat.cli.sfm import trained_scene
 from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError
 from clsplat.options import RunOptions, TrainOptions, from_toml, recorded, resolve
+
+if TYPE_CHECKING:
+    from clsplat.training.progress import SilentProgress
 
 LOG_LEVELS = ("debug", "info", "warning", "error")
 FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
@@ -100,6 +103,7 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
     run = RunFolder.open(output) if resumes else RunFolder(output)
     if options is None:
         options, scene = resumed_options(run.read_options(), flags), run.scene_path(scene)
+    assert scene is not None  # only a run that resumes is given none
     data = read_scene(scene, options.images)
     if up is not None:
         if data.georeference is not None:
@@ -109,7 +113,8 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
     device = choose_device(options.device, form=options.form)
     with ExitStack() as stack:
         stack.enter_context(run.locked())
-        progress = None if quiet else stack.enter_context(Progress(options.stop_at))
+        progress: SilentProgress | None = (
+            None if quiet else stack.enter_context(Progress(options.stop_at)))
         watcher = None
         if view:
             from clsplat.view.live import TrainingView

@@ -68,6 +68,11 @@ def options_of(kind: type) -> list[Option]:
     return options
 
 
+def is_auto(value: object) -> bool:
+    """Whether the value of an option is the word AUTO, which its type may not name."""
+    return value == AUTO
+
+
 def flag_name(name: str) -> str:
     """An option's name as a flag, with hyphens."""
     return "--" + name.replace("_", "-")

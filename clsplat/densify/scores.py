@@ -68,7 +68,7 @@ def pixel_weights(image: NDArray[np.floating], photo: NDArray[np.uint8]) -> NDAr
     error = np.abs(image - target).mean(axis=0)
     luma = np.tensordot(LUMA, target, 1)
     edges = np.hypot(sobel(luma, axis=0), sobel(luma, axis=1))
-    valid: NDArray[np.bool_] = photo[3:].all(axis=0)
+    valid: NDArray[np.bool_] = np.all(photo[3:], axis=0)
     return MAP_WEIGHT * (_spread(error * valid) + _spread(edges * valid)) * valid
 
 

@@ -39,4 +39,6 @@ class Statistics:
 
     def mean_gradient(self) -> NDArray[np.floating]:
         """float[N]: the mean screen gradient over the views that saw each gaussian; waits."""
-        return self.grad_norm_sum.download() / np.maximum(self.seen_count.download(), 1)
+        sums, counts = self.grad_norm_sum.download(), self.seen_count.download()
+        means: NDArray[np.floating] = sums / np.maximum(counts, 1)
+        return means

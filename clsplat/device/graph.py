@@ -48,7 +48,8 @@ class Graph:
     """
 
     def __init__(self, device: Device, inputs: Mapping[str, Array | float]) -> None:
-        self.device, self.result = device, None
+        self.device = device
+        self.result: Any = None
         self.lasting: list[Array] = []
         self.inputs: dict[str, Any] = {
             name: value if isinstance(value, Array) else

@@ -79,12 +79,12 @@ def each(elements: str) -> Launch:
     return Launch("each", elements)
 
 
-def items(units: str, group: str = "1", **arguments: Argument) -> Launch:
+def items(units: str, group: str = "1", /, **arguments: Argument) -> Launch:
     """Launch `units` work-items in groups of `group`; for the arguments see `Launch`."""
     return Launch("items", units, group, arguments)
 
 
-def groups(units: str, group: str, **arguments: Argument) -> Launch:
+def groups(units: str, group: str, /, **arguments: Argument) -> Launch:
     """Launch `units` groups of `group` work-items; for the arguments see `Launch`."""
     return Launch("groups", units, group, arguments)
 

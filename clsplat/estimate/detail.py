@@ -40,7 +40,8 @@ def _parts(pixels: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
             np.linspace(0, height - rows, BANDS).astype(int)]
 
 
-def _detail(photo: NDArray[np.float32]) -> np.floating:
+def _detail(photo: NDArray[np.floating]) -> np.floating:
     height, width = (size - size % 2 for size in photo.shape[1:])
     blocks = photo[:, :height, :width].reshape(3, height // 2, 2, width // 2, 2)
-    return np.abs(blocks - blocks.mean(axis=(2, 4), keepdims=True)).mean()
+    lost: np.floating = np.abs(blocks - blocks.mean(axis=(2, 4), keepdims=True)).mean()
+    return lost

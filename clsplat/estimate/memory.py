@@ -134,6 +134,7 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     """
     options, views = prepared.options, prepared.train_views
     names, capacity = list(gaussians.rows), gaussians.count
+    neighbours = prepared.decisions.neighbours
     terms, pool = terms_of(device, options), Pool(device.real, ENGINES[options.engine].RECORDS)
     photo_budget = DEVICE_SHARE * device.handle.global_mem_size
     total = steps = most_photos = 0
@@ -170,7 +171,7 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
         for index, size in zip(frames.indices, _sizes(device, prepared, shown, frames, count)):
             plan = trial_plan(options, level, segment.regularises)
             used = [term for term in terms if term.weight(plan) and (
-                not term.needs_source or len(prepared.decisions.neighbours[index]))
+                not term.needs_source or neighbours and neighbours[index])
                 and (shown[index].depth or not term.needs_map)]
             pool.add(step_arrays(device, prepared, size, used))
             image = size.width, size.height

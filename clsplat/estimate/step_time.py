@@ -96,7 +96,7 @@ def load() -> tuple[float, int] | None:
     return (average, cores) if average > BUSY_LOAD * cores else None
 
 
-def fitted(measured: Sequence[tuple[float, int, float]]) -> NDArray[np.float64]:
+def fitted(measured: Sequence[tuple[float, float, float]]) -> NDArray[np.float64]:
     """Fit (a, b, c) >= 0 to [(pixels, gaussians, seconds), ...], by relative errors.
 
     Images of a single size determine only a + b * pixels.
@@ -104,7 +104,8 @@ def fitted(measured: Sequence[tuple[float, int, float]]) -> NDArray[np.float64]:
     image, count, seconds = np.array(measured, float).T
     columns = np.stack([np.ones_like(image), image / image.max(), count / count.max()], axis=1)
     solution: NDArray[np.float64] = nnls(columns / seconds[:, None], np.ones_like(seconds))[0]
-    return solution / np.array([1, image.max(), count.max()])
+    solution /= np.array([1, image.max(), count.max()])
+    return solution
 
 
 def predicted(cost: Sequence[float] | NDArray[np.float64], views: Sequence[View],

@@ -13,7 +13,8 @@ from clsplat.rendering.blend import FRONT_AND_BACK_PLANES
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene, View
 from clsplat.schedule import Plan
-from clsplat.training.photos import at_level, decode
+from clsplat.training.layers import Layers
+from clsplat.training.photos import Photos, at_level, decode
 from clsplat.training.session import PreparedScene, Session
 
 PAIRS_A_SPLAT, PAIRS_A_TILE = 1.62, 114
@@ -58,8 +59,8 @@ def trial_plan(options: TrainOptions, level: float, regularises: bool) -> Plan:
                 regularises=float(regularises))
 
 
-class SizedPhotos:
-    """Replaces `training.photos.Photos` where only the sizes of photos matter.
+class SizedPhotos(Photos):
+    """Photos where only the sizes of photos matter.
 
     One photo of each size is read and used for all views of that size.
     """
@@ -82,8 +83,8 @@ class SizedPhotos:
         return self._photos[size]
 
 
-class SizedLayers:
-    """Replaces `training.layers.Layers` where only the sizes of layers matter: nothing around."""
+class SizedLayers(Layers):
+    """Layers where only the sizes matter, of surroundings that are nowhere."""
 
     resident = True
 

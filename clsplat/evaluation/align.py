@@ -24,6 +24,7 @@ from clsplat.loss.options import ImageLossOptions
 from clsplat.optimise.pose import Poses
 from clsplat.placement.corrections import Correction
 from clsplat.rendering.pipeline import Renderer
+from clsplat.rendering.slabs import ModelRenderer
 from clsplat.scene import View
 
 STEPS = 60  # of each view
@@ -32,7 +33,8 @@ FIRST_RATE, LAST_RATE = 0.25, 0.0025  # pixels a step in the middle of the photo
 MOST_FITTED = 1 << 16  # pixels of which the colours are fitted
 
 
-def aligned(renderer: Any, rows: Any, degree: int, view: View, depth: float) -> Correction:
+def aligned(renderer: ModelRenderer, rows: Any, degree: int, view: View, depth: float
+            ) -> Correction:
     """The correction of a view's pose with which a model looks most like its photo.
 
     STEPS steps of Adam on the pose against the loss of training; the colours of the render follow

@@ -24,9 +24,10 @@ def flip_map(image: ArrayLike, photo: ArrayLike) -> NDArray[np.float32]:
 
     difference = oiio.ImageBufAlgo.FLIP_diff(_srgb(oiio, photo), _srgb(oiio, image), hdr=0,
                                              ppd=PIXELS_PER_DEGREE)
-    if difference.has_error:
+    pixels = difference.get_pixels()
+    if difference.has_error or pixels is None:
         raise RuntimeError(difference.geterror())
-    error: NDArray[np.float32] = difference.get_pixels()[..., 0]
+    error: NDArray[np.float32] = pixels[..., 0]
     return error
 
 

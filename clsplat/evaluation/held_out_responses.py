@@ -9,7 +9,7 @@ others, without itself.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -101,7 +101,7 @@ def interpolated(place: int, places: NDArray[np.integer], transforms: NDArray[np
     return result
 
 
-def _in_order(name: str) -> Sequence[tuple[int, int | str]]:
+def _in_order(name: str) -> list[tuple[int, int, str]]:
     """A key that sorts photo_9 before photo_10, as cameras number them in time."""
-    return [(0, int(part)) if part.isdecimal() else (1, part)
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part)
             for part in re.split(r"(\d+)", name)]

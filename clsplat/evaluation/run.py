@@ -25,6 +25,7 @@ from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions, recorded
+from clsplat.rendering.slabs import ModelRenderer
 from clsplat.scene import Scene
 
 
@@ -212,7 +213,7 @@ class Run:
             read_poses(self.path))
 
     def opened(self, device: Device, scene: Scene, model: Gaussians | None = None
-               ) -> tuple[Any, Any, int]:
+               ) -> tuple[ModelRenderer, Any, int]:
         """A model on a device, to be rendered with the options of the run.
 
         Parameters

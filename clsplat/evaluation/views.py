@@ -31,7 +31,7 @@ from clsplat.io.regular import native
 from clsplat.io.views import read_photo
 from clsplat.options import TrainOptions
 from clsplat.placement.corrections import typical_depth
-from clsplat.rendering.slabs import open_model
+from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.response import Response
 from clsplat.scene import Scene, View
 
@@ -53,7 +53,7 @@ def final_metrics(lpips: str | PathLike[str] | None = None) -> Mapping[str, Metr
     return FINAL_METRICS if not lpips else {**FINAL_METRICS, "lpips": Lpips(lpips)}
 
 
-def render_view(renderer: Any, rows: Any, degree: int, camera: Camera,
+def render_view(renderer: ModelRenderer, rows: Any, degree: int, camera: Camera,
                 response: Response | None = None) -> Image:
     """float32[H, W, 3], 0 to 1: the image of a camera, or the photo by this response of it."""
     frame = renderer.render(rows, renderer.pack(camera), camera.width, camera.height, degree)
@@ -61,7 +61,7 @@ def render_view(renderer: Any, rows: Any, degree: int, camera: Camera,
     return np.clip(response.applied(image, camera) if response else image, 0, 1)
 
 
-def evaluate_views(renderer: Any, rows: Any, degree: int, views: Sequence[View],
+def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Sequence[View],
                    keep: Callable[..., object] | None = None,
                    metrics: Mapping[str, Metric] = METRICS,
                    predicted: Predicted | None = None, align: float = 0.0) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def score_names(metrics: Iterable[str]) -> list[str]:
     return [name + suffix for suffix in ("", "_cc") for name in metrics]
 
 
-def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
+def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[View],
                 train: Sequence[View], per_view: list[dict[str, Any]] | None = None,
                 predicted: Predicted | None = None) -> Pictures:
     """The pictures at the beginning of a model's report.
@@ -164,12 +164,12 @@ def pictures_of(renderer: Any, rows: Any, degree: int, test: Sequence[View],
 
 def photo_of(view: View) -> NDArray[np.float32]:
     """[H, W, 3], 0 to 1: the photo of a view at its camera's size."""
-    photo: NDArray[np.float32] = read_photo(view) / np.float32(255)
+    photo: NDArray[np.float32] = np.divide(read_photo(view), 255, dtype=np.float32)
     return photo
 
 
 def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOptions
-           ) -> tuple[Any, Any, int]:
+           ) -> tuple[ModelRenderer, Any, int]:
     """A finished model on a device: the renderer, its rows and the SH degree.
 
     Parameters

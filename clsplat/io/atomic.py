@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedWriter
+from os import PathLike
 from pathlib import Path
 
 from clsplat.errors import InputError
@@ -14,7 +15,7 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
-def replacing(path: str | Path, content: bytes | None = None) -> Iterator[BufferedWriter]:
+def replacing(path: str | PathLike[str], content: bytes | None = None) -> Iterator[BufferedWriter]:
     """Open a binary file beside `path` that replaces it when the block ends.
 
     If anything fails, the old file stays as it was, the new one is removed, and a full disk or a

@@ -92,7 +92,7 @@ def latest_change(folder: Path) -> int:
     0 if there is none."""
     with suppress(OSError), os.scandir(folder) as entries:
         return max((entry.stat().st_mtime_ns for entry in entries
-                    if entry.name != LOCK), default=0)  # some filelock versions write it at each try
+                    if entry.name != LOCK), default=0)  # some versions of filelock write it
     return 0
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from clsplat.constants import FRAME_COUNTS, PAIR_SUMS, SPLAT_REALS, TRANSFORM_REALS
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
+from clsplat.device.kernel import Argument
 from clsplat.errors import ShapeError
 from clsplat.rendering.bin import Pairs
 
@@ -24,8 +25,8 @@ _EXPOSURE: dict[str, Any] = dict(
     view="uint", transforms=("real", "U", TRANSFORM_REALS), camera=("real", "J"),
     lens_of=("uint", "K"), lenses=("real", "L", "M"), tones=("real", "TR", "TC"))
 _EXPOSED = dict(exposed=("real", "F", "G", "I"))
-_BACKGROUND = dict(background=("real", 3))
-_LAYERS = dict(layers=("uchar", "N", "O", "Q"))
+_BACKGROUND: dict[str, Argument] = dict(background=("real", 3))
+_LAYERS: dict[str, Argument] = dict(layers=("uchar", "N", "O", "Q"))
 _CHECKPOINTS = dict(checkpoints=("real", "B", "X", 4), depth_checkpoints=("real", "C", "Y"))
 
 BLEND = Kernel(

@@ -107,7 +107,7 @@ class Frame:
         width, height = self.size
         return self.pairs or bin_splats(
             self.splats.device, self.splats, self.counts, self.order, width, height, band,
-            room=self.room and self.room.pairs)
+            room=self.room.pairs if self.room else None)
 
 
 @dataclass(eq=False)
@@ -209,7 +209,7 @@ class Renderer:
             limit = self.most_pairs(width, height, with_depth)
             try:
                 pairs = bin_splats(device, splats, counts, order, width, height, limit=limit,
-                                   room=room and room.pairs)
+                                   room=room.pairs if room else None)
             except TooManyPairs:
                 bands = choose_bands(count_tiles(device, splats, counts, width, height), limit)
         blended = None
@@ -217,7 +217,7 @@ class Renderer:
             blended = blend(
                 device, splats,
                 pairs or bin_splats(device, splats, counts, order, width, height, band,
-                                    room=room and room.pairs),
+                                    room=room.pairs if room else None),
                 width, height, self.background, self._blend_defines(with_depth), blended, exposure,
                 layers)
         assert blended is not None  # an image has at least one band
@@ -252,7 +252,7 @@ class Renderer:
 
     def _visible(self, rows: Rows, camera: Array, counts: Array, room: Room | None = None) -> Array:
         flags, totals = cull(self.device, rows, camera, self._project_defines)
-        return compact(self.device, flags, counts, room and room.visible, totals)
+        return compact(self.device, flags, counts, room.visible if room else None, totals)
 
     def adjoint(self, rows: Rows, frame: Frame, grad_image: Array,
                 grad_depth: Array | None = None,

@@ -167,7 +167,7 @@ def boxes_seen(low: NDArray[np.float64], high: NDArray[np.float64], scales: NDAr
     slack = ROUNDING * (abs(corners).max(axis=(1, 2)) + abs(camera.translation).max())
     slack = slack[:, None]
     depth = points[..., 2] + slack
-    outside = (depth <= near).all(axis=1)
+    outside: NDArray[np.bool_] = (depth <= near).all(axis=1)
     if camera.orthographic:
         depth = np.ones_like(depth)
     pad = np.sqrt(CUTOFF * low_pass)

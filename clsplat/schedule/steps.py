@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from clsplat.config.option import AUTO, MOST_STEPS
+from clsplat.config.option import MOST_STEPS, is_auto
 from clsplat.schedule.registry import schedule_of
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ VISITS = 300  # steps a photo, after which held-out photos of small sets get wor
 
 def chooses_steps(options: TrainOptions) -> bool:
     """Whether the options have a number of steps, which is auto otherwise."""
-    return options.iterations != AUTO  # type: ignore[comparison-overlap]
+    return not is_auto(options.iterations)
 
 
 def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:

@@ -4,7 +4,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from clsplat.config.option import AUTO
+from clsplat.config.option import is_auto
 from clsplat.evaluation.views import METRICS, Metric, evaluate_views
 from clsplat.options import seconds_of
 from clsplat.schedule import Plan
@@ -43,7 +43,7 @@ class Deadline:
             each, last = last, time.perf_counter() - begin
         self.budget = TimeBudget(
             seconds_of(options.time_budget), each * len(session.test_views), clock.elapsed(),
-            self._checkpoint_bytes(), EVALUATIONS if options.eval_every == AUTO else 1,
+            self._checkpoint_bytes(), EVALUATIONS if is_auto(options.eval_every) else 1,
             (last - each) * len(session.test_views))
         self.note_change()
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.config.option import AUTO
+from clsplat.config.option import AUTO, is_auto
 from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
 from clsplat.covisibility.source_views import ViewSpread, choose_source_views, view_spread
 from clsplat.covisibility.vignetting import DARKENS, corner_darkening
@@ -136,7 +136,7 @@ def _degree(spread: ViewSpread, options: TrainOptions) -> Decision:
     """The degree of the spherical harmonics."""
     if options.sh_degree == HIGHEST_DEGREE:
         return Decision(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: all, the default")
-    if options.sh_degree != AUTO:
+    if not is_auto(options.sh_degree):
         return _requested(options.sh_degree)
     if not len(spread.cap):
         return Decision(HIGHEST_DEGREE, f"{HIGHEST_DEGREE}: no point is seen by two views, so "

@@ -3,7 +3,7 @@
 import time
 from typing import Any
 
-from clsplat.config.option import AUTO
+from clsplat.config.option import is_auto
 from clsplat.evaluation.views import METRICS, evaluate_views, final_metrics
 from clsplat.training.clock import Clock
 from clsplat.training.recorder import Recorder
@@ -34,7 +34,7 @@ class Evaluator:
     def is_due(self) -> bool:
         """Whether an evaluation is due after the latest step, by its number and the time so far."""
         options, iteration = self.session.options, self.session.iteration
-        if options.eval_every != AUTO:
+        if not is_auto(options.eval_every):
             return options.eval_every > 0 and iteration % options.eval_every == 0
         if EVALUATIONS * iteration % options.iterations >= EVALUATIONS:  # not after an eighth
             return False

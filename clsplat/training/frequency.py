@@ -2,6 +2,7 @@
 
 from clsplat.constants import FREQUENCY_SUMS, FREQUENCY_TERMS, LANES
 from clsplat.device import Array, Device, Forms, Kernel, groups, items
+from clsplat.device.kernel import Argument
 from clsplat.primitives.reduce import sum_columns
 
 VARIANTS = ("paper", "release", "robust")
@@ -9,7 +10,8 @@ AXES = ("mean", "max", "min")  # of 1 / sigma over a gaussian's three axes
 ROWS_AN_ITEM = 128  # few, so that sums stay exact enough in single precision
 TOGETHER = Forms(item=1, group=LANES)  # work-items, so that sums do not depend on group size
 
-_ROWS = dict(count="uint", log_scales=("real", "N", 3), opacity_logits=("real", "N"))
+_ROWS: dict[str, Argument] = dict(count="uint", log_scales=("real", "N", 3),
+                                  opacity_logits=("real", "N"))
 _MAXIMA = dict(maxima=("real", FREQUENCY_TERMS))
 _ITEMS = Forms(item=items("P"), group=items("P", "SCAN_GROUP"))
 LARGEST = Kernel("frequency.cl", "frequency_largest", _ITEMS, **_ROWS,

@@ -101,6 +101,7 @@ class Round:
         if room is None:
             return above_threshold(gradient, threshold)
         if selection == "score":
+            assert scores is not None  # `growth` has computed them
             return by_score(np.where(prunes, 0, scores), gradient, threshold, candidates.is_small,
                             room, rng)
         if selection == "highest":

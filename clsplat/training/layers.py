@@ -189,4 +189,6 @@ def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, view: Vi
 
 def eight_bits(values: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Values from 0 to 1 as bytes; what is not a number becomes 0."""
-    return np.rint(np.nan_to_num(values, nan=0.0).clip(0, 1) * 255).astype(np.uint8)
+    rounded: NDArray[np.uint8] = np.rint(
+        np.nan_to_num(values, nan=0.0).clip(0, 1) * 255).astype(np.uint8)
+    return rounded

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from clsplat.config.option import AUTO
+from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.gaussians import Gaussians
@@ -299,7 +299,7 @@ class Training:
         options, deadline = self.session.options, self.deadline
         if self.session.iteration in options.eval_at:
             return True
-        if deadline and options.eval_every == AUTO:
+        if deadline and is_auto(options.eval_every):
             return deadline.budget.evaluates(self.clock.elapsed())
         return self.evaluator.is_due()
 

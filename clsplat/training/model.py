@@ -16,7 +16,8 @@ from clsplat.primitives.gather import gather
 
 GROWTH_ROOM = 1.5  # capacity over need, so that most growth needs no reallocation
 DEVICE_SHARE = 0.5  # of the device's memory; beyond it, the moments are kept on the host
-ENGINES = {"device": DeviceAdam, "numpy": NumpyAdam}
+Adam = DeviceAdam | NumpyAdam
+ENGINES: dict[str, type[Adam]] = {"device": DeviceAdam, "numpy": NumpyAdam}
 
 
 class Model:
@@ -49,7 +50,7 @@ class Model:
             needed = model_bytes(device, self.sh_degree, self.capacity, moments)
             fits = needed < DEVICE_SHARE * device.handle.global_mem_size
             engine = "device" if fits else "numpy"
-        self.adam = ENGINES[engine](
+        self.adam: Adam = ENGINES[engine](
             device, {field.name: self._arrays[field.name] for field in LEARNED}, dense,
             moments)
 

@@ -8,9 +8,9 @@ import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from io import BufferedRandom
 from pathlib import Path
 from threading import Lock
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,19 +42,21 @@ class PhotoStore:
                  threads: int, folder: Path | None = None) -> None:
         ends = np.cumsum(sizes)
         self._decode, self._in_memory = decode, int((ends <= MEMORY_BYTES).sum())
-        self.count, self._file, self._lock = self._in_memory, None, Lock()
+        self.count, self._lock = self._in_memory, Lock()
+        self._file: BufferedRandom | None = None
         self._begins = (ends - sizes - ends[self._in_memory - 1] * (self._in_memory > 0)).tolist()
         if self._in_memory < len(sizes):
             self._open_file(folder or Path(tempfile.gettempdir()), np.append(
                 self._begins[self._in_memory + 1:], self._begins[-1] + sizes[-1]))
         self._threads = ThreadPoolExecutor(threads)
-        self._photos = [self._threads.submit(self._keep, i) for i in range(self.count)]
+        self._photos: list[Future[Kept]] = [
+            self._threads.submit(self._keep, i) for i in range(self.count)]
 
     def _open_file(self, folder: Path, ends: NDArray[np.int64]) -> None:
         try:
             fits = int((ends <= DISK_SHARE * shutil.disk_usage(folder).free).sum())
             if fits:
-                self._file: IO[bytes] | None = tempfile.TemporaryFile(dir=folder)
+                self._file = tempfile.TemporaryFile(dir=folder)
                 self.count += fits
         except OSError:
             pass  # a folder that cannot be written
@@ -94,7 +96,7 @@ class PhotoStore:
     def close(self) -> None:
         """Drop all photos, and remove the file."""
         self._threads.shutdown(wait=False, cancel_futures=True)
-        self._photos: list[Future[Kept]] = []
+        self._photos = []
         self.count = 0
         with self._lock:
             if self._file is not None:

@@ -4,6 +4,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from clsplat.io.lock import note_work
 
@@ -14,8 +15,9 @@ NOTE_SECONDS = 10.0
 class SilentProgress:
     """Accepts everything that a progress line accepts, and shows only warnings."""
 
-    def __call__(self, **values: object) -> None:
-        """Show values of a step."""
+    def __call__(self, *, iteration: int, total: int, loss: float, gaussians: int,
+                 memory_bytes: int, level: float) -> None:
+        """Show the numbers of a training step."""
 
     def message(self, text: str) -> None:
         """Print a line that stays; here only a warning, to standard error if that is open."""
@@ -39,8 +41,8 @@ class NotedProgress(SilentProgress):
     def __init__(self, folder: Path, shown: SilentProgress) -> None:
         self._folder, self._shown, self._noted = folder, shown, time.monotonic()
 
-    def __call__(self, **values: object) -> None:
-        """Show values of a step."""
+    def __call__(self, **values: Any) -> None:
+        """Show the numbers of a training step."""
         self._note()
         self._shown(**values)
 

@@ -9,7 +9,8 @@ has changed; one that is explained nowhere is not learned yet, and must not be l
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,8 @@ MOST = 0.25  # share of a photo that may be ignored
 Cells = NDArray[np.bool_]
 
 
-class Seen(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Seen:
     """A training view at the present level.
 
     Attributes
@@ -163,7 +165,7 @@ class Explained:
         _, height, width = view.photo.shape
         return self.renderer.render(
             self.rows, view.camera, width, height, self.sh_degree,
-            exposure=self.exposures and self.exposures.of(view.index, view.camera),
+            exposure=self.exposures.of(view.index, view.camera) if self.exposures else None,
             layers=view.layers)
 
     def _sums(self, frame: Frame, view: Seen, residual: NDArray[np.float64]
@@ -189,8 +191,9 @@ def outliers(residual: NDArray[np.float64], expected: NDArray[np.float64],
                                                    1e-9), 0)
     limit = max(1.0, float(np.quantile(ratio, 1 - MOST)))
     found = ratio > limit
-    coherent = uniform_filter(found.astype(np.float64), 3, mode="nearest") > NEIGHBOURS - 1e-6
-    grown = uniform_filter(coherent.astype(np.float64), 3, mode="constant") > 1e-6
+    around = uniform_filter(found.astype(np.float64), 3, mode="nearest")
+    coherent: Cells = around > NEIGHBOURS - 1e-6
+    grown: Cells = uniform_filter(coherent.astype(np.float64), 3, mode="constant") > 1e-6
     return grown & served if grown.mean() <= MOST else coherent
 
 

@@ -154,6 +154,7 @@ class Session:
 
     Attributes
     ----------
+    schedule : of the steps; there is no such attribute where the caller decides.
     step : takes steps; has the model, the exposures and the statistics.
     source_views : None if no loss term compares with another view.
     layers : what a block's views show of its surroundings; None: nothing is drawn as layers.
@@ -168,13 +169,16 @@ class Session:
                  schedule: Schedule | None = None, photos: Photos | None = None,
                  progress: SilentProgress | None = None, layers: Layers | None = None,
                  folder: Path | None = None) -> None:
-        self.device, self.schedule, self.progress = device, schedule, progress or SilentProgress()
+        self.device, self.progress = device, progress or SilentProgress()
+        if schedule is not None:
+            self.schedule = schedule
         self.scene, self.decisions = prepared.scene, prepared.decisions
         self.train_views, self.test_views = prepared.train_views, prepared.test_views
         self.options = options = prepared.options
         self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased,
                                  options.background)
-        self.photos = photos or Photos(device, self.train_views, schedule.levels, folder=folder)
+        self.photos = photos or Photos(device, self.train_views, self.schedule.levels,
+                                       folder=folder)
         self.layers = layers
         if prepared.surroundings and not layers:
             self.layers = Layers(device, self.scene, prepared.surroundings, prepared.near, options)
@@ -189,7 +193,8 @@ class Session:
             initial = initial_responses(self.scene, self.train_views)
             exposures = Exposures(
                 device, len(self.train_views), learns=initial is None,
-                initial=initial and np.array([response.transform for response in initial]),
+                initial=None if initial is None else np.array([
+                    response.transform for response in initial]),
                 lenses=prepared.lenses, vignetting=options.vignetting == "on",
                 tone=options.tone == "on")
         poses = None
@@ -278,6 +283,7 @@ class Session:
         pair, source = self._pair(view, number, plan), None
         if pair:
             row, other = pair
+            assert self.source_views is not None  # it has drawn the pair
             source = SourceView(self.photos[other], self.source_views.geometries,
                                 self.source_views.colours, row)
         return TrainingSample(view, self.cameras[view], self.photos[view], source,
@@ -306,8 +312,10 @@ class Session:
         """The learned responses of the training views by name; empty without exposures."""
         if self.options.exposure != "on":
             return {}
-        return {view.name: response for view, response in zip(
-            self.train_views, self.step.exposures.responses())}
+        exposures = self.step.exposures
+        assert exposures is not None  # the option is on
+        return {view.name: response
+                for view, response in zip(self.train_views, exposures.responses())}
 
     def corrections(self) -> dict[str, Correction]:
         """The corrections of the poses of training views by name, in units of the scene; empty

@@ -259,7 +259,8 @@ class Step:
             self._batch.add(gradients, used)
             if slot < views - 1:
                 return measured
-            gradients = self._batch.mean(self.units.counts, used, room and self.count)
+            gradients = self._batch.mean(self.units.counts, used,
+                                         self.count if room else None)
         self._model.adam.apply(self._learned(), gradients, numbers, used, self.frozen)
         if self.options.position_noise:
             add_noise(self._model.rows, numbers["noise"], numbers["now"], self.options.seed,
@@ -272,14 +273,15 @@ class Step:
         rows, exposures, counts = self._model.rows, self._exposures, self.units.counts
         _, height, width = sample.photo.shape
         terms = self._terms_for(plan, sample)
+        exposure = exposures.of(sample.view, sample.camera) if exposures else None
         frame = self.renderer.render(rows, sample.camera, width, height, plan.degree,
                                      any(term.needs_depth for term in terms), room, counts,
-                                     exposures and exposures.of(sample.view, sample.camera),
-                                     sample.layers)
+                                     exposure, sample.layers)
         grad = FrameGradient()
         for term in terms:
             measured[term.name] = term.add_to(grad, frame, frame.exposed, sample,
                                               numbers[_weight(term)])
+        assert grad.image is not None  # the image loss is always used
         if exposures:
             grad.image, partials = exposures.adjoint(sample.view, sample.camera, frame.image,
                                                      grad.image, sample.layers)

@@ -68,7 +68,7 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
                 request.attempt(partial(request.draw, renderer, rows, model.sh_degree))
 
 
-class TrainingView:
+class TrainingView(SilentProgress):
     """Shows a training on a page; the Watcher and the progress of that training.
 
     It changes nothing: frames are drawn between steps, from a copy of the gaussians, and a frame

@@ -214,7 +214,9 @@ def test_a_training_notes_that_it_goes_on(tmp_path, monkeypatch):
         for path in tmp_path.iterdir():
             os.utime(path, (1, 1))
         noted = NotedProgress(tmp_path, SilentProgress())
-        for note in (lambda: noted.phase("reading"), lambda: noted(iteration=1),
+        told = {"iteration": 1, "total": 5, "loss": 1.0, "gaussians": 1, "memory_bytes": 0,
+                "level": 2.0}
+        for note in (lambda: noted.phase("reading"), lambda: noted(**told),
                      lambda: noted.message("so")):
             os.utime(tmp_path / HOLDER, (1, 1))
             assert latest_change(tmp_path) == 10**9
