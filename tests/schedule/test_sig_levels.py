@@ -29,6 +29,16 @@ def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
     assert chosen_levels(asked, (640, 480)) == asked.levels
 
 
+@pytest.mark.parametrize("side, steps, expected", [
+    (500, 3000, (2.0, 1.0)), (SMALLEST_SIDE * 2 - 1, 3000, (1.0,)), (500, 599, (1.0,))])
+def test_a_block_begins_at_half_the_size_and_prunes_as_it_goes(side, steps, expected):
+    """The coarse run, at half size, has had the levels from 3 on."""
+    options = options_of(levels=(), level_share="auto", iterations=steps)
+    assert Sig.options_of_block(options, (side, side + 9)) == {
+        "levels": expected, "level_reset": False}
+    assert Sig.options_of_block(options_of(levels=(3.0, 1.0)), (500, 500)) == {}
+
+
 @pytest.mark.parametrize("overlap, pixels", [
     (16.0, 40.0), (6.4, 16.0), (4.0, 10.0), (1.0, 10.0), (math.nan, 40.0)])
 def test_the_more_photos_overlap_the_more_pixels_a_gaussian_needs(overlap, pixels):
