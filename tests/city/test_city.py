@@ -227,8 +227,7 @@ def test_a_starving_grid_and_empty_bounds_are_refused(copy, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("killed", [False, True])
-def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch, killed):
+def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch):
     shutil.rmtree(copy.block(0).run)
     real, refused = stages.train_block, []
 
@@ -240,13 +239,13 @@ def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch, killed):
 
     monkeypatch.setattr(stages, "train_block", train_block)
     other = (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns
-    if killed:  # between the new partition and the folders that it changes
-        def adopt(there):
-            if "replaces" in there.read_partition():
-                raise SystemExit(9)
-        with monkeypatch.context() as patch:
-            patch.setattr(CityFolder, "adopt", adopt)
-            city(copy.path, code=9)
+    def killed(there):  # between the new partition and the folders that it changes
+        if "replaces" in there.read_partition():
+            raise SystemExit(9)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(CityFolder, "adopt", killed)
+        city(copy.path, code=9)
     city(copy.path)
     assert (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns == other
     partition = copy.partition()

@@ -40,8 +40,8 @@ def test_it_learns(item_device, city, tmp_path):
 
 
 @pytest.mark.slow
-def test_it_learns_in_group_form(group_device, city, tmp_path):
-    learns(trained(tmp_path / "run", city, group_device, **STILL, iterations=200))
+def test_it_learns_in_both_forms(float_device, city, tmp_path):
+    learns(trained(tmp_path / "run", city, float_device, **STILL, iterations=200))
 
 
 def learns(run):

@@ -24,10 +24,10 @@ def rows_after(scene, options, device, folder):
 
 
 @pytest.mark.slow
-def test_lazy_training_is_dense_training(double_device, tmp_path, monkeypatch):
+def test_lazy_training_is_dense_training(item_device, tmp_path, monkeypatch):
     """In double precision, to 1e-5 of the movement in 130 steps with a growing degree: what
     an element of almost no gradient does, where epsilon counts, included."""
-    device = Device(double_device.handle, "double", form=double_device.form)
+    device = Device(item_device.handle, "double", form="item")
     scene, options = read_scene(CITY), options_of(**STILL, iterations=130)
     before = initial_gaussians(prepare(scene, options).scene, options).rows
     lazy = rows_after(scene, options, device, tmp_path / "lazy")
