@@ -239,6 +239,7 @@ def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch):
 
     monkeypatch.setattr(stages, "train_block", train_block)
     other = (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns
+
     def killed(there):  # between the new partition and the folders that it changes
         if "replaces" in there.read_partition():
             raise SystemExit(9)
