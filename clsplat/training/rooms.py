@@ -42,10 +42,22 @@ class Rooms:
         self._expected_pairs = math.ceil(most_pairs)
 
     def room(self, rows: Rows, camera: Array, width: int, height: int, with_depth: bool) -> Room:
-        """The room of a frame; measures one that is the first of its size, and waits for that."""
+        """The room of a frame.
+
+        One that is the first of its size is measured, which waits, unless frames of at least its
+        size were: the windows of a block have as many sizes as it has photos.
+        """
         size = width, height
         if size not in self._rooms:
-            self.enlarge(rows, camera, width, height, with_depth)
+            pairs = max([self._expected_pairs, *(
+                most for known, most in self._most_pairs.items()
+                if math.prod(known) >= math.prod(size))])
+            limit = self.renderer.most_pairs(width, height, with_depth)
+            if 0 < pairs <= limit:
+                self._rooms[size] = Room(visible_room(self._most_visible, len(rows["positions"])),
+                                         pairs_room(pairs, 0, limit))
+            else:
+                self.enlarge(rows, camera, width, height, with_depth)
         return self._rooms[size]
 
     def enlarge(self, rows: Rows, camera: Array, width: int, height: int, with_depth: bool) -> None:

@@ -28,8 +28,17 @@ def test_the_first_view_of_a_size_decides_until_more_is_needed():
     assert room_of(rooms, 500, [900, 900]) is first  # a frame that has no room fails
     rooms.enlarge(ROWS, (500, np.array([10, 40])), *SIZE, False)
     assert room_of(rooms, 1, [1, 1]) == Room(int(MARGIN * 500), int(MARGIN * 80) + 2)
-    other = room_of(rooms, 20, [5], (16, 16))  # what is visible does not depend on the size
-    assert other == Room(int(MARGIN * 500), int(MARGIN * 5) + 1)
+
+
+def test_a_smaller_size_is_not_measured_and_a_larger_one_is():
+    rooms = rooms_of()
+    room_of(rooms, 100, [50, 30])
+    assert room_of(rooms, 500, [900], (48, 63)) == Room(int(MARGIN * 100), int(MARGIN * 80))
+    assert room_of(rooms, 500, [900], (49, 64)) == Room(int(MARGIN * 500), int(MARGIN * 900) + 1)
+    assert room_of(rooms, 1, [1], (49, 63)) == Room(int(MARGIN * 500), int(MARGIN * 900))
+    small = rooms_of(1000)
+    small.forget(100, 1001)  # a frame that may need bands is measured
+    assert room_of(small, 10, [1, 1]).bands == (range(0, 2),)
 
 
 def test_what_is_expected_counts_as_seen():
