@@ -146,7 +146,7 @@ class Sig(Schedule):
         and has pruned what it did not need."""
         if options.levels:
             return {}
-        return {"levels": chosen_levels(options, size, LEVELS_OF_BLOCK), "level_reset": False}
+        return {"levels": chosen_levels(options, size, LEVELS_OF_BLOCK, TILE), "level_reset": False}
 
     def __init__(self, options: "TrainOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
@@ -353,10 +353,11 @@ def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> 
 
 
 def chosen_levels(options: "TrainOptions", size: tuple[int, int],
-                  candidates: tuple[float, ...] = LEVELS) -> tuple[float, ...]:
+                  candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE
+                  ) -> tuple[float, ...]:
     """The down-sampling factors of a training.
 
-    The default ones leave out sides below SMALLEST_SIDE, and the coarsest levels for which there is
+    The default ones leave out sides below `least`, and the coarsest levels for which there is
     no time.
 
     Parameters
@@ -364,6 +365,7 @@ def chosen_levels(options: "TrainOptions", size: tuple[int, int],
     options : with scaled steps.
     size : (width, height) of the smallest training image, pixels.
     candidates : the default ones.
+    least : pixels; less in a block, where the smallest of many windows says little of the others.
 
     Raises
     ------
@@ -377,7 +379,7 @@ def chosen_levels(options: "TrainOptions", size: tuple[int, int],
                 f"{int(size[1] / levels[0])} pixels, less than a tile of {TILE}; use smaller "
                 "factors, or a smaller --downscale")
         return levels
-    levels = tuple(level for level in candidates if level == 1 or side / level >= SMALLEST_SIDE)
+    levels = tuple(level for level in candidates if level == 1 or side / level >= least)
     while (shares := level_shares(levels, options.level_share)) and (
             shares[0] * options.iterations < LEAST_STEPS):
         levels = levels[1:]

@@ -96,11 +96,10 @@ def test_supersampling_is_the_mean_of_the_pixels_in_a_pixel(item_device, scene, 
 
 @pytest.mark.slow
 def test_far_views_take_few_gaussians_and_lose_nothing(scene, tmp_path, item_device):
-    """At most 0.2 dB worse against photos, with half of the gaussians. With longer trainings it is
-    less than a third of them (docs/notebook/city.md)."""
+    """The figure of issue 5: at most 30 % of the gaussians, at most 0.2 dB worse against photos."""
     run = RunFolder.create(tmp_path / "run")
-    train(scene, resolve({}, {"iterations": 600, "snapshots": True}), item_device, run)
+    train(scene, resolve({}, {"iterations": 1500, "snapshots": True}), item_device, run)
     records = list(compare_views(run.path, None, item_device, downscale=8))
     share, lod_psnr, full_psnr = (np.mean([record[key] for record in records])
                                   for key in ("share", "psnr", "full_psnr"))
-    assert share <= 0.55 and lod_psnr >= full_psnr - 0.2, (share, lod_psnr, full_psnr)
+    assert share <= 0.3 and lod_psnr >= full_psnr - 0.2, (share, lod_psnr, full_psnr)
