@@ -146,7 +146,8 @@ class Sig(Schedule):
         and has pruned what it did not need."""
         if options.levels:
             return {}
-        return {"levels": chosen_levels(options, size, LEVELS_OF_BLOCK, TILE), "level_reset": False}
+        levels = chosen_levels(options, size, LEVELS_OF_BLOCK, TILE)
+        return {"levels": levels, "level_reset": False}
 
     def __init__(self, options: "TrainOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
