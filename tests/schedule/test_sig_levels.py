@@ -30,7 +30,8 @@ def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
 
 
 @pytest.mark.parametrize("side, steps, expected", [
-    (500, 3000, (2.0, 1.0)), (TILE * 2, 3000, (2.0, 1.0)), (TILE * 2 - 1, 3000, (1.0,)), (500, 599, (1.0,))])
+    (500, 3000, (2.0, 1.0)), (TILE * 2, 3000, (2.0, 1.0)), (TILE * 2 - 1, 3000, (1.0,)),
+    (500, 599, (1.0,))])
 def test_a_block_begins_at_half_the_size_and_prunes_as_it_goes(side, steps, expected):
     """The coarse run, at half size, has had the levels from 3 on."""
     options = options_of(levels=(), level_share="auto", iterations=steps)
