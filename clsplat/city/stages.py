@@ -29,12 +29,13 @@ from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions, checked, resolve
-from clsplat.partition.blocks import block_start, find_windows
+from clsplat.partition.blocks import block_start
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import PartitionOptions
 from clsplat.partition.outline import geojson
 from clsplat.partition.partition import Partition
+from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
 from clsplat.schedule import chooses_steps, planned_steps, schedule_of
@@ -194,8 +195,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     draw(city, partition, scene, counts)
     exposures, steps = coarse.folder.load_exposures(), whole_steps(options, scene)
     surroundings = surroundings_of(city, options)
-    exchanges = planned_exchanges(city, options, [
-        steps * len(chosen) / len(views) for chosen in partition.views])
+    totals = steps * block_shares(partition, scene, gaussians, views)
+    exchanges = planned_exchanges(city, options, totals.tolist())
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
                                   observations=None)
@@ -205,8 +206,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         part = block_start(gaussians, scene, region, own.views, partial(
             takes_layers, surroundings, dataclasses.replace(own, region=region),
             decided, compared))
-        given = block_steps(options, steps * len(chosen) / len(views),
-                            smallest_size(own.views))
+        given = block_steps(options, totals[number], smallest_size(own.views))
         if not any(view.depth for view in own.views):
             given["depth"] = ""
         city.write_block(
@@ -218,6 +218,18 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
              **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
             part.around)
     return partition, counts
+
+
+def block_shares(partition: Partition, scene: Scene, gaussians: Gaussians,
+                 views: NDArray[np.integer]) -> NDArray[np.float64]:
+    """[B]: the steps of each block over those of one run of the whole scene."""
+    import os
+    power, factor = float(os.environ.get("X_POW", "0")), float(os.environ.get("X_FAC", "1"))
+    owner = partition.owner(world_of(scene, gaussians.positions))
+    shares = owned_shares(owner, gaussians.positions.astype(np.float64), scene.views,
+                          scene.near_plane, len(partition.regions))
+    return factor * np.array([(shares[chosen, number] ** power).sum() / len(views)
+                              for number, chosen in enumerate(partition.views)])
 
 
 def planned_exchanges(city: CityFolder, options: TrainOptions, steps: Sequence[float]) -> int:
@@ -302,7 +314,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
                  | None = None,
                  ended: Callable[[Outcome, str], object] | None = None,
                  began: Callable[[str, str], object] | None = None,
-                 fill: bool = False) -> list[Outcome]:
+                 fill: bool = False, device: Device | None = None) -> list[Outcome]:
     """Train the blocks that are not finished, the longest first; return the outcome of every block.
 
     Where blocks exchange gaussians, all of them come to an exchange before any goes on. If one
@@ -316,6 +328,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
     ended : called with each outcome and such a title.
     began : called with the name of a block that begins and such a title.
     fill : whether blocks go on alone when another has failed.
+    device : for trainings in this process; None: each opens its own.
     """
     blocks = {block.path.name: block
               for block in sorted(city.blocks(), key=expected_work, reverse=True)}
@@ -338,7 +351,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
             block.check()
             options = block_options(block, **({"device": devices[0]} if devices else {}))
             with progress(titles[task.name]) if progress else nullcontext() as shown:
-                train_block(block, options, shown, alone=alone)
+                train_block(block, options, shown, alone=alone, device=device)
 
         return run(tasks, workers, scheduler, devices=devices, call=in_this_process,
                    progress=ended and (lambda outcome: ended(outcome, titles[outcome.task.name])),

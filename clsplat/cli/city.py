@@ -113,7 +113,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
             several = workers > 1 or scheduler
             click.echo(block_table(folder, None if several else device, counts).text())
         outcomes = train_all_blocks(folder, data, options, device, lambda: train_blocks(
-            folder, workers, scheduler, devices, shown, ended, began, fill))
+            folder, workers, scheduler, devices, shown, ended, began, fill, device))
     except Interrupted:
         raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues"
                           ) from None

@@ -21,7 +21,7 @@ from clsplat.loss.term import LossTerm
 from clsplat.loss.terms import terms_of
 from clsplat.optimise.batch import BatchMean
 from clsplat.optimise.pose import Poses
-from clsplat.partition.surroundings import lies_behind
+from clsplat.partition.surroundings import Sides
 from clsplat.rendering.bands import pair_limit
 from clsplat.rendering.bin import steps_of, tile_grid
 from clsplat.rendering.frame_arrays import STAGES, FrameArray, FrameSize, frame_arrays
@@ -199,8 +199,9 @@ def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], 
     assert around is not None
     near, most = prepared.near, 0
     sizes, widest = [], max(shown, key=lambda view: view.camera.width * view.camera.height)
+    sides = Sides(prepared.scene, around.positions)
     for view in shown:
-        behind = lies_behind(prepared.scene, view.camera.position, around.positions)
+        behind = sides.behind(view.camera.position)
         in_front = has_front(view, around, behind, near)
         sizes.append(layer_array(view, in_front).nbytes(device.real))
         most = max(most, int(behind.sum()), int((~behind).sum()))
@@ -210,7 +211,7 @@ def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], 
     pool = Pool(device.real, False)
     pool.add([array for array in frame_arrays(device, size, around.sh_degree)
               if STAGES.index(array.first) <= STAGES.index("blend")])
-    rows = Model.arrays([field.name for field in LEARNED], around.sh_degree, most)
+    rows = Model.arrays([field.name for field in LEARNED], around.sh_degree, around.count)
     return (sum(sizes) if count <= spare else max(sizes),
             _bytes(device, list(rows.values())) + pool.nbytes)
 

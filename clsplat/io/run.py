@@ -41,6 +41,7 @@ METRICS = "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
 MODEL = "point_cloud.ply"
 REPORT = "report.html"
+PART_OF_CITY = "part_of_city"  # key of options.json: a coarse run or a block, without a report
 LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
 # in the order of their removal
 FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)
@@ -348,8 +349,16 @@ class RunFolder:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the run is finished with its report, which is written last."""
-        return self.has_model and (self.path / REPORT).is_file()
+        """Whether the run is finished with its report, which is written last.
+
+        Parts of a city have none: the city's report shows them.
+        """
+        return self.has_model and ((self.path / REPORT).is_file() or self.is_part_of_city)
+
+    @property
+    def is_part_of_city(self) -> bool:
+        """Whether this is the coarse run or a block of a city."""
+        return self.read_options().get(PART_OF_CITY) is True
 
     def write_report(self, html: str) -> Path:
         """Replace the report; returns its path."""

@@ -28,10 +28,6 @@ if TYPE_CHECKING:
     from clsplat.partition.region import Region
     from clsplat.scene import Scene, View
 
-WINDOW_QUANTILES = (0.005, 0.995)  # along both axes, of the gaussians of a block that a view shows
-WINDOW_MARGIN = 0.05  # share of the window's sides that is added on every side
-WINDOW_ALIGNMENT = 16  # pixels: windows begin and end at whole pixels of smaller photos too
-LEAST_WINDOW = 64  # pixels along each side
 VISIBLE_DEVIATIONS = 3.0  # standard deviations from its centre within which a gaussian is visible
 TRAINED_DEVIATIONS = 2.0  # that must lie within a block's reach for the block to train a gaussian
 
@@ -90,7 +86,7 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     rest = ~reached
     size = np.ones(len(positions))
     size[rest] = largest_sizes(positions[rest], np.exp(gaussians.log_scales[rest].max(axis=1)),
-                               views, scene.near_plane).clip(0, 1)
+                               views, scene.near_plane, enough=1).clip(0, 1)
     keeps = np.random.default_rng(0).random(len(size)) < size**2
     rows = {name: values[keeps] for name, values in gaussians.rows.items()}
     rows["log_scales"] = (rows["log_scales"] - np.log(size[keeps])[:, None]).astype(np.float32)
@@ -109,43 +105,9 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
                       around, unseen, int((~keeps).sum()) - unseen)
 
 
-def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View]
-                 ) -> dict[str, tuple[int, int, int, int]]:
-    """The window (left, top, right, bottom), pixels, of each view that shows what `region` reaches.
-
-    Outside its window a photo shows frozen gaussians only, so the block does not read that part.
-    Views without an entry are read whole: those whose window is the whole photo, and those that
-    show none of these gaussians, which were assigned because their camera stands in the cell.
-
-    Parameters
-    ----------
-    gaussians : the coarse model, in the local frame of `scene`.
-    scene : the whole scene.
-    region : the block's cell and margin.
-    views : of the block, of full size.
-    """
-    positions = gaussians.positions.astype(np.float64)
-    positions = positions[replace(scene, region=region).reached(positions)]
-    windows: dict[str, tuple[int, int, int, int]] = {}
-    for view in views:
-        camera = view.camera
-        size = np.array([camera.width, camera.height])
-        pixels, depths = camera.project(positions)
-        shown = (depths > scene.near_plane) & (pixels > 0).all(axis=1) & (pixels < size).all(axis=1)
-        if not shown.any():
-            continue
-        low, high = np.quantile(pixels[shown], WINDOW_QUANTILES, axis=0)
-        margin = np.maximum(WINDOW_MARGIN * (high - low), (LEAST_WINDOW - (high - low)) / 2)
-        step = WINDOW_ALIGNMENT
-        low = np.maximum(np.floor((low - margin) / step).astype(int) * step, 0)
-        high = np.minimum(np.ceil((high + margin) / step).astype(int) * step, size)
-        if (low > 0).any() or (high < size).any():
-            windows[view.name] = (*low.tolist(), *high.tolist())
-    return windows
-
-
 def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating],
-                  views: Sequence[View], near: float) -> NDArray[np.float64]:
+                  views: Sequence[View], near: float, enough: float = np.inf
+                  ) -> NDArray[np.float64]:
     """Two standard deviations of each gaussian in the view that shows it largest, in pixels.
 
     A gaussian that no view shows has size 0. A view shows a gaussian that is farther away than
@@ -157,16 +119,19 @@ def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floati
     deviations : [N], in the same unit; the largest of a gaussian's three standard deviations.
     views : with cameras of the size that counts.
     near : depth of the near plane.
+    enough : pixels; a gaussian that has this size in a view is not looked for in others.
     """
     largest = np.zeros(len(positions))
+    small = np.arange(len(positions))
     for view in views:
         camera = view.camera
-        pixels, depths = camera.project(positions)
-        deviation = deviations * max(camera.focal) / np.maximum(depths, near)
+        pixels, depths = camera.project(positions[small])
+        deviation = deviations[small] * max(camera.focal) / np.maximum(depths, near)
         reach = VISIBLE_DEVIATIONS * deviation[:, None]
         shown = (depths > near) & (pixels > -reach).all(axis=1) & (
             pixels < (camera.width, camera.height) + reach).all(axis=1)
-        largest[shown] = np.maximum(largest[shown], 2 * deviation[shown])
+        largest[small] = np.maximum(largest[small], np.where(shown, 2 * deviation, 0))
+        small = small[largest[small] < enough]
     return largest
 
 

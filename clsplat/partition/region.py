@@ -166,10 +166,15 @@ class Region:
             the enlarged cell too.
         """
         grown, points = self.grown(self.margin), np.asarray(points, np.float64)
-        reached = grown.owns(points)
+        coordinates = self.space.to(points)
+        reached = grown.holds(coordinates)
         spread = np.broadcast_to(spread, len(points))
+        # contraction only brings points closer together, so few lie near the border
+        moved = spread[:, None] / self.space.half.min() / (4 if self.space.contracted else 1)
+        near = reached & (spread > 0) & ~(grown.holds(coordinates - moved)
+                                          & grown.holds(coordinates + moved))
         for step in (*self.space.rotation[:2], *-self.space.rotation[:2]):
-            wide = np.flatnonzero(reached & (spread > 0))
+            wide = np.flatnonzero(reached & near)
             reached[wide] = grown.owns(points[wide] + spread[wide, None] * step)
         return reached
 

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 # drawn before or after layers to which it belongs (docs/notebook/city.md).
 HELD_DEVIATIONS = 1.0
 
+PARTS_OF_AXES = np.array([9, 3, 1])  # the planes of the reach divide space into 27 parts
+SIDES = np.indices((3, 3, 3)).reshape(3, -1).T  # [27, 3]: of each part along each axis
+
 
 def enters_reach(scene: Scene, gaussians: Gaussians, deviations: float = HELD_DEVIATIONS
                  ) -> NDArray[np.bool_]:
@@ -66,32 +69,46 @@ def deviations_along(gaussians: Gaussians, axes: NDArray[np.floating]) -> NDArra
     return lengths
 
 
-def lies_behind(scene: Scene, camera: ArrayLike, positions: NDArray[np.floating]
-                ) -> NDArray[np.bool_]:
-    """Which positions outside a block's reach a camera sees behind it, as bool[N].
-
-    The others are in front of it, or beside it on the camera's side. A camera within the reach sees
-    all behind it.
+class Sides:
+    """On which sides of what a block reaches positions outside of it lie.
 
     Parameters
     ----------
     scene : the block's scene.
-    camera : [3], the camera's position, in the local frame of the scene.
     positions : [N, 3], in the local frame of the scene.
     """
-    region = _region_of(scene)
-    grown, space = region.grown(region.margin), region.space
-    eye = space.to(scene.offset + scene.unit * np.asarray(camera, np.float64)[None])[0]
-    places = space.to(scene.offset + scene.unit * positions.astype(np.float64))
-    distance = np.maximum(grown.low - eye, eye - grown.high) * space.half
-    behind, decided = np.ones(len(places), bool), np.zeros(len(places), bool)
-    for axis in np.argsort(-distance, kind="stable"):  # first the side that faces the camera
-        for outside, faces in ((places[:, axis] < grown.low[axis], eye[axis] < grown.low[axis]),
-                               (places[:, axis] >= grown.high[axis],
-                                eye[axis] >= grown.high[axis])):
-            behind[outside & ~decided] = not faces
-            decided |= outside
-    return behind
+
+    def __init__(self, scene: Scene, positions: NDArray[np.floating]) -> None:
+        self._scene, region = scene, _region_of(scene)
+        self._grown, self._space = region.grown(region.margin), region.space
+        places = self._place(positions.astype(np.float64))
+        # along each axis: 0 below the reach, 1 within, 2 above
+        side = 1 + (places >= self._grown.high).astype(np.int8) - (places < self._grown.low)
+        self._part = side @ PARTS_OF_AXES
+
+    def behind(self, camera: ArrayLike) -> NDArray[np.bool_]:
+        """Which positions a camera sees behind what the block reaches, as bool[N].
+
+        The others are in front of it, or beside it on the camera's side. A camera within the reach
+        sees all behind it.
+
+        Parameters
+        ----------
+        camera : [3], the camera's position, in the local frame of the scene.
+        """
+        low, high = self._grown.low, self._grown.high
+        eye = self._place(np.asarray(camera, np.float64)[None])[0]
+        distance = np.maximum(low - eye, eye - high) * self._space.half
+        behind, decided = np.ones(len(SIDES), bool), np.zeros(len(SIDES), bool)
+        for axis in np.argsort(-distance, kind="stable"):  # first the side that faces the camera
+            for side, faces in ((0, eye[axis] < low[axis]), (2, eye[axis] >= high[axis])):
+                outside = SIDES[:, axis] == side
+                behind[outside & ~decided] = not faces
+                decided |= outside
+        return behind[self._part]
+
+    def _place(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._space.to(self._scene.offset + self._scene.unit * positions)
 
 
 def _region_of(scene: Scene) -> Region:

@@ -58,7 +58,7 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
 
 def train_block(block: BlockFolder, options: TrainOptions,
                 progress: SilentProgress | None = None, patience: float = 0.0,
-                alone: bool = False) -> str:
+                alone: bool = False, device: Device | None = None) -> str:
     """Train a block to its end, from the start or from the last checkpoint of its run.
 
     It ends before, where it exchanges gaussians with blocks that have not come as far.
@@ -70,6 +70,7 @@ def train_block(block: BlockFolder, options: TrainOptions,
     progress : receives steps, messages and phases.
     patience : seconds to wait for another process that trains the block.
     alone : do without the exchanges that are left.
+    device : None: it is opened as `options` say.
 
     Returns
     -------
@@ -88,7 +89,7 @@ def train_block(block: BlockFolder, options: TrainOptions,
             _check_same(run, options)
         if run.is_finished:
             return BEFORE
-        device = choose_device(options.device, form=options.form)
+        device = device or choose_device(options.device, form=options.form)
         exchanges = [] if alone else block.exchanges
         for number, step in enumerate(exchanges, 1):
             if run.checkpoint_iteration() < step:

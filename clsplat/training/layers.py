@@ -8,7 +8,7 @@ again.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
@@ -19,15 +19,16 @@ from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.loss.exposure import Exposures
 from clsplat.partition.blocks import largest_sizes
-from clsplat.partition.surroundings import lies_behind
+from clsplat.partition.surroundings import Sides
 from clsplat.rendering.blend import BACK_PLANES, FRONT_AND_BACK_PLANES
-from clsplat.rendering.slabs import open_model
+from clsplat.rendering.slabs import Parts, open_model
 from clsplat.scene import Scene, View
 from clsplat.training.model import GROWTH_ROOM
 
 if TYPE_CHECKING:
     from clsplat.options import TrainOptions
 
+HIDDEN = -100.0  # opacity logit of gaussians that are not drawn
 Planes = NDArray[np.uint8]  # [3 or 7, H, W], see cl/include/layers.h
 
 
@@ -54,8 +55,8 @@ class Layers:
     def __init__(self, device: Device, scene: Scene, surroundings: Gaussians, near: float,
                  options: TrainOptions) -> None:
         self.device, self.resident = device, True
-        self._draw: Callable[[View], Planes] = lambda view: drawn_layers(
-            device, scene, surroundings, view, near, options)
+        self._draw: Callable[[Sequence[View]], Iterator[Planes]] = lambda views: drawn_layers(
+            device, scene, surroundings, views, near, options)
         self._level = 0.0  # none yet
 
     def use(self, level: float, views: Sequence[View], spare_bytes: float) -> None:
@@ -75,8 +76,7 @@ class Layers:
         self._places: list[tuple[int, tuple[int, ...]]] = []
         most = sum(layer_array(view, True).nbytes(self.device.real) for view in views)
         self.resident = most <= spare_bytes
-        for view in views:
-            planes = self._draw(view)
+        for planes in self._draw(views):
             if self.resident:
                 self._arrays.append(self.device.upload(planes))
             else:
@@ -119,7 +119,7 @@ def has_front(view: View, surroundings: Gaussians, behind: NDArray[np.bool_], ne
     ----------
     view, near : as for `drawn_layers`.
     surroundings : of the block.
-    behind : bool[N], those behind the block (`lies_behind`).
+    behind : bool[N], those behind the block (`Sides`).
     """
     deviations = np.exp(surroundings.log_scales[~behind].max(axis=1))
     return bool(largest_sizes(surroundings.positions[~behind], deviations, [view], near).any())
@@ -139,8 +139,9 @@ def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, expose
     """
     real, near = np.dtype(np.float32), scene.near_plane
     layers = step = 0
+    sides = Sides(scene, surroundings.positions)
     for view in scene.views:
-        behind = lies_behind(scene, view.camera.position, surroundings.positions)
+        behind = sides.behind(view.camera.position)
         layers += layer_array(view, has_front(view, surroundings, behind, near)).nbytes(real)
         step = max(step, sum(array.nbytes(real) for array in Exposures.frame_arrays(
             view.camera.width, view.camera.height, vignetting=False, tone=False)))
@@ -149,42 +150,51 @@ def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, expose
             int(3 * 4 * floats * GROWTH_ROOM * surroundings.count))
 
 
-def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, view: View, near: float,
-                 options: TrainOptions) -> Planes:
-    """Draw what a view shows of the surroundings of a block.
+def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, views: Sequence[View],
+                 near: float, options: TrainOptions) -> Iterator[Planes]:
+    """Draw what each view shows of the surroundings of a block.
+
+    All of them are on the device meanwhile; those on the other side are transparent.
 
     Parameters
     ----------
     device, scene, surroundings, near, options : as for `Layers`.
-    view : of the block, at its level.
+    views : of the block, at its level.
 
-    Returns
-    -------
+    Yields
+    ------
     uint8[3, H, W], or uint8[7, H, W] where something is in front of the block.
     """
-    behind = lies_behind(scene, view.camera.position, surroundings.positions)
+    sides, logits = Sides(scene, surroundings.positions), surroundings.rows["opacity_logits"]
+    background = np.array(options.background)[:, None, None]
+    renderer, rows = open_model(
+        device, Gaussians(dict(surroundings.rows), surroundings.sh_degree), near,
+        options.antialiased, options.background)
 
-    def drawn(which: NDArray[np.bool_], background: Sequence[float]
+    def drawn(view: View, which: NDArray[np.bool_]
               ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """The image [3, H, W] and the transmittance [1, H, W] of some of the surroundings."""
-        width, height = view.camera.width, view.camera.height
-        chosen = Gaussians({name: rows[which] for name, rows in surroundings.rows.items()},
-                           surroundings.sh_degree)
-        renderer, rows = open_model(device, chosen, near, options.antialiased, background)
-        blended = renderer.render(rows, renderer.pack(view.camera), width, height,
-                                  chosen.sh_degree).blended
+        shown = np.where(which, logits, HIDDEN).astype(logits.dtype)
+        if isinstance(rows, Parts):
+            rows.rows["opacity_logits"] = shown
+        else:
+            rows["opacity_logits"].write(shown)
+        blended = renderer.render(rows, renderer.pack(view.camera), view.camera.width,
+                                  view.camera.height, surroundings.sh_degree).blended
         image, clear = blended.image.download(), blended.transmittance.download()[None]
-        del renderer, rows, blended
+        del blended
         device.trim()  # the next frame has other sizes
         return image, clear
 
-    back = eight_bits(drawn(behind, options.background)[0])
-    if behind.all():
-        return back
-    colour, clear = (eight_bits(values) for values in drawn(~behind, (0.0, 0.0, 0.0)))
-    if not colour.any() and clear.min() == 255:
-        return back
-    return np.concatenate([back, colour, clear])
+    for view in views:
+        behind = sides.behind(view.camera.position)
+        back = eight_bits(drawn(view, behind)[0])
+        if not behind.all():
+            colour, clear = drawn(view, ~behind)
+            front = [eight_bits(colour - clear * background), eight_bits(clear)]
+            if front[0].any() or front[1].min() < 255:
+                back = np.concatenate([back, *front])
+        yield back
 
 
 def eight_bits(values: NDArray[np.floating]) -> NDArray[np.uint8]:

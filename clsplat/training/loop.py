@@ -16,7 +16,7 @@ from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.depth import with_depths
-from clsplat.io.run import RunFolder
+from clsplat.io.run import PART_OF_CITY, RunFolder
 from clsplat.io.scenes import fingerprint
 from clsplat.io.undistort import undistorted
 from clsplat.loss.term import TrainingSample
@@ -76,7 +76,7 @@ def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str,
     """The options of a run and what it was trained on, for its options.json."""
     return {"scene": scene.path, **dataclasses.asdict(options), "fingerprint": fingerprint(scene),
             "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
-            "offset": scene.offset.tolist()}
+            "offset": scene.offset.tolist(), PART_OF_CITY: options.coarse or bool(scene.region)}
 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -99,7 +99,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     gaussians = saved_gaussians(run, {"sh_degree": options.sh_degree, **record}, arrays, state)
     try:
         training = Training(scene, options, device, run, progress, gaussians, callbacks,
-                            watcher)
+                            watcher, state["level"])
         training.checkpoint.load(arrays, state)
     except KeyError as error:
         raise InputError(f"{run.path}: its checkpoint lacks {error}; "
@@ -120,6 +120,7 @@ class Training:
     ----------
     scene, options, device, run, progress, callbacks, watcher : as for `train`.
     gaussians : those of a resumed run; None: the initial ones.
+    level : that of a resumed run; 0: the first one.
 
     Attributes
     ----------
@@ -131,7 +132,8 @@ class Training:
 
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                  progress: SilentProgress | None = None, gaussians: Gaussians | None = None,
-                 callbacks: Iterable[Callback] = (), watcher: Watcher | None = None) -> None:
+                 callbacks: Iterable[Callback] = (), watcher: Watcher | None = None,
+                 level: float = 0.0) -> None:
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.recorded = gaussians is not None
         self.run, self.watcher = run, watcher
@@ -143,7 +145,7 @@ class Training:
             progress.phase("undistorting photos")
             scene = undistorted(with_depths(scene, options.depth), run.undistorted, THREADS)
         self.clock = Clock(device)
-        self.session = Session.build(scene, options, device, progress, gaussians, run.path)
+        self.session = Session.build(scene, options, device, progress, gaussians, run.path, level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
         self.deadline = (Deadline(self.session, self.clock, self.evaluator.final_metrics)
@@ -167,7 +169,7 @@ class Training:
         """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
 
         What cannot be made again is written first: the checkpoint, the finished model, the final
-        evaluation, and last the report, whose failure does no harm.
+        evaluation, and last the report, whose failure does no harm. Parts of a city have none.
         """
         self.clock.restart()
         if self.deadline:
@@ -185,7 +187,8 @@ class Training:
             raise self.stopped()
         if self.evaluator.evaluated_at != self.session.iteration:
             self.evaluator.evaluate(final=True)
-        draw_report(self.run, self.session, self.evaluator.per_view)
+        if not self.run.is_part_of_city:
+            draw_report(self.run, self.session, self.evaluator.per_view)
 
     @contextmanager
     def resumable(self) -> Iterator[None]:

@@ -143,6 +143,7 @@ class Photos:
     levels : down-sampling factors in the order in which they will come.
     budget_bytes : limit for photos on the device; None: DEVICE_SHARE of its memory.
     folder : of the files of decoded photos; None: the system's folder for temporary files.
+    level : the first one to use; 0: levels[0].
 
     Attributes
     ----------
@@ -154,7 +155,8 @@ class Photos:
     """
 
     def __init__(self, device: Device, views: Sequence[View], levels: Sequence[float] = (1.0,),
-                 budget_bytes: int | None = None, folder: Path | None = None) -> None:
+                 budget_bytes: int | None = None, folder: Path | None = None,
+                 level: float = 0.0) -> None:
         self.device, self._full, self._levels, self._folder = device, views, levels, folder
         self._budget = (DEVICE_SHARE * device.handle.global_mem_size if budget_bytes is None
                         else budget_bytes)
@@ -164,7 +166,7 @@ class Photos:
         self._next: tuple[float, PhotoStore] | None = None  # (level, its photos)
         self.level = 0.0  # none yet
         self.ignored: list[Cells] | None = None
-        self.use(levels[0])
+        self.use(level or levels[0])
 
     def use(self, level: float) -> None:
         """Change the level, and begin to read the next one."""

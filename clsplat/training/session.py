@@ -151,6 +151,7 @@ class Session:
     layers : of a block that has surroundings; None: they are drawn.
     progress : receives what is being done.
     folder : where photos wait for their use (`Photos`).
+    level : at which training begins; 0: the first one of the schedule.
 
     Attributes
     ----------
@@ -168,7 +169,7 @@ class Session:
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
                  schedule: Schedule | None = None, photos: Photos | None = None,
                  progress: SilentProgress | None = None, layers: Layers | None = None,
-                 folder: Path | None = None) -> None:
+                 folder: Path | None = None, level: float = 0.0) -> None:
         self.device, self.progress = device, progress or SilentProgress()
         if schedule is not None:
             self.schedule = schedule
@@ -178,7 +179,7 @@ class Session:
         self.renderer = Renderer(device, options.sh_degree, prepared.near, options.antialiased,
                                  options.background)
         self.photos = photos or Photos(device, self.train_views, self.schedule.levels,
-                                       folder=folder)
+                                       folder=folder, level=level)
         self.layers = layers
         if prepared.surroundings and not layers:
             self.layers = Layers(device, self.scene, prepared.surroundings, prepared.near, options)
@@ -213,7 +214,8 @@ class Session:
     @classmethod
     def build(cls, scene: Scene, options: TrainOptions, device: Device,
               progress: SilentProgress | None = None,
-              gaussians: Gaussians | None = None, folder: Path | None = None) -> Session:
+              gaussians: Gaussians | None = None, folder: Path | None = None,
+              level: float = 0.0) -> Session:
         """Build a session, and read all photos, held-out ones too.
 
         Parameters
@@ -224,6 +226,7 @@ class Session:
         progress : receives what is being done.
         gaussians : those of a resumed run; None: the initial ones.
         folder : where photos wait for their use (`Photos`).
+        level : of a resumed run; 0: the first one.
 
         Raises
         ------
@@ -237,7 +240,8 @@ class Session:
         progress.phase("reading photos")
         for _ in decoded(prepared.test_views):
             pass  # a damaged photo would stop the run at its evaluation
-        return cls(prepared, device, gaussians, schedule, progress=progress, folder=folder)
+        return cls(prepared, device, gaussians, schedule, progress=progress, folder=folder,
+                   level=level)
 
     @property
     def model(self) -> Model:

@@ -8,7 +8,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
 from clsplat.partition.region import Region, Space
-from clsplat.partition.surroundings import deviations_along, enters_reach, lies_behind
+from clsplat.partition.surroundings import deviations_along, enters_reach, Sides
 from clsplat.scene import Scene, View
 
 OFFSET, UNIT = np.array([3e6, -1e6, 40.0]), 2.5
@@ -49,11 +49,11 @@ def test_a_ray_meets_what_is_in_front_then_the_block_then_what_is_behind(seed):
         for _ in range(40):
             eye, end = local(rng.uniform(-0.95, 0.95, (2, 3)))
             places = eye + np.linspace(0, 1, 200)[1:, None] * (end - eye)
-            parts = np.where(scene.reached(places), 1, 2 * lies_behind(scene, eye, places))
+            parts = np.where(scene.reached(places), 1, 2 * Sides(scene, places).behind(eye))
             assert (np.diff(parts) >= 0).all()
             met += np.bincount(parts, minlength=3) > 0
             if scene.reached(eye[None])[0]:
-                assert lies_behind(scene, eye, places).all()
+                assert Sides(scene, places).behind(eye).all()
     assert (met > 20).all()
 
 
@@ -62,8 +62,8 @@ def test_where_a_ray_never_meets_the_block_the_side_of_the_camera_decides():
     scene = scene_of(Region(space, [-0.1, -0.1, -np.inf], [0.1, 0.1, np.inf]))
     eye = np.array([-2.0, 0, 0])
     places = np.array([[-1, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 1, 0], [1, -1, 0]])
-    assert lies_behind(scene, eye, places).tolist() == [False, True, True, False, True]
-    assert lies_behind(scene, [0, 0, 9], places).all()
+    assert Sides(scene, places).behind(eye).tolist() == [False, True, True, False, True]
+    assert Sides(scene, places).behind([0, 0, 9]).all()
 
 
 def discs(positions, scales, quaternions=None):
@@ -92,4 +92,4 @@ def test_a_gaussian_enters_with_its_own_extent(contracted):
 def test_only_a_block_has_surroundings():
     scene = replace(scene_of(None))
     with pytest.raises(ValueError, match="no surroundings"):
-        lies_behind(scene, np.zeros(3), np.zeros((1, 3)))
+        Sides(scene, np.zeros((1, 3)))

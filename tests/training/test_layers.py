@@ -98,11 +98,12 @@ def test_block_and_layers_look_as_the_whole(item_device, block):
     rows = {field.name: np.concatenate([part.rows[field.name] for part in (
         start.gaussians, start.around)]) for field in LEARNED}
     found, without, fronts = [], [], 0
-    for view in scene.reduced(4).views[::4]:
+    views = scene.reduced(4).views[::4]
+    for view, planes in zip(views, layers.drawn_layers(
+            item_device, scene, start.around, views, scene.near_plane, options)):
+        planes = planes / 255
         whole, _ = shown(item_device, Gaussians(rows, 1), scene, view.camera, background)
         own, clear = shown(item_device, start.gaussians, scene, view.camera)
-        planes = layers.drawn_layers(item_device, scene, start.around, view, scene.near_plane,
-                                     options) / 255
         behind = own + clear * planes[:3]
         composed = planes[3:6] + planes[6] * behind if len(planes) == 7 else behind
         fronts += len(planes) == 7

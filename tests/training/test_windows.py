@@ -14,7 +14,8 @@ from clsplat.io.images import read_image, write_image
 from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.io.views import read_photo
-from clsplat.partition.blocks import find_windows, seen_pixels
+from clsplat.partition.blocks import seen_pixels
+from clsplat.partition.windows import find_windows
 from clsplat.partition.region import Region, Space
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
