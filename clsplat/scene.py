@@ -75,9 +75,9 @@ class View:
         bool[N].
         """
         pixels, depths = self.camera.project(points)
-        size = self.camera.width, self.camera.height
-        inside: NDArray[np.bool_] = (
-            (depths > 0) & (pixels > 0).all(axis=1) & (pixels < size).all(axis=1))
+        inside: NDArray[np.bool_] = depths > 0
+        for along, size in zip(pixels.T, (self.camera.width, self.camera.height)):
+            inside &= (along > 0) & (along < size)
         return inside
 
     def photo(self) -> NDArray[np.uint8]:

@@ -48,7 +48,7 @@ from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
-COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
+COARSE_SHARE = float(__import__("os").environ.get("X_COARSE", "0.5"))   # of the whole run's steps; at half size they cost a quarter of it or less
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
 MOST_SPLITS = 4  # of a block, one after the other
 

@@ -127,9 +127,10 @@ def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floati
         camera = view.camera
         pixels, depths = camera.project(positions[small])
         deviation = deviations[small] * max(camera.focal) / np.maximum(depths, near)
-        reach = VISIBLE_DEVIATIONS * deviation[:, None]
-        shown = (depths > near) & (pixels > -reach).all(axis=1) & (
-            pixels < (camera.width, camera.height) + reach).all(axis=1)
+        reach = VISIBLE_DEVIATIONS * deviation
+        shown = depths > near
+        for along, size in zip(pixels.T, (camera.width, camera.height)):
+            shown &= (along > -reach) & (along < size + reach)
         largest[small] = np.maximum(largest[small], np.where(shown, 2 * deviation, 0))
         small = small[largest[small] < enough]
     return largest
@@ -147,7 +148,7 @@ def trainable(scene: Scene, positions: NDArray[np.floating], log_scales: NDArray
     positions : [N, 3], in the local frame of the scene.
     log_scales : [N, 3], as in a model.
     """
-    deviations = np.exp(log_scales.max(axis=1).astype(np.float64))
+    deviations = np.exp(np.maximum.reduce(log_scales.T).astype(np.float64))
     return scene.reached(positions, TRAINED_DEVIATIONS * deviations)
 
 

@@ -51,21 +51,20 @@ def enters_reach(scene: Scene, gaussians: Gaussians, deviations: float = HELD_DE
                                       np.minimum(grown.high, ends[1])))
         gaps = np.abs((next_to - centres) @ space.rotation.T)
     extents = scene.unit * deviations * deviations_along(gaussians, space.rotation)
-    entering: NDArray[np.bool_] = np.all(gaps <= extents, axis=1)
-    return entering | scene.reached(gaussians.positions)
+    u, v, up = (gaps <= extents).T
+    return u & v & up | scene.reached(gaussians.positions)
 
 
 def deviations_along(gaussians: Gaussians, axes: NDArray[np.floating]) -> NDArray[np.float64]:
     """Standard deviations [N, A] of gaussians along unit vectors `axes` [A, 3], in their frame."""
-    q = gaussians.quaternions.astype(np.float64)
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True).clip(np.finfo(float).tiny)).T
-    rotations = np.stack([
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
-    scales = np.exp(gaussians.log_scales.astype(np.float64))
-    along = np.einsum("ai,nij->naj", axes, rotations.reshape(-1, 3, 3)) * scales[:, None]
-    lengths: NDArray[np.float64] = np.linalg.norm(along, axis=2)
+    q = gaussians.quaternions.astype(np.float64).T
+    w, x, y, z = q / np.sqrt((q * q).sum(axis=0)).clip(np.finfo(float).tiny)
+    rotations = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+    along = np.tensordot(axes, rotations, 1) * np.exp(gaussians.log_scales.astype(np.float64).T)
+    lengths: NDArray[np.float64] = np.sqrt((along * along).sum(axis=1)).T
     return lengths
 
 

@@ -62,8 +62,9 @@ def shown_pixels(view: View, positions: NDArray[np.floating], near: float
     """The pixels [M, 2] of the positions [N, 3] that a view shows, and which these are, [N]."""
     camera = view.camera
     pixels, depths = camera.project(positions)
-    shown = (depths > near) & (pixels > 0).all(axis=1) & (
-        pixels < (camera.width, camera.height)).all(axis=1)
+    shown = depths > near
+    for along, size in zip(pixels.T, (camera.width, camera.height)):
+        shown &= (along > 0) & (along < size)
     return pixels[shown], shown
 
 
