@@ -46,6 +46,7 @@ class View:
     depth : the file of its depth map (io/depth.py); None: it has none.
     quarter_turns : how many clockwise quarter turns show the photo upright, by its EXIF.
     weighed : whether a training may leave out pixels of the photo (training/robust.py).
+    visits : how often a training visits it, in proportion to others.
     """
 
     name: str
@@ -57,6 +58,7 @@ class View:
     depth: Path | None = None
     quarter_turns: int = 0
     weighed: bool = False
+    visits: float = 1.0
 
     @property
     def may_have_mask(self) -> bool:

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from clsplat.city.cut import draw
 from clsplat.city.lod import merge_levels
 from clsplat.city.merge import Merged, merge
 from clsplat.city.scoring import reference_model, score_in_shares, views_of
 from clsplat.city.seams import find_seams
-from clsplat.city.stages import COARSE_FACTOR, draw
+from clsplat.city.stages import COARSE_FACTOR
 from clsplat.city.tree import merge_tree
 from clsplat.device import Device
 from clsplat.errors import InputError

@@ -1,27 +1,19 @@
-"""The stages of a city in order: begin, train the coarse run, cut into blocks, train the blocks."""
+"""The stages of a city in order: begin, train the coarse run, cut (cut.py), train the blocks."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from functools import partial
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from clsplat.city.cut import cut_into_blocks, whole_steps
 from clsplat.city.split import split_blocks, too_large
-from clsplat.city.visibility import DropTest
-from clsplat.config.option import differences, plain
+from clsplat.config.option import differences
 from clsplat.device import Device
 from clsplat.distribute import Outcome, Task, run
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import final_metrics
-from clsplat.gaussians import Gaussians
-from clsplat.io.atomic import replacing
-from clsplat.io.city import EXCHANGES, LAYERS, PARTITION, BlockFolder, CityFolder
+from clsplat.io.city import BlockFolder, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.folders import make_folder
 from clsplat.io.run import CITY, RunFolder
@@ -29,27 +21,16 @@ from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions, checked, resolve
-from clsplat.partition.blocks import block_start
 from clsplat.partition.input import world_of
-from clsplat.partition.make import make_partition
-from clsplat.partition.options import PartitionOptions
-from clsplat.partition.outline import geojson
-from clsplat.partition.partition import Partition
-from clsplat.partition.windows import find_windows, owned_shares
-from clsplat.report.map import write_map
 from clsplat.scene import Scene
-from clsplat.schedule import chooses_steps, planned_steps, schedule_of
-from clsplat.training.block import block_options, decided_by, options_of_blocks, train_block
-from clsplat.training.exchange import exchange_steps, most_exchanges
-from clsplat.training.facts import smallest_size
-from clsplat.training.layers import compared_bytes
+from clsplat.schedule import chooses_steps, schedule_of
+from clsplat.training.block import block_options, train_block
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
-COARSE_SHARE = float(__import__("os").environ.get("X_COARSE", "0.5"))   # of the whole run's steps; at half size they cost a quarter of it or less
-REQUESTED = "asked"  # key of partition.json for the PartitionOptions
+COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
 MOST_SPLITS = 4  # of a block, one after the other
 
 
@@ -147,167 +128,6 @@ def coarse_options(options: TrainOptions, scene: Scene) -> TrainOptions:
         eval_every=0, lpips="")
 
 
-def whole_steps(options: TrainOptions, scene: Scene) -> int:
-    """The steps of one run of the whole scene with these options."""
-    training, _ = scene.split(options.test_every, options.test_offset)
-    return planned_steps(options, len(training))[0]
-
-
-def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
-                    partition_options: PartitionOptions | None, device: Device
-                    ) -> tuple[Partition, NDArray[np.integer]]:
-    """Make the partition of a city whose coarse run is finished, and the folders of its blocks.
-
-    An existing partition and existing blocks stay as they are. A block has as many steps a view as
-    one run of the whole would.
-
-    Parameters
-    ----------
-    options : of the whole.
-    partition_options : an existing partition must have been made with these, unless this is None.
-
-    Returns
-    -------
-    The partition, and the coarse gaussians that each block owns, [B].
-    """
-    # blocks are pinhole scenes
-    scene = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
-    coarse = Run.open(city.coarse)
-    small, gaussians = coarse.options, coarse.finished_model
-    decided = decided_by(coarse.folder)
-    training = {view.name for view in scene.split(options.test_every, options.test_offset)[0]}
-    views = np.flatnonzero([view.name in training for view in scene.views])
-    if city.has_partition:
-        city.adopt()
-        partition = city.partition(scene)
-        if partition_options:
-            _check_same(city, partition_options)
-    else:
-        assert partition_options is not None
-        drop = None
-        if partition_options.method == "citygs" and partition_options.grid != (1, 1):
-            drop = DropTest(device, gaussians,
-                            scene.reduced(small.downscale, small.max_resolution))
-        partition = make_partition(scene, partition_options, gaussians, views, drop)
-        city.write_partition({**partition.record(), REQUESTED: plain(partition_options)})
-    counts = np.bincount(partition.owner(world_of(scene, gaussians.positions)),
-                         minlength=len(partition.regions))
-    draw(city, partition, scene, counts)
-    exposures, steps = coarse.folder.load_exposures(), whole_steps(options, scene)
-    surroundings = surroundings_of(city, options)
-    totals = steps * block_shares(partition, scene, gaussians, views)
-    exchanges = planned_exchanges(city, options, totals.tolist())
-    for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
-        own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
-                                  observations=None)
-        windows = find_windows(gaussians, scene, region, own.views)
-        own = own.cropped(windows).reduced(options.downscale, options.max_resolution)
-        compared: dict[str, int] = {}
-        part = block_start(gaussians, scene, region, own.views, partial(
-            takes_layers, surroundings, dataclasses.replace(own, region=region),
-            decided, compared))
-        given = block_steps(options, totals[number], smallest_size(own.views))
-        if not any(view.depth for view in own.views):
-            given["depth"] = ""
-        city.write_block(
-            number, scene, chosen, region, windows, part.gaussians, exposures,
-            options_of_blocks(given, decided),
-            {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
-             "surroundings": part.surroundings, **compared,
-             **({} if part.around is None else {LAYERS: part.around.count}),
-             **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
-            part.around)
-    return partition, counts
-
-
-def block_shares(partition: Partition, scene: Scene, gaussians: Gaussians,
-                 views: NDArray[np.integer]) -> NDArray[np.float64]:
-    """[B]: the steps of each block over those of one run of the whole scene."""
-    import os
-    power, factor = float(os.environ.get("X_POW", "0")), float(os.environ.get("X_FAC", "1"))
-    owner = partition.owner(world_of(scene, gaussians.positions))
-    shares = owned_shares(owner, gaussians.positions.astype(np.float64), scene.views,
-                          scene.near_plane, len(partition.regions))
-    return factor * np.array([(shares[chosen, number] ** power).sum() / len(views)
-                              for number, chosen in enumerate(partition.views)])
-
-
-def planned_exchanges(city: CityFolder, options: TrainOptions, steps: Sequence[float]) -> int:
-    """How often the blocks of a city exchange gaussians.
-
-    Not at all with a time budget, as it is not known before when which step is taken.
-
-    Parameters
-    ----------
-    steps : of the blocks.
-    """
-    requested = (city.read_partition().get(REQUESTED) or {}).get("exchanges") or 0
-    if options.time_budget or len(steps) < 2:
-        return 0
-    return min(requested, *(most_exchanges(round(number)) for number in steps))
-
-
-def surroundings_of(city: CityFolder, options: TrainOptions) -> str:
-    """What the blocks of a city do with their surroundings: layers, gaussians or auto.
-
-    Layers have no depth, so blocks that need it hold all gaussians. A partition that does not
-    record the choice is of a version without layers.
-    """
-    requested = city.read_partition().get(REQUESTED) or {}
-    if options.depth or options.reproject != "off":
-        return "gaussians"
-    return str(requested.get("surroundings", "gaussians"))
-
-
-def takes_layers(surroundings: str, scene: Scene, decided: dict[str, Any],
-                 compared: dict[str, int], around: Gaussians) -> bool:
-    """Whether a block draws these gaussians around it as layers.
-
-    Parameters
-    ----------
-    surroundings : layers, gaussians, or auto for whichever takes fewer bytes.
-    scene : the block's, with the whole scene's frame.
-    decided : options that the coarse run decided (`decided_by`).
-    compared : receives what decided, for block.json.
-    around : in that frame.
-    """
-    if surroundings != "auto":
-        return surroundings == "layers"
-    layers, gaussians = compared_bytes(scene, around, decided["sh_degree"],
-                                       decided["exposure"] == "on")
-    compared |= {"layers_bytes": layers, "gaussians_bytes": gaussians}
-    return layers < gaussians
-
-
-def block_steps(options: TrainOptions, steps: float, size: tuple[int, int]) -> dict[str, Any]:
-    """The options, by name, of a block that takes this number of steps.
-
-    Parameters
-    ----------
-    size : (width, height) of its smallest training image, pixels.
-    """
-    schedule = schedule_of(options.schedule)
-    shrunk = dataclasses.replace(options, iterations=max(1, round(steps)), eval_at=(),
-                                 eval_every=0, lpips="", snapshots="levels" in schedule.parts)
-    shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size))
-    return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
-            if field.name not in ("init", "coarse")}
-
-
-def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[np.integer]) -> None:
-    """Write the partition as a map and as GeoJSON.
-
-    Parameters
-    ----------
-    counts : [B], gaussians that each block owns.
-    """
-    with replacing(city.picture) as file:
-        write_map(file, partition, scene, counts)
-    with replacing(city.map) as file:
-        file.write((json.dumps(geojson(partition, scene, [
-            {"gaussians": int(count)} for count in counts])) + "\n").encode())
-
-
 def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
                  devices: Sequence[str] = (),
                  progress: Callable[[str], AbstractContextManager[SilentProgress | None]]
@@ -395,15 +215,3 @@ def train_all_blocks(city: CityFolder, scene: Scene, options: TrainOptions, devi
         cut_into_blocks(city, scene, options, None, device)
         outcomes = train_present()
     return outcomes
-
-
-def _check_same(city: CityFolder, options: PartitionOptions) -> None:
-    """InputError where the existing blocks were cut with other options."""
-    recorded = city.read_partition().get(REQUESTED) or {}
-    if not isinstance(recorded, dict):
-        raise InputError(f"{city.path / PARTITION}: damaged ({REQUESTED} is "
-                         f"{str(recorded)[:20]!r}); remove it, and make it with `clsplat partition "
-                         f"{city.path}`")
-    for name, old, new in differences({**plain(options), **recorded}, options):
-        raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {old}, not {new}; "
-                         "remove its partition.json and blocks/, or choose another --output")

@@ -38,7 +38,7 @@ from clsplat.response import Response
 from clsplat.scene import Scene, View
 
 PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
-WINDOWS = "windows"  # key of region.json
+WINDOWS, VISITS = "windows", "visits"  # keys of region.json
 LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
 REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
 DEPTH = "depth"  # folder of a block's depth maps
@@ -172,7 +172,8 @@ class CityFolder:
                     region: Region, windows: Mapping[str, tuple[int, int, int, int]],
                     initial: Gaussians, exposures: Mapping[str, Response] | None,
                     options: Mapping[str, Any], identity: Mapping[str, Any],
-                    surroundings: Gaussians | None = None) -> BlockFolder:
+                    surroundings: Gaussians | None = None,
+                    visits: Mapping[str, float] | None = None) -> BlockFolder:
         """Write a block as an ordinary scene folder.
 
         Photos are linked, or copied if the scene is packed. An existing block is left as it is.
@@ -187,6 +188,7 @@ class CityFolder:
         options : of the block's training, for block.json.
         identity : for block.json, `identity()` and other facts about the block.
         surroundings : gaussians that are drawn as layers, in the scene's frame.
+        visits : of the views, by name (`View.visits`); None: all alike.
 
         Raises
         ------
@@ -209,7 +211,8 @@ class CityFolder:
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir(parents=True)
             _write_scene(partial, part)
-            write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows)})
+            write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows),
+                                             VISITS: dict(visits or {})})
             if exposures is not None:
                 write_exposures(partial / EXPOSURES, {
                     view.name: exposures[view.name] for view in part.views
@@ -301,10 +304,15 @@ def attached(scene: Scene, folder: Path) -> Scene:
         region, windows = Region.from_record(record), record[WINDOWS]
         for view in scene.views:
             _check_window(view, windows.get(view.name))
+        visits = record.get(VISITS, {})
+        if type(visits) is not dict or not all(type(each) is float and 0 < each <= 1
+                                               for each in visits.values()):
+            raise ValueError("the visits of its views are not numbers above 0, at most 1")
     except ValueError as error:
         raise InputError(f"{path}: damaged ({reason(error)}); partition the city again") from None
     has_exposures, around = (folder / EXPOSURES).is_file(), folder / SURROUNDINGS
-    return replace(scene.cropped(windows), region=region,
+    views = tuple(replace(view, visits=visits.get(view.name, 1.0)) for view in scene.views)
+    return replace(replace(scene, views=views).cropped(windows), region=region,
                    surroundings=around if around.is_file() else None,
                    exposures=read_exposures(folder / EXPOSURES) if has_exposures else None)
 

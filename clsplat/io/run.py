@@ -36,12 +36,10 @@ from clsplat.io.undistort import FOLDER as UNDISTORTED
 from clsplat.response import Response
 from clsplat.scene import Scene
 
-OPTIONS = "options.json"
-METRICS = "metrics.jsonl"
+OPTIONS, METRICS = "options.json", "metrics.jsonl"
 CHECKPOINT = "checkpoint.npz"
-MODEL = "point_cloud.ply"
-REPORT = "report.html"
-PART_OF_CITY = "part_of_city"  # key of options.json: a coarse run or a block, without a report
+MODEL, REPORT = "point_cloud.ply", "report.html"
+PART_OF_CITY = "part_of_city"  # key of options.json: whether it is a coarse run or a block
 LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
 # in the order of their removal
 FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)
@@ -349,16 +347,9 @@ class RunFolder:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the run is finished with its report, which is written last.
-
-        Parts of a city have none: the city's report shows them.
-        """
-        return self.has_model and ((self.path / REPORT).is_file() or self.is_part_of_city)
-
-    @property
-    def is_part_of_city(self) -> bool:
-        """Whether this is the coarse run or a block of a city."""
-        return self.read_options().get(PART_OF_CITY) is True
+        """Whether the run is finished with its report, which a part of a city does not have."""
+        return self.has_model and ((self.path / REPORT).is_file()
+                                   or self.read_options().get(PART_OF_CITY) is True)
 
     def write_report(self, html: str) -> Path:
         """Replace the report; returns its path."""

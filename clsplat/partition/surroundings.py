@@ -52,7 +52,8 @@ def enters_reach(scene: Scene, gaussians: Gaussians, deviations: float = HELD_DE
         gaps = np.abs((next_to - centres) @ space.rotation.T)
     extents = scene.unit * deviations * deviations_along(gaussians, space.rotation)
     u, v, up = (gaps <= extents).T
-    return u & v & up | scene.reached(gaussians.positions)
+    entering: NDArray[np.bool_] = u & v & up
+    return entering | scene.reached(gaussians.positions)
 
 
 def deviations_along(gaussians: Gaussians, axes: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -104,7 +105,8 @@ class Sides:
                 outside = SIDES[:, axis] == side
                 behind[outside & ~decided] = not faces
                 decided |= outside
-        return behind[self._part]
+        seen: NDArray[np.bool_] = behind[self._part]
+        return seen
 
     def _place(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         return self._space.to(self._scene.offset + self._scene.unit * positions)

@@ -19,7 +19,7 @@ QUANTILES = (0.005, 0.995)  # along both axes, of the gaussians of a block that 
 MARGIN = 0.05  # share of the window's sides that is added on every side
 ALIGNMENT = 16  # pixels: windows begin and end at whole pixels of smaller photos too
 LEAST_SIDE = 64  # pixels
-MOST_SIZES = int(__import__("os").environ.get("X_CLASSES", "8"))   # of a block's windows: each is a recorded frame, anew after every round of growth
+MOST_SIZES = 8  # of a block's windows: each is a recorded frame, anew after every round of growth
 MOST_COUNTED = 20_000  # gaussians for which shares are counted
 
 Window = tuple[int, int, int, int]  # left, top, right, bottom, pixels
@@ -117,7 +117,7 @@ def owned_shares(owner: NDArray[np.integer], positions: NDArray[np.floating], vi
     near : depth of the near plane.
     blocks : their number B.
     """
-    chosen = slice(None, None, -(-len(positions) // MOST_COUNTED) or 1)
+    chosen = slice(None, None, max(1, -(-len(positions) // MOST_COUNTED)))
     shares = np.zeros((len(views), blocks))
     for row, view in zip(shares, views):
         of = owner[chosen][shown_pixels(view, positions[chosen], near)[1]]

@@ -10,7 +10,7 @@ from clsplat.io.city import DEPTH, BlockFolder
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import EARLIER, TrainOptions, checked, resolve
-from clsplat.training.exchange import exchange, lacking_blocks, write_part
+from clsplat.training.exchange import exchange, lacking_blocks, other_blocks, write_part
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
 from clsplat.training.progress import NotedProgress, SilentProgress
@@ -91,17 +91,18 @@ def train_block(block: BlockFolder, options: TrainOptions,
             return BEFORE
         device = device or choose_device(options.device, form=options.form)
         exchanges = [] if alone else block.exchanges
+        others = other_blocks(block) if exchanges else []
         for number, step in enumerate(exchanges, 1):
             if run.checkpoint_iteration() < step:
                 _go_on(block, options, device, progress, step)
             if run.checkpoint_iteration() > step:
                 continue
             write_part(block, number)
-            if lacking := lacking_blocks(block, number):
+            if lacking := lacking_blocks(others, number):
                 return (f"waits at exchange {number} of {len(exchanges)}, after step {step}: train "
                         f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "
                         "too, then this block again")
-            exchange(block, options, number)
+            exchange(block, others, options, number)
         _go_on(block, options, device, progress)
     return "finished"
 

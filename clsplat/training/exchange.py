@@ -11,6 +11,7 @@ What a block goes on from follows from parts alone, and a part is written once: 
 killed during an exchange repeats it, and ends in the same bytes.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -96,26 +97,26 @@ def other_blocks(block: BlockFolder) -> list[BlockFolder]:
     return [city.block(number) for number in sorted(owners - {-1, block.read()["number"]})]
 
 
-def lacking_blocks(block: BlockFolder, number: int) -> list[str]:
+def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
     """Names of the blocks without whose parts a block cannot do an exchange.
 
     Parameters
     ----------
-    block : the block.
+    others : the `other_blocks` of the block.
     number : of the exchange, from 1.
 
     Raises
     ------
     InputError : another block is of another partition.
     """
-    others = other_blocks(block)
     for other in others:
         if other.is_there:
             other.check()
     return [other.path.name for other in others if not other.part(number).is_file()]
 
 
-def exchange(block: BlockFolder, options: TrainOptions, number: int) -> None:
+def exchange(block: BlockFolder, others: Iterable[BlockFolder], options: TrainOptions, number: int
+             ) -> None:
     """Replace a block's margin and surroundings by the parts of other blocks.
 
     Changes the checkpoint of its run, and what its views show as layers. Gaussians of the margin
@@ -124,6 +125,7 @@ def exchange(block: BlockFolder, options: TrainOptions, number: int) -> None:
     Parameters
     ----------
     block : its run has a checkpoint at the exchange, and no part lacks.
+    others : its `other_blocks`.
     options : of its training.
     number : of the exchange, from 1.
     """
@@ -134,7 +136,7 @@ def exchange(block: BlockFolder, options: TrainOptions, number: int) -> None:
     own = _read_part(block.part(number), record)[0]
     degree = gaussians_of(own, _degree(own)).sh_degree
     parts, around = [own], []
-    for other in other_blocks(block):
+    for other in others:
         part = _in_frame_of(scene, *_read_part(other.part(number), record))
         start = block_start(gaussians_of(part, degree), scene, scene.region, scene.views,
                             lambda _: LAYERS in record)

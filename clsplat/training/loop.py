@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+
 from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
@@ -76,7 +78,12 @@ def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str,
     """The options of a run and what it was trained on, for its options.json."""
     return {"scene": scene.path, **dataclasses.asdict(options), "fingerprint": fingerprint(scene),
             "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
-            "offset": scene.offset.tolist(), PART_OF_CITY: options.coarse or bool(scene.region)}
+            "offset": scene.offset.tolist(), PART_OF_CITY: is_part_of_city(scene, options)}
+
+
+def is_part_of_city(scene: Scene, options: TrainOptions) -> bool:
+    """Whether this is the training of a coarse run or of a block, which the city's report shows."""
+    return options.coarse or scene.region is not None
 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -152,6 +159,8 @@ class Training:
                          if options.time_budget else None)
         self.checkpoint = Checkpoint(run, self.session, self.clock, self.deadline,
                                      fingerprint(scene))
+        self._visits = np.array([view.visits for view in self.session.train_views])
+        self._epoch = -1, np.zeros(0, np.int64)  # the latest one, and the order of its views
         self._measured: list[Measured] = []  # by the latest step
         progress.phase("compiling kernels")  # of the first step
 
@@ -187,7 +196,7 @@ class Training:
             raise self.stopped()
         if self.evaluator.evaluated_at != self.session.iteration:
             self.evaluator.evaluate(final=True)
-        if not self.run.is_part_of_city:
+        if not is_part_of_city(self.session.scene, self.session.options):
             draw_report(self.run, self.session, self.evaluator.per_view)
 
     @contextmanager
@@ -265,11 +274,14 @@ class Training:
     def view_of(self, number: int) -> int:
         """Index of the number-th view (from 1) that is trained on.
 
-        Epochs are shuffled and contain each view once; a step takes the next options.batch views.
+        Epochs are shuffled and contain each view once, or in blocks of a city more or less often
+        (`View.visits`); a step takes the next options.batch views.
         """
-        count = len(self.session.train_views)
-        epoch, place = divmod(number - 1, count)
-        return int(epoch_order(self.session.options.seed, epoch, count)[place])
+        visits = self._visits
+        epoch, place = divmod(number - 1, len(visits))
+        if self._epoch[0] != epoch:
+            self._epoch = epoch, epoch_order(self.session.options.seed, epoch, visits)
+        return int(self._epoch[1][place])
 
     def _samples(self, plan: Plan) -> Iterator[TrainingSample]:
         """The samples of the next step; begins to read the photo that follows each."""

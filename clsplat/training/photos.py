@@ -1,6 +1,5 @@
 """Training photos at each level, which stay on the device while they fit."""
 
-import functools
 import math
 import os
 import time
@@ -31,10 +30,24 @@ THREADS = max(2, HALF_THE_CORES)  # while nothing else runs
 THREADS_BESIDE = max(1, HALF_THE_CORES)  # beside a training
 
 
-@functools.lru_cache(maxsize=2)  # the epoch of this step and of the next
-def epoch_order(seed: int, epoch: int, count: int) -> NDArray[np.int64]:
-    """The order of the views in an epoch, [count]."""
-    return np.random.default_rng([seed, 1, epoch]).permutation(count)
+def epoch_order(seed: int, epoch: int, visits: NDArray[np.floating]) -> NDArray[np.int64]:
+    """The views of an epoch in their order, as many as there are views.
+
+    Each comes as often as its share of all visits says, rounded up or down at random (Madow 1949,
+    On the theory of systematic sampling).
+
+    Parameters
+    ----------
+    seed, epoch : of the random order.
+    visits : [V], of each view, in any unit.
+    """
+    rng, count = np.random.default_rng([seed, 1, epoch]), len(visits)
+    order = rng.permutation(count)
+    if (visits == visits[0]).all():
+        return order
+    ends = np.cumsum(visits[order])
+    at = (np.arange(count) + rng.random()) * (ends[-1] / count)
+    return rng.permutation(order[np.searchsorted(ends, at, side="right").clip(max=count - 1)])
 
 
 def decode(view: View) -> NDArray[np.uint8]:

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from clsplat.city import stages
+from clsplat.city import cut, stages
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -32,8 +32,8 @@ def made(tmp_path_factory):
     stages.begin(folder, scene, options)
     gaussians = Gaussians.from_points(scene.points, scene.colours, 1)
     finish(folder.coarse, scene, stages.coarse_options(options, scene), gaussians)
-    stages.cut_into_blocks(folder, scene, options,
-                           PartitionOptions("blockgs", (2, 1), least_views=1), None)
+    cut.cut_into_blocks(folder, scene, options,
+                        PartitionOptions("blockgs", (2, 1), least_views=1), None)
     for block in folder.blocks():
         finish(block.run, scene, options, gaussians)
     return folder.path
@@ -280,8 +280,8 @@ def test_two_partitions_mixed_are_refused(city, capsys, made, tmp_path):
     options = resolve({}, json.loads((city / "city.json").read_text())["options"])
     stages.begin(other, scene, options)
     shutil.copytree(city / "coarse", other.coarse)
-    stages.cut_into_blocks(other, scene, options,
-                           PartitionOptions("vastgs", (2, 1), least_views=1), None)
+    cut.cut_into_blocks(other, scene, options,
+                        PartitionOptions("vastgs", (2, 1), least_views=1), None)
     shutil.copytree(city / "blocks" / "001" / "run", other.block(1).run)
     shutil.rmtree(city / "blocks" / "001")
     shutil.copytree(other.block(1).path, city / "blocks" / "001", symlinks=True)
@@ -364,7 +364,7 @@ def test_a_city_whose_scene_was_moved_finds_its_photos_again(made, tmp_path, cap
     assert "--scene" in refused(capsys, "partition", city, *FLAGS)
     folder = CityFolder(city)
     scene, options = stages.begin_from_coarse(folder, CITY)
-    stages.cut_into_blocks(folder, scene, options, None, None)
+    cut.cut_into_blocks(folder, scene, options, None, None)
     for block in folder.blocks():
         assert all(view.source.is_file() for view in read_scene(block.path).views)
 

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from clsplat.city import scoring, stages
+from clsplat.city import cut, scoring, stages
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
@@ -95,7 +95,7 @@ def test_blocks_take_as_many_steps_a_view_as_one_run_would(made):
         assert record["options"]["iterations"] == round(60 * record["views"] / training)
         assert record["options"]["test_every"] == 0 and record["options"]["levels"] == [1.0]
     assert RunFolder.open(made.coarse).read_options()["downscale"] == 8
-    assert stages.block_steps(resolve({}, {}), 299.6, (640, 480))["iterations"] == 300
+    assert cut.block_steps(resolve({}, {}), 299.6, (640, 480))["iterations"] == 300
 
 
 def pictures(folder, out, *words):

@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from clsplat.city.stages import surroundings_of
+from clsplat.city.cut import surroundings_of
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference

@@ -8,7 +8,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
 from clsplat.partition.region import Region, Space
-from clsplat.partition.surroundings import deviations_along, enters_reach, Sides
+from clsplat.partition.surroundings import Sides, deviations_along, enters_reach
 from clsplat.scene import Scene, View
 
 OFFSET, UNIT = np.array([3e6, -1e6, 40.0]), 2.5

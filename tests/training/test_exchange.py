@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from clsplat.city import stages
+from clsplat.city import cut, stages
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import BLOCK, EXCHANGES, LAYERS, CityFolder
@@ -23,7 +23,13 @@ from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from clsplat.training import block as training_block
 from clsplat.training.block import block_options, train_block
-from clsplat.training.exchange import exchange, exchange_steps, lacking_blocks, most_exchanges
+from clsplat.training.exchange import (
+    exchange,
+    exchange_steps,
+    lacking_blocks,
+    most_exchanges,
+    other_blocks,
+)
 from tests.data.tiny_training import CITY, model_digest
 
 OPTIONS = {"iterations": 130, "downscale": 8.0, "test_every": 0, "schedule": "constant",
@@ -78,7 +84,7 @@ def in_world(scene, positions):
 def test_a_block_goes_on_from_what_others_own(city):
     block, run = city.block(0), RunFolder(city.block(0).run)
     before, _ = run.load_checkpoint()
-    exchange(block, block_options(block), 1)
+    exchange(block, other_blocks(block), block_options(block), 1)
     after, state = run.load_checkpoint()
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
     other = read_scene(city.block(1).path).normalised()
@@ -137,16 +143,16 @@ def test_parts_that_cannot_be_used_are_named(city):
     content = other.part(1).read_bytes()
     other.part(1).write_bytes(content[:-300])
     with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
-        exchange(block, block_options(block), 1)
+        exchange(block, other_blocks(block), block_options(block), 1)
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):
-        lacking_blocks(block, 1)
+        lacking_blocks(other_blocks(block), 1)
     shutil.rmtree(other.path)
-    assert lacking_blocks(block, 1) == ["001"]
+    assert lacking_blocks(other_blocks(block), 1) == ["001"]
     shutil.move(block.path, city.path.parent / "far" / "away" / "000")
     with pytest.raises(InputError, match="with --alone"):
-        lacking_blocks(type(block)(city.path.parent / "far" / "away" / "000"), 1)
+        other_blocks(type(block)(city.path.parent / "far" / "away" / "000"))
 
 
 def test_exchanges_lie_in_the_second_half():
@@ -159,7 +165,7 @@ def test_exchanges_lie_in_the_second_half():
     asked = SimpleNamespace(read_partition=lambda: {stages.REQUESTED: {"exchanges": 3}})
     for steps, budget, wanted in (([900, 1300], "", 3), ([900, 500], "", 2), ([199, 900], "", 0),
                                   ([9000, 9000], "10m", 0), ([9000], "", 0)):
-        assert stages.planned_exchanges(asked, resolve({}, {"time_budget": budget}),
+        assert cut.planned_exchanges(asked, resolve({}, {"time_budget": budget}),
                                         steps) == wanted
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.city.stages import takes_layers
+from clsplat.city.cut import takes_layers
 from clsplat.errors import InputError
 from clsplat.estimate.memory import layer_bytes, predicted_memory
 from clsplat.evaluation.metrics import psnr

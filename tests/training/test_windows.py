@@ -15,8 +15,8 @@ from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.io.views import read_photo
 from clsplat.partition.blocks import seen_pixels
-from clsplat.partition.windows import find_windows
 from clsplat.partition.region import Region, Space
+from clsplat.partition.windows import find_windows
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
 from tests import cases
