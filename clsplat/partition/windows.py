@@ -20,6 +20,7 @@ MARGIN = 0.05  # share of the window's sides that is added on every side
 ALIGNMENT = 16  # pixels: windows begin and end at whole pixels of smaller photos too
 LEAST_SIDE = 64  # pixels
 MOST_SIZES = 8  # of a block's windows: each is a recorded frame, anew after every round of growth
+MOST_STEPS = 32  # of the sides of windows in a photo's longest side, so that few sizes differ
 MOST_COUNTED = 20_000  # gaussians for which shares are counted
 
 Window = tuple[int, int, int, int]  # left, top, right, bottom, pixels
@@ -85,10 +86,12 @@ def of_few_sizes(windows: dict[str, Window], views: Sequence[View], most: int = 
     boxes = np.array([windows.get(view.name, (0, 0, view.camera.width, view.camera.height))
                       for view in views]).reshape(-1, 4)
     low, high = boxes[:, :2], boxes[:, 2:]
-    sizes = np.minimum(-(low - high) // -ALIGNMENT * -ALIGNMENT, photos)
+    step = ALIGNMENT * max(1, photos.max(initial=0) // (MOST_STEPS * ALIGNMENT))
+    sizes = np.minimum(-((low - high) // step) * step, photos)
     while True:
         kinds, kind, count = np.unique(np.hstack([photos, sizes]), axis=0, return_inverse=True,
                                        return_counts=True)
+        kind = kind.ravel()  # numpy 2.0 returns a column
         photo, size = kinds[:, :2], kinds[:, 2:]
         joined = np.maximum(size[:, None], size)
         pixels = size.prod(axis=1) * count

@@ -62,6 +62,9 @@ def test_the_folder_is_a_run_like_any_other(made):
     parts = [RunFolder.open(path).records()[-1] for path in (
         made.coarse, *(block.run for block in made.blocks()))]
     assert len(parts) == 3
+    assert not list(made.path.glob("*/report.html")) + list(made.path.glob("blocks/*/run/*.html"))
+    assert all(RunFolder(path).is_finished for path in (
+        made.path, made.coarse, *(block.run for block in made.blocks())))
     assert last["iteration"] == sum(part["iteration"] for part in parts)
     assert last["train_seconds"] == pytest.approx(sum(part["train_seconds"] for part in parts))
     assert last["psnr"] > 12 and last["views"] == 4 and last["gaussians"] == run.load_model().count
@@ -88,11 +91,13 @@ def test_every_gaussian_is_owned_once(made):
     assert owner.tolist() == owned
 
 
-def test_blocks_take_as_many_steps_a_view_as_one_run_would(made):
-    training = 28  # of 32 views
+def test_a_block_takes_as_many_steps_as_its_visits_say(made):
+    training = 28  # of 32 views, which one run visits 60 times in all
     for block in made.blocks():
-        record = block.read()
-        assert record["options"]["iterations"] == round(60 * record["views"] / training)
+        record, views = block.read(), read_scene(block.path).views
+        visits = np.array([view.visits for view in views])
+        assert 0 < visits.min() < visits.max() <= 1 and len(views) == record["views"]
+        assert record["options"]["iterations"] == round(60 * visits.sum() / training)
         assert record["options"]["test_every"] == 0 and record["options"]["levels"] == [1.0]
     assert RunFolder.open(made.coarse).read_options()["downscale"] == 8
     assert cut.block_steps(resolve({}, {}), 299.6, (640, 480))["iterations"] == 300

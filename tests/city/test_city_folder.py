@@ -280,6 +280,20 @@ def test_a_block_without_its_region_is_no_scene(city, scene, gaussians):
         block.check()
 
 
+def test_visits_travel_with_the_block(city, scene, gaussians):
+    names = [scene.views[index].name for index in VIEWS]
+    block = city.write_block(0, scene, VIEWS, WEST, {}, gaussians, None, OPTIONS, city.identity(),
+                             visits={names[0]: 0.25})
+    assert {view.name: view.visits for view in read_scene(block.path).views} == {
+        name: 0.25 if name == names[0] else 1.0 for name in names}
+    path = block.path / "region.json"
+    record = json.loads(path.read_text())
+    for bad in (0.0, -1.0, 2.0, "often", None, True):
+        path.write_text(json.dumps({**record, "visits": {names[0]: bad}}))
+        with pytest.raises(InputError, match=r"region\.json: damaged \(the visits"):
+            read_scene(block.path)
+
+
 def test_surroundings_travel_with_the_block_and_are_missed(city, scene, gaussians):
     around = Gaussians.from_points(scene.points[50:90], scene.colours[50:90], 1)
     block = city.write_block(0, scene, VIEWS, WEST, {}, gaussians, None, OPTIONS,

@@ -216,6 +216,8 @@ def test_sizes_in_the_view_that_shows_them_largest():
     for views in ([view, twice], [twice, view]):
         assert np.array_equal(largest_sizes(positions, deviations, views, 0.01), 2 * once)
     assert largest_sizes(positions, deviations, [view], near=31.0)[NEAR] == 0
+    enough = largest_sizes(positions, deviations, [view, twice], 0.01, enough=21.0)
+    assert np.array_equal(enough, np.where(once < 21, 2 * once, once)) and (once >= 21).any()
 
 
 def test_far_gaussians_are_thinned_to_the_same_area():

@@ -16,7 +16,7 @@ from clsplat.io.views import photo_bands
 from clsplat.scene import View
 from clsplat.training import photo_store
 from clsplat.training import photos as module
-from clsplat.training.photos import Photos, decoded
+from clsplat.training.photos import Photos, decoded, epoch_order
 
 WIDTH, HEIGHT = 20, 14
 
@@ -79,6 +79,29 @@ def is_at(photos, views, level):
     return all(np.array_equal(photos[i].download(),
                               read_image(view.source, size).transpose(2, 0, 1))
                for i, view in enumerate(views))
+
+
+def test_an_epoch_visits_views_in_proportion():
+    """Alike ones once each; others as often as their share says, rounded up or down."""
+    assert sorted(epoch_order(3, 0, np.full(7, 0.4))) == list(range(7))
+    visits = np.array([1.0, 0.5, 0.25, 0.25, 0.01])
+    orders = [epoch_order(3, epoch, visits) for epoch in range(400)]
+    counts = np.array([np.bincount(order, minlength=5) for order in orders])
+    wanted = 5 * visits / visits.sum()
+    assert (np.abs(counts - wanted) < 1).all()
+    assert np.allclose(counts.mean(axis=0), wanted, atol=0.05)
+    assert len({tuple(order) for order in orders}) > 100
+    assert np.array_equal(orders[7], epoch_order(3, 7, visits))
+
+
+def test_photos_begin_at_the_level_of_a_resumed_run(item_device, views, reads):
+    photos = Photos(item_device, views, (4.0, 2.0, 1.0), level=2.0)
+    photos.use(2.0)
+    assert is_at(photos, views, 2)
+    photos.use(1.0)
+    assert is_at(photos, views, 1)
+    assert sorted(reads) == sorted(all_at(WIDTH // 2) + all_at(WIDTH))
+    photos.close()
 
 
 def test_resident_and_streaming_give_the_same_planes(item_device, views):
