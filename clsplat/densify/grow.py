@@ -7,7 +7,7 @@ numbers of each gaussian; the rows themselves are moved on the device.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -161,7 +161,8 @@ def _rotated(quaternions: NDArray[np.float64], vectors: NDArray[np.float64]
                      in zip(vectors, twice, _cross(axis, twice))])
 
 
-def _cross(a: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]
+def _cross(a: Iterable[NDArray[np.float64]], b: Iterable[NDArray[np.float64]]
            ) -> list[NDArray[np.float64]]:
     """The components of a cross product, from those of its factors."""
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    (ax, ay, az), (bx, by, bz) = a, b
+    return [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]

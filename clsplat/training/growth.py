@@ -97,7 +97,7 @@ class Round:
         for frozen ones."""
         threshold, selection = self.options.grow_threshold, self.schedule.selection
         counted, above = ~prunes & ~self.frozen, gradient >= threshold
-        room = self._room(np.count_nonzero(counted), np.count_nonzero(counted & above))
+        room = self._room(int(counted.sum()), int((counted & above).sum()))
         if room is None:
             return above_threshold(gradient, threshold)
         if selection == "score":
@@ -107,5 +107,5 @@ class Round:
         if selection == "highest":
             return highest(np.where(prunes, 0, gradient), room)
         # a split replaces a gaussian that is too large by two
-        room -= np.count_nonzero(prunes & above)
+        room -= int((prunes & above).sum())
         return above_threshold(gradient, threshold, room)
