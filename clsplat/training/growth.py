@@ -71,7 +71,8 @@ class Round:
                                    options.ssim_weight, gradient)
             if self.schedule.spares_half(self.iteration):
                 prunes = half_of(prunes, scores, rng)
-        gradient[self.frozen] = -np.inf
+        if self.frozen.any():
+            gradient = np.where(self.frozen, -np.inf, gradient)
         grows = self._selected(gradient, candidates, prunes, scores, rng)
         return plan_growth(candidates, grows, prunes, rng)
 
