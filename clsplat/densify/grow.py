@@ -7,6 +7,7 @@ numbers of each gaussian; the rows themselves are moved on the device.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -105,44 +106,63 @@ def plan_growth(candidates: Candidates, grows: NDArray[np.bool_], prunes: NDArra
     rows, options = candidates.rows, candidates.options
     splits = np.flatnonzero(grows & ~candidates.is_small)
     clones = np.flatnonzero(grows & candidates.is_small & ~prunes)
-    children = np.repeat(splits, CHILDREN)
-    # drawn for every child, so that pruning one does not change the position of another
-    log_scales = rows["log_scales"][children].astype(np.float64)
-    offsets = _rotated(rows["quaternions"][children],
-                       rng.standard_normal((len(children), 3)) * np.exp(log_scales))
-    positions = (rows["positions"][children] + offsets).astype(np.float32)
+    of_splits = {name: rows[name].take(splits, axis=0) for name in rows}
     # a parent that is pruned only for its size may have children
-    lives = (candidates.visible | ~prunes) & (candidates.largest - SHRINK <= candidates.limit)
-    keeps = lives[children]
+    lives = ((candidates.visible[splits] | ~prunes[splits])
+             & (candidates.largest[splits] - SHRINK <= candidates.limit))
+    keeps = np.repeat(lives, CHILDREN)
+    log_scales = _columns(of_splits["log_scales"])
+    # drawn for every child, so that pruning one does not change the position of another
+    drawn = rng.standard_normal((len(splits), CHILDREN, 3)).transpose(2, 1, 0).copy()
+    offsets = _rotated(_columns(of_splits["quaternions"]), drawn * np.exp(log_scales)[:, None])
+    positions = np.ascontiguousarray(
+        (_columns(of_splits["positions"])[:, None] + offsets).astype(np.float32).transpose(2, 1, 0)
+        ).reshape(-1, 3)
     spheres: dict[str, NDArray[np.float32]] = {}
     if "anchors" in rows:
-        parents = {name: rows[name][children] for name in ("anchors", "max_offsets")}
+        parents = {name: np.repeat(of_splits[name], CHILDREN, axis=0)
+                   for name in ("anchors", "max_offsets")}
         anchors, max_offsets = sphere_children(parents, positions, options)
         keeps &= ~outside(positions, anchors, max_offsets, options.sphere_reach)
-        spheres = {"anchors": anchors[keeps], "max_offsets": max_offsets[keeps]}
+        spheres = {"anchors": anchors, "max_offsets": max_offsets}
 
     stays_mask = ~prunes
     stays_mask[splits] = False
     stays = np.flatnonzero(stays_mask)
     first = len(stays) + len(clones)
-    of_children = {
-        "positions": positions[keeps],
-        "log_scales": (log_scales[keeps] - SHRINK).astype(np.float32), **spheres}
-    changes = {name: (first, values) for name, values in of_children.items()}
+    kept = np.flatnonzero(keeps)
+    parent = kept // CHILDREN  # among the splits
+    changes = {name: (first, values.take(kept, axis=0))
+               for name, values in {"positions": positions, **spheres}.items()}
+    changes["log_scales"] = first, (of_splits["log_scales"] - SHRINK).astype(np.float32).take(
+        parent, axis=0)
     if spheres:  # a clone is anchored at its own position
-        anchors = np.concatenate([rows["positions"][clones], spheres["anchors"]])
+        anchors = np.concatenate([rows["positions"][clones], changes["anchors"][1]])
         changes["anchors"] = len(stays), anchors.astype(np.float32)
-    source = np.concatenate([stays, clones, children[keeps]]).astype(np.uint32)
-    split = int(keeps.reshape(-1, CHILDREN).any(axis=1).sum())
+    source = np.concatenate([stays, clones, splits[parent]], dtype=np.uint32, casting="unsafe")
+    split = int(np.count_nonzero(np.bincount(parent)))
     return Growth(source, len(stays), len(clones), split,
                   len(rows["positions"]) - len(stays) - split, changes)
 
 
-def _rotated(quaternions: NDArray[np.float32], vectors: NDArray[np.float64]
+def _columns(rows: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Rows [N, K] as columns [K, N]: numpy takes several times as long over a short last axis."""
+    return rows.T.copy().astype(np.float64)
+
+
+def _rotated(quaternions: NDArray[np.float64], vectors: NDArray[np.float64]
              ) -> NDArray[np.float64]:
-    """Vectors [N, 3] rotated by quaternions [N, 4], wxyz, of any length."""
-    q = quaternions.astype(np.float64)
-    q /= np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-30)
-    axis = q[:, 1:]
-    twice = 2 * np.cross(axis, vectors)
-    return vectors + q[:, :1] * twice + np.cross(axis, twice)
+    """Vectors [3, C, N] rotated by quaternions [4, N], wxyz, of any length."""
+    w, x, y, z = quaternions
+    length = np.sqrt(w * w + (x * x + y * y + z * z))
+    w, *axis = quaternions / np.maximum(length, 1e-30)
+    twice = [2 * part for part in _cross(axis, vectors)]
+    return np.stack([part + w * along + across for part, along, across
+                     in zip(vectors, twice, _cross(axis, twice))])
+
+
+def _cross(a: Iterable[NDArray[np.float64]], b: Iterable[NDArray[np.float64]]
+           ) -> list[NDArray[np.float64]]:
+    """The components of a cross product, from those of its factors."""
+    (ax, ay, az), (bx, by, bz) = a, b
+    return [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]

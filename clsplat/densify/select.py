@@ -26,7 +26,7 @@ def above_threshold(gradient: Floats, threshold: float, room: int | None = None)
     bool[N].
     """
     mask = gradient >= threshold
-    return mask if room is None else mask & _first(-gradient, room)
+    return mask if room is None else _highest_of(mask, gradient, room)
 
 
 def highest(gradient: Floats, count: int) -> Mask:
@@ -41,7 +41,7 @@ def highest(gradient: Floats, count: int) -> Mask:
     -------
     bool[N].
     """
-    return (gradient > 0) & _first(-gradient, count)
+    return _highest_of(gradient > 0, gradient, count)
 
 
 def by_score(scores: Floats, gradient: Floats, threshold: float, small: Mask, count: int,
@@ -96,6 +96,13 @@ def _drawn_keys(weights: Floats, rng: np.random.Generator) -> NDArray[np.float64
     with np.errstate(divide="ignore"):
         keys: NDArray[np.float64] = np.log(weights) + rng.gumbel(size=len(weights))
     return keys
+
+
+def _highest_of(mask: Mask, gradient: Floats, count: int) -> Mask:
+    """Those of a mask that have its `count` highest gradients, which no other's exceeds."""
+    rows = np.flatnonzero(mask)
+    mask[rows] = _first(-gradient[rows], count)
+    return mask
 
 
 def _first(keys: Floats, count: int) -> Mask:

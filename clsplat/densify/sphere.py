@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from clsplat.options import TrainOptions
 
 ROWS_AT_A_TIME = 1 << 14  # so few that numbers between two operations stay in the cache
+NEARLY = 1 - 1e-5  # of a radius: a length in single precision is surely within it
+TINY = 1e-18  # a length whose square is too small for single precision is shorter
 
 
 def with_spheres(gaussians: Gaussians, neighbours: int) -> Gaussians:
@@ -39,12 +41,17 @@ def outside(positions: NDArray[np.float32], anchors: NDArray[np.float32],
     """Which positions [N, 3] are further than reach x max_offsets [N] from their anchors [N, 3], or
     not a number."""
     inside = np.empty(len(positions), bool)
-    for begin in range(0, len(positions), ROWS_AT_A_TIME):
-        rows = slice(begin, begin + ROWS_AT_A_TIME)
-        with np.errstate(over="ignore", invalid="ignore"):
-            away = positions[rows].astype(np.float64) - anchors[rows]
-            distance = np.sqrt(np.einsum("ij,ij->i", away, away))
-            inside[rows] = distance <= reach * max_offsets[rows].astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for begin in range(0, len(positions), ROWS_AT_A_TIME):
+            rows = slice(begin, begin + ROWS_AT_A_TIME)
+            x, y, z = (positions[rows] - anchors[rows]).T
+            inside[rows] = (np.sqrt(x * x + y * y + z * z)
+                            < NEARLY * reach * max_offsets[rows] - TINY)
+        # single precision cannot tell for the others
+        rest = np.flatnonzero(~inside)
+        away = positions.take(rest, axis=0).astype(np.float64) - anchors.take(rest, axis=0)
+        distance = np.sqrt(np.einsum("ij,ij->i", away, away))
+        inside[rest] = distance <= reach * max_offsets[rest].astype(np.float64)
     return ~inside
 
 

@@ -104,7 +104,9 @@ class Photo:
         return samples
 
     def _colours(self, samples: NDArray[Any]) -> NDArray[np.uint8]:
-        samples = samples[..., list(self._channels)]
+        # a list of channels copies them one after the other, and who reads rows copies them again
+        samples = samples[..., :3] if self._channels == (0, 1, 2) else samples[
+            ..., list(self._channels)]
         if not self.linear:
             return samples
         missing = np.count_nonzero(np.isnan(samples))

@@ -71,8 +71,9 @@ class Round:
                                    options.ssim_weight, gradient)
             if self.schedule.spares_half(self.iteration):
                 prunes = half_of(prunes, scores, rng)
-        grows = self._selected(np.where(self.frozen, -np.inf, gradient), candidates, prunes, scores,
-                               rng)
+        if self.frozen.any():
+            gradient = np.where(self.frozen, -np.inf, gradient)
+        grows = self._selected(gradient, candidates, prunes, scores, rng)
         return plan_growth(candidates, grows, prunes, rng)
 
     def _room(self, count: int, above: int) -> int | None:
@@ -96,8 +97,8 @@ class Round:
         """The gaussians [N] that are cloned or split, each of which adds one; `gradient` is -inf
         for frozen ones."""
         threshold, selection = self.options.grow_threshold, self.schedule.selection
-        counted = ~prunes & ~self.frozen
-        room = self._room(int(counted.sum()), int((gradient >= threshold)[counted].sum()))
+        counted, above = ~prunes & ~self.frozen, gradient >= threshold
+        room = self._room(int(counted.sum()), int((counted & above).sum()))
         if room is None:
             return above_threshold(gradient, threshold)
         if selection == "score":
@@ -107,5 +108,5 @@ class Round:
         if selection == "highest":
             return highest(np.where(prunes, 0, gradient), room)
         # a split replaces a gaussian that is too large by two
-        room -= int((prunes & (gradient >= threshold)).sum())
+        room -= int((prunes & above).sum())
         return above_threshold(gradient, threshold, room)

@@ -75,6 +75,20 @@ def test_the_largest_numbers_are_compared_as_others_are():
     assert outside(far, far, np.float32([0]), 15.0).tolist() == [False]
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e-22, 1e18])
+def test_close_to_the_border_double_precision_decides(scale):
+    """Single precision rounds distances there, and squares of the smallest and largest away."""
+    rng = np.random.default_rng(0)
+    anchors = (scale * rng.normal(size=(20_000, 3))).astype(np.float32)
+    away = rng.normal(size=anchors.shape)
+    positions = (anchors + scale * away).astype(np.float32)
+    distance = np.linalg.norm(positions.astype(np.float64) - anchors, axis=1)
+    offsets = (distance / 15 * (1 + 1e-7 * rng.normal(size=len(distance)))).astype(np.float32)
+    beyond = distance > 15 * offsets.astype(np.float64)
+    assert 0.3 < beyond.mean() < 0.7
+    assert np.array_equal(outside(positions, anchors, offsets, 15.0), beyond)
+
+
 def test_children_by_either_rule():
     parents = {"anchors": np.float32([[1, 2, 3], [4, 5, 6]]), "max_offsets": np.float32([2, 10])}
     places = np.float32([[1.5, 2, 3], [4, 5.5, 6]])
