@@ -37,6 +37,8 @@ from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import THREADS
 
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
+# of a view that shows nothing but a block, which trains its margin too: docs/notebook/city.md
+VISITS = 2.0
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
 
 
@@ -112,9 +114,9 @@ def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
                      owner: NDArray[np.integer]) -> list[NDArray[np.float64]]:
     """How often each block visits each of its views, where a run of the whole scene does so once.
 
-    By what a view shows: the share of its gaussians that the block owns, times (1 + 2 margin)^2, as
-    the block trains its margin on all sides too; at most once. So the steps of all blocks do not
-    depend on how many blocks a photo shows, and a block learns from what shows most of it.
+    In proportion to the share of a view's gaussians that the block owns. So a block learns from
+    what shows most of it, and the steps of all blocks together do not depend on how many blocks a
+    photo shows. No block takes more steps than one run does with its views.
 
     Parameters
     ----------
@@ -123,8 +125,11 @@ def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
     """
     shares = owned_shares(owner, gaussians.positions.astype(np.float64), scene.views,
                           scene.near_plane, len(partition.regions))
-    return [np.clip((1 + 2 * region.margin) ** 2 * shares[chosen, number], LEAST_VISITS, 1)
-            for number, (region, chosen) in enumerate(zip(partition.regions, partition.views))]
+    found = []
+    for number, chosen in enumerate(partition.views):
+        visits = np.maximum(VISITS * shares[chosen, number], LEAST_VISITS)
+        found.append(visits * min(1.0, len(chosen) / visits.sum()))
+    return found
 
 
 def planned_exchanges(city: CityFolder, options: TrainOptions, steps: Sequence[float]) -> int:

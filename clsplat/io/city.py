@@ -305,9 +305,9 @@ def attached(scene: Scene, folder: Path) -> Scene:
         for view in scene.views:
             _check_window(view, windows.get(view.name))
         visits = record.get(VISITS, {})
-        if type(visits) is not dict or not all(type(each) is float and 0 < each <= 1
+        if type(visits) is not dict or not all(type(each) is float and each > 0
                                                for each in visits.values()):
-            raise ValueError("the visits of its views are not numbers above 0, at most 1")
+            raise ValueError("the visits of its views are not positive numbers")
     except ValueError as error:
         raise InputError(f"{path}: damaged ({reason(error)}); partition the city again") from None
     has_exposures, around = (folder / EXPOSURES).is_file(), folder / SURROUNDINGS

@@ -288,7 +288,7 @@ def test_visits_travel_with_the_block(city, scene, gaussians):
         name: 0.25 if name == names[0] else 1.0 for name in names}
     path = block.path / "region.json"
     record = json.loads(path.read_text())
-    for bad in (0.0, -1.0, 2.0, "often", None, True):
+    for bad in (0.0, -1.0, "often", None, True):
         path.write_text(json.dumps({**record, "visits": {names[0]: bad}}))
         with pytest.raises(InputError, match=r"region\.json: damaged \(the visits"):
             read_scene(block.path)

@@ -72,15 +72,11 @@ def test_shares_count_what_a_view_shows():
     assert np.allclose(found, shares, atol=0.02)
 
 
-def test_blocks_visit_views_by_their_shares_but_no_more_often_than_one_run():
+def test_blocks_visit_views_by_their_shares_but_not_more_often_in_all_than_one_run():
     scene = SimpleNamespace(views=[view_of("a", 320, 240), view_of("b", 2000, 240)], near_plane=0.1)
     gaussians = Gaussians.from_points(POSITIONS, np.zeros((5, 3)), 0)
-
-    def visits(margin, *assigned):
-        partition = SimpleNamespace(regions=[SimpleNamespace(margin=margin)] * 3, views=assigned)
-        return [each.tolist() for each in visits_of_blocks(partition, scene, gaussians, OWNER)]
-
     both = np.array([0, 1])
-    assert visits(0.0, both, both, both[1:]) == [[2 / 3, 1 / 2], [1 / 3, 1 / 4], [0.01]]
-    assert visits(0.5, both, both, both) == [[1, 1], [1, 1], [0.01, 0.01]]
-    assert visits(0.1, both, both, both)[1] == pytest.approx([1.44 / 3, 1.44 / 4])
+    partition = SimpleNamespace(regions=[None] * 3, views=(both, both, both[1:]))
+    visits = visits_of_blocks(partition, scene, gaussians, OWNER)
+    assert np.allclose(visits[0], [8 / 7, 6 / 7]) and np.allclose(visits[1], [2 / 3, 1 / 2])
+    assert visits[2] == 0.01

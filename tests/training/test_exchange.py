@@ -162,11 +162,11 @@ def test_exchanges_lie_in_the_second_half():
             found = exchange_steps(steps, count)
             assert len({*found}) == count and found == sorted(found)
             assert found[0] >= 100 and found[-1] < steps and not any(step % 100 for step in found)
-    asked = SimpleNamespace(read_partition=lambda: {stages.REQUESTED: {"exchanges": 3}})
+    asked = SimpleNamespace(read_partition=lambda: {cut.REQUESTED: {"exchanges": 3}})
     for steps, budget, wanted in (([900, 1300], "", 3), ([900, 500], "", 2), ([199, 900], "", 0),
                                   ([9000, 9000], "10m", 0), ([9000], "", 0)):
         assert cut.planned_exchanges(asked, resolve({}, {"time_budget": budget}),
-                                        steps) == wanted
+                                     steps) == wanted
 
 
 @pytest.mark.parametrize("fill", [False, True])
