@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from clsplat.city.cut import VISITS
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.estimate.measured import MeasuredSteps
@@ -83,12 +84,13 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
         share = count / len(views)
         gaussians = int(forecast.gaussians * share * larger)
         whole = gaussians <= limit and workers == 1
-        times = 1 if whole else shared  # blocks that train with a photo, on average
+        times = 1 if whole else shared  # blocks that train a gaussian, on average
+        visits = 1 if whole else VISITS
         blocks = max(-(-int(gaussians * times) // limit), workers)
         coarse = 0.0 if whole else COARSE_COST * once * share
-        trained = once * share * times
+        trained = once * share * visits
         elapsed = coarse + trained / blocks * -(-blocks // workers)
-        steps = options.iterations * share * times / blocks
+        steps = options.iterations * share * visits / blocks
         rows.append((f"{count:,}", f"{blocks:,}", f"{count * times / blocks:,.0f}",
                      f"{steps:,.0f}", f"{gaussians:,}", f"{gaussians * PLY_BYTES / GIB:,.1f}",
                      f"{3 * larger * pixels * count / GIB:,.1f}",
@@ -100,7 +102,7 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
     of_size = f" of {size[0]}x{size[1]}" if size else ""
     return Table("At scale", head, rows, range(11), (
         f"For photos like these{of_size}, on {name}, in as few blocks as fit it and at least one a "
-        "device, with as many steps a photo; a part of a scene that two blocks train counts twice. "
+        f"device, which take {VISITS:g} times the steps of one run together. "
         "The coarse run is on one device. Scheduler: total CPU time and bytes of a Dask cluster.",
     ))
 
