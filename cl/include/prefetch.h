@@ -11,13 +11,14 @@
 #endif
 #define LINE_OF(P) (64 / sizeof(*(P))) // elements in a line of the cache
 
-// Row ROW of WIDTH elements of an array; a row that begins within a line may end in one more.
-#define PREFETCH_ROW(P, ROW, WIDTH)                                                                \
+// NUMBER neighbouring elements, which may begin within a line and end in one more.
+#define PREFETCH_SPAN(P, NUMBER)                                                                   \
     {                                                                                              \
-        for (uint column = 0; column < (WIDTH); column += LINE_OF(P))                              \
-            PREFETCH((P) + (ulong)(ROW) * (WIDTH) + column);                                       \
-        PREFETCH((P) + (ulong)(ROW) * (WIDTH) + (WIDTH)-1);                                        \
+        for (int offset = 0; offset < (int)(NUMBER); offset += LINE_OF(P))                         \
+            PREFETCH((P) + offset);                                                                \
+        PREFETCH((P) + (NUMBER)-1);                                                                \
     }
+#define PREFETCH_ROW(P, ROW, WIDTH) PREFETCH_SPAN((P) + (ulong)(ROW) * (WIDTH), WIDTH)
 
 // All parameters of a gaussian.
 inline void prefetch_gaussian(uint row, __global const real *positions,
