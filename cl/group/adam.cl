@@ -170,7 +170,8 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
         if (is_due && by_camera) {
             const real3 p = to_camera(camera, vload3(tested, positions));
             const real3 scales = vload3(tested, log_scales);
-            __global const real *c = coefficients + (last_step[tested] % CATCH_UP_EVERY) * LAG_TERMS;
+            __global const real *c =
+                coefficients + (last_step[tested] % CATCH_UP_EVERY) * LAG_TERMS;
             is_due = may_be_seen(camera, p.x, p.y, p.z, max(scales.x, max(scales.y, scales.z)),
                                  c[LAG_POSITIONS], c[LAG_SCALES]);
         }
