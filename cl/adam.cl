@@ -107,49 +107,46 @@ inline void add_terms(uint i, uint now, real8 rates, real correction,
 typedef char the_cutoff_is_high_enough[ALPHA_STEPS <= 255 ? 1 : -1];
 
 // Whether the image may show a row that lags: at least what cull (cull.cl) finds once the row
-// has caught up, from stale positions and scales and the bounds on how far these may coast.
-inline bool may_be_seen(__global const real *camera, real3 position, real3 log_scale,
-                        __global const real *coefficients)
+// has caught up, from its stale position in the camera's frame, its stale logarithm of its largest
+// scale, and the sums C of positions and scales, which bound how far these may coast. A vreal at a
+// time.
+inline vmask may_be_seen(__global const real *camera, vreal x, vreal y, vreal z, vreal log_scale,
+                         vreal position_sum, vreal scale_sum)
 {
-    const real3 p = to_camera(camera, position);
-    const real near = camera[CAMERA_NEAR];
-    const real far_off = (real)(1.7321 * MOST_M_BY_V) * coefficients[LAG_POSITIONS];
-    if (!(p.z + far_off > near))
-        return false;
-    const real z = p.z - far_off;
-    if (!(z > near))
-        return true;
-    const real2 whole_focal = vload2(0, camera + CAMERA_FOCAL);
-    const real2 focal = whole_focal * (1 / z), place = p.xy * (1 / p.z);
-    const real2 ratio = fmax(fabs(vload2(0, camera + CAMERA_RATIOS)),
-                             fabs(vload2(1, camera + CAMERA_RATIOS)));
-    const real2 reach = focal * exp(fmax(log_scale.x, fmax(log_scale.y, log_scale.z)) +
-                                    (real)MOST_M_BY_V * coefficients[LAG_SCALES]);
-    const real2 extent =
-        sqrt((real)MOST_CUTOFF * (reach * reach * (1 + ratio * ratio) + camera[CAMERA_LOW_PASS])) +
-        focal * far_off * (1 + fabs(place));
-    const real2 mean = whole_focal * place + vload2(0, camera + CAMERA_CENTRE);
-    const real2 size = vload2(0, camera + CAMERA_SIZE);
-    return mean.x + extent.x > 0 && mean.y + extent.y > 0 && mean.x - extent.x < size.x &&
-           mean.y - extent.y < size.y;
+    __global const real *focal = camera + CAMERA_FOCAL, *centre = camera + CAMERA_CENTRE;
+    __global const real *size = camera + CAMERA_SIZE, *ratios = camera + CAMERA_RATIOS;
+    const real near = camera[CAMERA_NEAR], low_pass = camera[CAMERA_LOW_PASS];
+    const vreal far_off = (real)(1.7321 * MOST_M_BY_V) * position_sum, nearest = z - far_off;
+    const vreal place_x = x * (1 / z), place_y = y * (1 / z);
+    const vreal closeness_x = focal[0] * (1 / nearest), closeness_y = focal[1] * (1 / nearest);
+    const real ratio_x = fmax(fabs(ratios[0]), fabs(ratios[2]));
+    const real ratio_y = fmax(fabs(ratios[1]), fabs(ratios[3]));
+    const vreal scale = exp(log_scale + (real)MOST_M_BY_V * scale_sum);
+    const vreal reach_x = closeness_x * scale, reach_y = closeness_y * scale;
+    const vreal extent_x =
+        sqrt((real)MOST_CUTOFF * (reach_x * reach_x * (1 + ratio_x * ratio_x) + low_pass)) +
+        closeness_x * far_off * (1 + fabs(place_x));
+    const vreal extent_y =
+        sqrt((real)MOST_CUTOFF * (reach_y * reach_y * (1 + ratio_y * ratio_y) + low_pass)) +
+        closeness_y * far_off * (1 + fabs(place_y));
+    const vreal mean_x = focal[0] * place_x + centre[0], mean_y = focal[1] * place_y + centre[1];
+    const vmask inside = TO_MASK(mean_x + extent_x > 0) & TO_MASK(mean_y + extent_y > 0) &
+                         TO_MASK(mean_x - extent_x < size[0]) &
+                         TO_MASK(mean_y - extent_y < size[1]);
+    return TO_MASK(z + far_off > near) & (TO_MASK(nearest <= near) | inside);
 }
 
-// Whether a row is to catch up. A frozen one stays, and has missed nothing.
-inline bool is_due(uint row, uint now, bool keeps, bool has_frozen, bool by_camera,
-                   __global const real *camera, __global const uint *frozen,
-                   __global const real *positions, __global const real *log_scales,
-                   __global const real *coefficients, __global uint *last_step)
+// Whether a row lags. A frozen one stays, and has missed nothing.
+inline bool lags(uint row, uint now, bool keeps, bool has_frozen, __global const uint *frozen,
+                 __global uint *last_step)
 {
-    const uint last = last_step[row];
-    if (last == now)
+    if (last_step[row] == now)
         return false;
-    if (has_frozen && frozen[row]) {
-        if (keeps)
-            last_step[row] = now;
-        return false;
-    }
-    return !by_camera || may_be_seen(camera, vload3(row, positions), vload3(row, log_scales),
-                                     coefficients + (last % CATCH_UP_EVERY) * LAG_TERMS);
+    if (!has_frozen || !frozen[row])
+        return true;
+    if (keeps)
+        last_step[row] = now;
+    return false;
 }
 
 inline Lag lag_of(uint last, uint now, bool keeps, __global const real *coefficients)

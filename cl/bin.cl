@@ -22,14 +22,14 @@
 #include "counts.h"
 
 // Rows of tiles [*begin, *end) in which the ellipse can reach the band.
-inline void band_rows(Ellipse e, int tiles_x, int first_tile, int end_tile, int *begin, int *end)
+INLINE void band_rows(Ellipse e, int tiles_x, int first_tile, int end_tile, int *begin, int *end)
 {
     tile_rows(e, (end_tile + tiles_x - 1) / tiles_x, begin, end);
     *begin = max(*begin, first_tile / tiles_x);
 }
 
 // Tiles [*begin, *end) of the band that the ellipse touches in a row; none where *end <= *begin.
-inline void band_tiles(Ellipse e, int row, int tiles_x, int first_tile, int end_tile, int *begin,
+INLINE void band_tiles(Ellipse e, int row, int tiles_x, int first_tile, int end_tile, int *begin,
                        int *end)
 {
     tile_columns(e, row, tiles_x, begin, end);

@@ -165,9 +165,17 @@ __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
             due = 0;
         barrier(CLK_LOCAL_MEM_FENCE);
         const ulong tested = begin + lane;
-        if (lane < part && tested < count &&
-            is_due(tested, now, keeps, has_frozen, by_camera, camera, frozen, positions, log_scales,
-                   coefficients, last_step)) {
+        bool is_due = lane < part && tested < count &&
+                      lags(tested, now, keeps, has_frozen, frozen, last_step);
+        if (is_due && by_camera) {
+            const real3 p = to_camera(camera, vload3(tested, positions));
+            const real3 scales = vload3(tested, log_scales);
+            __global const real *c =
+                coefficients + (last_step[tested] % CATCH_UP_EVERY) * LAG_TERMS;
+            is_due = may_be_seen(camera, p.x, p.y, p.z, max(scales.x, max(scales.y, scales.z)),
+                                 c[LAG_POSITIONS], c[LAG_SCALES]);
+        }
+        if (is_due) {
             const uint last = last_step[tested], place = atomic_inc(&due);
             const Lag lag = lag_of(last, now, keeps, coefficients);
             __local real *own = due_lags + place * DUE_TERMS;

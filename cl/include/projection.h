@@ -28,7 +28,7 @@ typedef struct {
     real opacity, area_ratio;
 } Footprint;
 
-inline Footprint footprint_of(uint row, __global const real *camera, __global const real *positions,
+INLINE Footprint footprint_of(uint row, __global const real *camera, __global const real *positions,
                               __global const real *log_scales, __global const real *quaternions,
                               __global const real *opacity_logits)
 {
@@ -79,7 +79,7 @@ inline real2 mean_pixel(__global const real *camera, real3 p)
 
 // Whether a footprint can be drawn; *cutoff and *extent (pixels) get its size. One past the float
 // range has no usable conic. Comparisons are written to fail for NaN.
-inline bool drawable(Footprint f, real *cutoff, real2 *extent)
+INLINE bool drawable(Footprint f, real *cutoff, real2 *extent)
 {
     *cutoff = 2 * log(ALPHA_STEPS * f.opacity * sqrt(f.area_ratio));
     *extent = sqrt(*cutoff * (real2)(f.xx, f.yy));

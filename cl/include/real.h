@@ -32,6 +32,9 @@ typedef int16 mask16;
 #define MAD(A, B, C) ((A) * (B) + (C))
 #endif
 
+// For functions of structs: PoCL leaves some of them functions, and then copies the structs.
+#define INLINE inline __attribute__((always_inline))
+
 // Sum of the elements, always in this order, whatever the compiler would prefer.
 inline real sum16(real16 v)
 {

@@ -8,7 +8,7 @@ typedef struct {
 } Ellipse;
 
 // shape, conic: the first eight columns of a splat.
-inline Ellipse ellipse_from(real4 shape, real4 conic)
+INLINE Ellipse ellipse_from(real4 shape, real4 conic)
 {
     // a hair larger, so that rounding here never drops a pixel that blending would draw
     const real cutoff = shape.w * 1.001 + 0.001;
@@ -21,7 +21,7 @@ inline Ellipse ellipse_from(real4 shape, real4 conic)
     return e;
 }
 
-inline Ellipse ellipse_of(__global const real *splat)
+INLINE Ellipse ellipse_of(__global const real *splat)
 {
     return ellipse_from(vload4(0, splat), vload4(1, splat));
 }
@@ -33,7 +33,7 @@ inline int to_tile(real value, int last)
 }
 
 // Tile rows [*begin, *end) whose pixel centres the ellipse can reach.
-inline void tile_rows(Ellipse e, int tiles_y, int *begin, int *end)
+INLINE void tile_rows(Ellipse e, int tiles_y, int *begin, int *end)
 {
     *begin = max(0, to_tile(ceil((e.mean_y - e.extent_y + 0.5) / TILE) - 1, tiles_y));
     *end = min(tiles_y, to_tile(floor((e.mean_y + e.extent_y - 0.5) / TILE) + 1, tiles_y));
@@ -42,7 +42,7 @@ inline void tile_rows(Ellipse e, int tiles_y, int *begin, int *end)
 // The ellipse's ends, relative to its mean, in the strip between two rows of pixel centres, which
 // it must reach: the right one is at its rightmost point where that lies inside, else on the nearer
 // edge.
-inline void strip_ends(Ellipse e, real first_y, real last_y, real *left, real *right)
+INLINE void strip_ends(Ellipse e, real first_y, real last_y, real *left, real *right)
 {
     const real slope = e.shear * e.extent_y;
 #if BOX_TILES // all tiles of the ellipse's bounding box: its cost: docs/notebook/numerics.md
@@ -60,7 +60,7 @@ inline void strip_ends(Ellipse e, real first_y, real last_y, real *left, real *r
 }
 
 // Tile columns [*begin, *end) of one tile row.
-inline void tile_columns(Ellipse e, int row, int tiles_x, int *begin, int *end)
+INLINE void tile_columns(Ellipse e, int row, int tiles_x, int *begin, int *end)
 {
     real left, right;
     strip_ends(e, row * TILE + 0.5, row * TILE + TILE - 0.5, &left, &right);

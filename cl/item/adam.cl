@@ -1,4 +1,6 @@
 // Item form of adam.cl (see there): a work-item walks rows, up to 16 columns at a time.
+#include "prefetch.h"
+#include "rows.h"
 DEFINE_MOVES(3)
 DEFINE_MOVES(4)
 DEFINE_MOVES(16)
@@ -40,6 +42,24 @@ DEFINE_UPDATE(moment16, 16, moment, vload16, vstore16, LOAD_MOMENTS(16), STORE_M
     for (; column < SH_COLUMNS; column++)                                                          \
         CALL(1, LOAD_ONE);
 
+inline void prefetch_row(uint row, __global const real *m, __global const real *v,
+                         __global const moment *m_rest, __global const moment *v_rest)
+{
+    PREFETCH_ROW(m, row, SMALL_COLUMNS);
+    PREFETCH_ROW(v, row, SMALL_COLUMNS);
+#if DEGREE > 0
+    PREFETCH_ROW(m_rest, row, MOMENT_STRIDE);
+    PREFETCH_ROW(v_rest, row, MOMENT_STRIDE);
+#endif
+}
+// Parameters and moments of a row.
+#define PREFETCH_ALL(ROW)                                                                          \
+    {                                                                                              \
+        prefetch_gaussian(ROW, positions, sh_constant, sh_rest, opacity_logits, log_scales,        \
+                          quaternions);                                                            \
+        prefetch_row(ROW, m, v, m_rest, v_rest);                                                   \
+    }
+
 #define STEP(WIDTH, LOAD)                                                                          \
     step_moment##WIDTH(LOAD(0, g + column), rate_sh_rest, correction,                              \
                        rounding_seed(row, column, now), sh_rest + to + column,                     \
@@ -57,6 +77,9 @@ __kernel void adam_step(ADAM_STEP_ARGUMENTS)
         if (i >= count)
             continue;
         last_step[visible[i]] = now;
+        const uint soon = rows[min((uint)i + AHEAD, count - 1)];
+        if (soon != NO_ROW)
+            PREFETCH_ALL(soon);
         const uint row = rows[i];
         if (row == NO_ROW)
             continue;
@@ -109,24 +132,49 @@ inline void coast_small(uint row, Lag lag, __global const real *c, __global real
     coast_moment##WIDTH(lag, c[LAG_SH_REST], rounding_seed(row, column, now),                      \
                         sh_rest + to + column, m_rest + moments + column,                          \
                         v_rest + moments + column)
+#define LISTED 256 // rows that are tested before any of them moves, so that it can be asked for
 __kernel void adam_catch_up(ADAM_CATCH_UP_ARGUMENTS)
 {
     if (counts[COUNT_FAILED])
         return;
-    FOR_EACH(row, count) {
-        if (!is_due(row, now, keeps, has_frozen, by_camera, camera, frozen, positions, log_scales,
-                    coefficients, last_step))
-            continue;
-        const uint last = last_step[row];
-        const Lag lag = lag_of(last, now, keeps, coefficients);
-        __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAG_TERMS;
-        coast_small(row, lag, c, positions, sh_constant, opacity_logits, log_scales, quaternions, m,
-                    v);
+    const uint begin = (ulong)count * get_global_id(0) / get_global_size(0);
+    const uint end = (ulong)count * (get_global_id(0) + 1) / get_global_size(0);
+    for (uint start = begin; start < end; start += LISTED) {
+        const uint stop = min(start + LISTED, end);
+        uint due[LISTED], listed = 0;
+        for (uint first = start; first < stop; first += 16) {
+            const uint number = min(stop - first, 16u);
+            int lagging[16] = {0};
+            real position_sums[16] = {0}, scale_sums[16] = {0};
+            for (uint i = 0; i < number; i++) {
+                __global const real *c =
+                    coefficients + (last_step[first + i] % CATCH_UP_EVERY) * LAG_TERMS;
+                position_sums[i] = c[LAG_POSITIONS];
+                scale_sums[i] = c[LAG_SCALES];
+                lagging[i] = -lags(first + i, now, keeps, has_frozen, frozen, last_step);
+            }
+            mask16 mask = convert_mask16(vload16(0, lagging));
+            if (by_camera) {
+                real16 x, y, z;
+                load_in_camera(camera, positions + 3ul * first, number, &x, &y, &z);
+                mask &= may_be_seen(camera, x, y, z, load_largest(log_scales + 3ul * first, number),
+                                    vload16(0, position_sums), vload16(0, scale_sums));
+            }
+            listed += list_rows(mask, first, number, due + listed);
+        }
+        for (uint i = 0; i < listed; i++) {
+            const uint row = due[i], last = last_step[row];
+            PREFETCH_ALL(due[min(i + AHEAD, listed - 1)]);
+            const Lag lag = lag_of(last, now, keeps, coefficients);
+            __global const real *c = coefficients + (last % CATCH_UP_EVERY) * LAG_TERMS;
+            coast_small(row, lag, c, positions, sh_constant, opacity_logits, log_scales,
+                        quaternions, m, v);
 #if DEGREE > 0
-        const ulong to = row * SH_STRIDE, moments = row * MOMENT_STRIDE;
-        EACH_WIDTH(COAST)
+            const ulong to = (ulong)row * SH_STRIDE, moments = (ulong)row * MOMENT_STRIDE;
+            EACH_WIDTH(COAST)
 #endif
-        if (keeps)
-            last_step[row] = now;
+            if (keeps)
+                last_step[row] = now;
+        }
     }
 }

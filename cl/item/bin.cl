@@ -2,6 +2,7 @@
 // order. The parts are the rows of `table`, uint[parts, tiles]: first how many pairs each part has
 // in each tile, then where they begin in the sorted lists. totals: uint[parts], the pairs of each
 // part, or the largest uint where there are more, for which no frame has room.
+#include "prefetch.h"
 
 __kernel void count_pairs(int tiles_x, int first_tile, int end_tile,
                           __global const uint *restrict counts,
@@ -19,6 +20,7 @@ __kernel void count_pairs(int tiles_x, int first_tile, int end_tile,
             own[tile] = 0;
         for (uint i = begin; i < end; i++) {
             const uint v = order[i];
+            PREFETCH_ROW(splats, order[min(i + AHEAD, end - 1)], SPLAT_REALS);
             const Ellipse e = ellipse_of(splats + (ulong)v * SPLAT_REALS);
             int row, row_end, tile, tile_end;
             uint touched = 0;
@@ -77,6 +79,7 @@ __kernel void emit_pairs(int tiles_x, int first_tile, int end_tile,
         uint index = totals[part];
         for (uint i = begin; i < end; i++) {
             const uint v = order[i];
+            PREFETCH_ROW(splats, order[min(i + AHEAD, end - 1)], SPLAT_REALS);
             const Ellipse e = ellipse_of(splats + (ulong)v * SPLAT_REALS);
             int row, row_end, tile, tile_end;
             offsets[v] = index;

@@ -2,6 +2,8 @@
 // vector; the tile's state lives in private memory; blocks of rows that a splat's ellipse does not
 // reach, or that are opaque, are skipped.
 
+#include "prefetch.h"
+
 // A row of the tile, cut at the right border of the image.
 inline void store_row(real16 value, __global real *row, int columns)
 {
@@ -123,6 +125,8 @@ void blend(BLEND_ARGUMENTS)
     for (uint first = begin; first < end && open_blocks; first += CHUNK) {
         const uint last = min(first + CHUNK, end);
         real16 excess_x_of[CHUNK], shear_of[CHUNK];
+        for (uint i = last; i < min(last + CHUNK, end); i++)
+            PREFETCH_ROW(splats, sorted_splats[i], SPLAT_REALS);
         for (uint i = first; i < last; i++) {
             SPLAT_IN_ROWS(sorted_splats[i]);
             excess_x_of[i - first] = excess_x;
@@ -236,11 +240,20 @@ void blend(BLEND_ARGUMENTS)
     }
 }
 
+// The rows of a tile that an ellipse reaches, from the first of a block on: those of reaches_block.
+inline void reached_rows(__global const real *splat, real first_y, int *begin, int *end)
+{
+    const real extent = splat[SPLAT_EXTENT_Y] * 1.001 + 0.01;
+    const real beyond = splat[SPLAT_MEAN + 1] - first_y + 1;
+    *begin = (int)fmin(fmax(beyond - extent, (real)0), (real)TILE) / BLOCK * BLOCK;
+    *end = (int)fmin(fmax(beyond + extent, (real)0), (real)TILE);
+}
+
 // The gradient by the power, of a row of the adjoint: as long as alpha is raw, w is before * raw.
 #if SMOOTH_CUTOFF
-#define GRAD_POWER before * contrast * raw[k] * cut_alpha_slope(raw[k])
+#define GRAD_POWER select((real16)0, before * contrast * raw[k] * cut_alpha_slope(raw[k]), live[k])
 #else
-#define GRAD_POWER select(w * contrast, (real16)0, TO_MASK(raw[k] > (real)ALPHA_MAX))
+#define GRAD_POWER select((real16)0, w * contrast, live[k] & TO_MASK(raw[k] <= (real)ALPHA_MAX))
 #endif
 
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -303,16 +316,20 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 sum[j] = 0;
             continue;
         }
+        const int soon = max(i - AHEAD, begin);
+        PREFETCH_ROW(splats, sorted_splats[soon], SPLAT_REALS);
+        PREFETCH_ROW(pair_grads, emission_indices[soon], SUMS);
         SPLAT_IN_ROWS(sorted_splats[i]);
+        int r_begin, r_end;
+        reached_rows(splat, first_y, &r_begin, &r_end);
         real16 s_red = 0, s_green = 0, s_blue = 0, s_z = 0;
         real16 s_p = 0, s_y = 0, s_yy = 0; // dx is the same in every row: its products come last
-        for (int r0 = 0; r0 < TILE; r0 += BLOCK) {
-            if (!reaches_block(splat, first_y + r0))
-                continue;
+        for (int r0 = r_begin; r0 < r_end; r0 += BLOCK) {
+            const real block_y = first_y + r0;
             real16 raw[BLOCK], alpha[BLOCK], inverse[BLOCK];
             mask16 live[BLOCK];
             EACH_ROW(
-                const real dy = first_y + (r0 + k) - mean_y;
+                const real dy = block_y + k - mean_y;
                 raw[k] = excess_x + dy * (c * dy - shear);
                 live[k] = TO_MASK(raw[k] >= 0) & TO_MASK(latest[r0 + k] >= (mask16)i);)
             if (!any16(live[0] | live[1] | live[2] | live[3]))
@@ -333,8 +350,8 @@ void blend_adjoint(BLEND_ADJOINT_ARGUMENTS,
                 s_green += w * grad_green[r];
                 s_blue += w * grad_blue[r];
                 const real16 contrast = light - behind[r];
-                const real16 grad_power = select((real16)0, GRAD_POWER, live[k]);
-                const real dy = first_y + r - mean_y;
+                const real16 grad_power = GRAD_POWER;
+                const real dy = block_y + k - mean_y;
                 const real16 grad_dy = grad_power * dy;
                 s_p += grad_power;
                 s_y += grad_dy;

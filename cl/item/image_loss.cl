@@ -3,10 +3,13 @@
 // rows of a channel. At row y the sums across the image join a ring of the last TAPS rows; the maps
 // of row y - RADIUS are complete, and their sums across join another ring; the gradient of row y -
 // 2 RADIUS is complete.
+#include "prefetch.h"
+
 #define VECTORS 4
 #define IMAGE_VECTORS (VECTORS + 2) // from 2 RADIUS columns before the strip on
 #define MAP_VECTORS (VECTORS + 1)   // from RADIUS columns before it on
 #define MAPS 3
+#define ROWS_AHEAD 2 // rows of the image that are asked for early: no processor foresees them
 
 // The 16 values that begin K after the first of A, which B continues; spelled out, LLVM 14 makes
 // one shuffle of them.
@@ -84,7 +87,7 @@ inline real16 photo16(__global const uchar *values)
 // the beginning, and a call for other columns has a `padded` of its own.
 #define PADDED (IMAGE_VECTORS * 16)
 #define DEFINE_LOAD(NAME, TYPE, LOAD16, FACTOR)                                                    \
-    inline void NAME(__global const TYPE *row, int first, int count, int width, real *padded,      \
+    INLINE void NAME(__global const TYPE *row, int first, int count, int width, real *padded,      \
                      real16 *values)                                                               \
     {                                                                                              \
         if (first >= 0 && first + 16 * count <= width) {                                           \
@@ -139,6 +142,7 @@ void image_loss(int width, int height, __global const real *restrict image,
 {
     LOCATE_PART(get_global_id(0), 16 * VECTORS, strip);
     const int x_end = min(x0 + 16 * VECTORS, width), y_end = min(y0 + strip, height);
+    const int wide_x0 = max(x0 - 2 * RADIUS, 0), wide_x_end = min(x_end + 2 * RADIUS, width);
     image += channel * plane;
 #if MASKED
     __global const uchar *mask = photo + 3 * plane;
@@ -158,6 +162,13 @@ void image_loss(int width, int height, __global const real *restrict image,
     real16 sums[TAPS * MAP_VECTORS * MEANS], map_sums[TAPS * VECTORS * MAPS];
     real16 l1 = 0, total = 0;
     for (int y = y0 - 2 * RADIUS; y < y_end + 2 * RADIUS; y++) {
+        const int soon = min(y + ROWS_AHEAD, height - 1), out_soon = soon - 2 * RADIUS;
+        if (soon >= 0) {
+            PREFETCH_SPAN(image + (long)soon * width + wide_x0, wide_x_end - wide_x0);
+            PREFETCH_SPAN(photo + (long)soon * width + wide_x0, wide_x_end - wide_x0);
+        }
+        if (out_soon >= y0)
+            PREFETCH_SPAN(grad_image + (long)out_soon * width + x0, x_end - x0);
         real16 *newest = sums + SLOT(y) * (MAP_VECTORS * MEANS);
         if (y < 0 || y >= height) {
             for (int i = 0; i < MAP_VECTORS * MEANS; i++)

@@ -1,10 +1,27 @@
 // Item form of project.cl (see there): a work-item walks gaussians by itself.
-#define GAUSSIANS_MEMORY
-#define FOR_EACH_GAUSSIAN(v, count, LOADED) FOR_EACH(v, count)
+#include "prefetch.h"
+#define GAUSSIANS_MEMORY ulong soon; // the gaussian whose numbers are asked for
+#define FOR_EACH_GAUSSIAN(v, count, LOADED)                                                        \
+    FOR_EACH(v, count)                                                                             \
+        if (soon = min(v + AHEAD, (ulong)(count) - 1), LOADED)
 #define HARMONIC(k) vload3((ulong)rows[v] * SH_REST + (k), sh_rest)
+#define LOAD_HARMONICS(count)                                                                      \
+    (prefetch_gaussian(rows[soon], positions, sh_constant, sh_rest, opacity_logits, log_scales,    \
+                       quaternions), true)
+#define LOAD_SUMS(count)                                                                           \
+    (prefetch_pairs(offsets[soon] * (ulong)SUMS, splat_counts[soon] * (ulong)SUMS, pair_grads),    \
+     true)
 #define SUMS_OF(v, sum)                                                                            \
     real sum[SUMS];                                                                                \
     add_pairs(v, splat_counts, offsets, pair_grads, earlier, sum)
+
+// The first pairs of a splat; what follows is read in order, which processors foresee.
+inline void prefetch_pairs(ulong begin, ulong number, __global const real *pair_grads)
+{
+    const ulong most = min(number, 8 * LINE_OF(pair_grads));
+    for (ulong i = 0; i < most; i += LINE_OF(pair_grads))
+        PREFETCH(pair_grads + begin + i);
+}
 
 // Eight columns are one vector, or Intel's compiler would sum every column over several pairs at a
 // time, in another order.

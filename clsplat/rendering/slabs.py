@@ -43,7 +43,7 @@ from clsplat.rendering.project import (
 MODEL_SHARE = 0.3  # of the device's memory for a model and its splats; two may be compared
 INDICES = 6  # uints for each gaussian that culling and sorting need
 PART_ROWS = 1 << 16  # rows that share a bounding box
-CUTOFF = 2.01 * np.log(ALPHA_STEPS)  # squared distance: at least largest_extent's of cl/cull.cl
+CUTOFF = 2.01 * np.log(ALPHA_STEPS)  # squared distance: at least may_meet_image's of cl/cull.cl
 ROUNDING = 1e-5  # share of a coordinate that float32 may lose on the way to a pixel
 ROW = np.uint64(2**32 - 1)  # the bits of a row beside the key of its depth
 CULL_FIELDS = ("positions", "log_scales", "quaternions", "opacity_logits")
