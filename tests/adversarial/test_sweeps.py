@@ -1,5 +1,7 @@
 """A little of each sweep; `python -m tests.adversarial.pairs` and its like run all."""
 
+import signal
+
 import pytest
 
 from tests.adversarial import disk_full, interrupts, pairs
@@ -32,13 +34,21 @@ def test_full_disk(place, name, coarser):
     assert len(records) > 1 and not [each for each in records if each["faults"]], records
 
 
-@pytest.mark.parametrize("name, others", [("train", 1), ("eval", 0)])
-def test_interrupted(name, others):
-    """Ctrl-C; a training also by Ctrl-C twice and by SIGTERM, which all commands take alike."""
-    target = next(target for target in interrupts.TARGETS if target.name == name)
-    target = interrupts.Target(**{**vars(target), "moments": 1, "others": others})
+def interrupted(name):
+    return next(target for target in interrupts.TARGETS if target.name == name)
+
+
+def test_interrupted_train():
+    target = interrupts.Target(**{**vars(interrupted("train")), "moments": 1, "others": 1})
     records = list(interrupts.moments(target, 0))
-    assert len(records) == 1 + 2 * others and not [each for each in records if each["faults"]], records
+    assert len(records) == 3 and not [each for each in records if each["faults"]], records
+
+
+def test_interrupted_eval():
+    """Amid its work; Ctrl-C twice and SIGTERM are taken by the same code as a training's."""
+    with interrupts.Moments(interrupted("eval")) as bench:
+        record = bench.attempt("SIGINT", 0.6 * bench.seconds, ((signal.SIGINT, 0.0),))
+    assert not record["faults"], record
 
 
 def test_the_line_that_goes_on_is_found():
