@@ -24,7 +24,7 @@ from clsplat.device.capabilities import probe_capabilities, probe_wave
 from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Kernel
 from clsplat.device.runtimes import ignore_file_limits
-from clsplat.device.source import define_options, kernel_source
+from clsplat.device.source import define_options, kernel_source, words_of
 from clsplat.errors import TOO_LARGE, DeviceError
 
 SMALLEST_BYTES = 64  # of a buffer
@@ -263,6 +263,8 @@ class Device:
 
     def _built(self, file: str, kernel: Contract, defines: Defines) -> cl.Kernel:
         start = time.perf_counter()
+        # without what the source does not name, which would compile the same program again
+        defines = tuple((name, value) for name, value in defines if name in words_of(file))
         program, checked = self._programs.get((file, defines), (None, None))
         if program is None or checked is not None and kernel.signature not in checked:
             options = self._base_options + define_options(defines)

@@ -32,6 +32,12 @@ def kernel_source(name: str) -> str:
     return "\n".join(_lines(name))
 
 
+@cache
+def words_of(name: str) -> frozenset[str]:
+    """The words of a file of `cl` with its included files."""
+    return frozenset(re.findall(r"\w+", kernel_source(name)))
+
+
 def _lines(name: str) -> Iterator[str]:
     """Lines of the file "blend.cl", "item/blend.cl", "real.h" of include/, or an absolute path."""
     folder = kernel_folder() / ("include" if name.endswith(".h") else "")

@@ -13,6 +13,7 @@ from pathlib import Path
 from tests.adversarial.case import INTERRUPTED, REFUSED, WORKS, Case, Result
 from tests.adversarial.prepared import environment, provide
 from tests.adversarial.whole import changes, fault, listing
+from tests.signals import listen
 
 MARKS = ("Traceback (most recent call last)", "this is a bug")
 NOISE = (".lock", ".lock.json")  # a lock says nothing about what a folder holds
@@ -35,7 +36,7 @@ def run_line(line: str, folder: Path, scratch: Path, seconds: float = 60, extra=
         process = subprocess.Popen(
             ["bash", "-c", words], cwd=folder, stdin=subprocess.DEVNULL,
             stdout=output, stderr=subprocess.STDOUT, start_new_session=True,
-            preexec_fn=_listen, env={**environment(scratch), **(extra or {})})
+            preexec_fn=listen, env={**environment(scratch), **(extra or {})})
         try:
             for moment, number in signals:
                 _wait_until(process, begin + moment)
@@ -52,10 +53,6 @@ def run_line(line: str, folder: Path, scratch: Path, seconds: float = 60, extra=
         output.seek(0)
         text = output.read().decode(errors="replace")
     return Result(code, text, time.monotonic() - begin)
-
-
-def _listen():
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # what a shell's background job ignores
 
 
 def _wait_until(process, moment):

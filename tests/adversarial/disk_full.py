@@ -63,11 +63,11 @@ TARGETS = (
     Target("city", "clsplat city small -n 4 --grid 2x1 --least-views 1 -q -o disk/out",
            ("out/point_cloud.ply",)),
 )
-LINES = (  # of small inputs, so that there are few steps
-    "clsplat synth -o small --blocks 1x1 --views 8 --size 40x30",
-    "clsplat train small -n 8 --checkpoint-every 3 -q -o run",
-    "clsplat train small -n 8 --checkpoint-every 3 -q --stop-at 4 -o half",
-    "clsplat city small -n 4 --grid 2x1 --least-views 1 -q -o city")
+LINES = {  # of small inputs, so that there are few steps
+    "small": "clsplat synth -o small --blocks 1x1 --views 8 --size 40x30",
+    "run": "clsplat train small -n 8 --checkpoint-every 3 -q -o run",
+    "half": "clsplat train small -n 8 --checkpoint-every 3 -q --stop-at 4 -o half",
+    "city": "clsplat city small -n 4 --grid 2x1 --least-views 1 -q -o city"}
 
 
 def _thin(folder):
@@ -96,7 +96,10 @@ def can_mount() -> str | None:
 
 
 class Workplace:
-    """A folder with the inputs, and in it `disk`, mounted anew for each try."""
+    """A folder with the inputs of targets, and in it `disk`, mounted anew for each try."""
+
+    def __init__(self, targets):
+        self.needs = {"small", *(name for target in targets for name in target.needs)}
 
     def __enter__(self):
         self.base = Path(tempfile.mkdtemp(prefix="clsplat-full-"))
@@ -104,11 +107,13 @@ class Workplace:
         self.disk.mkdir(parents=True)
         environment(self.base / "scratch")
         provide((), self.folder)
-        for line in LINES:
+        for name, line in LINES.items():
+            if name not in self.needs:
+                continue
             result = self.run(line)
             if result.code not in (0, 130):
                 raise SystemExit(f"{line}: {result.output}")
-            if "synth" in line:
+            if name == "small":
                 _thin(self.folder / "small/sparse/0")
         return self
 
@@ -187,7 +192,7 @@ def main(words=None):
         print(f"skipped: {reason}")
         return 0
     chosen = [target for target in TARGETS if not arguments.name or target.name in arguments.name]
-    with Workplace() as place:
+    with Workplace(chosen) as place:
         records = (record for target in chosen for record in sweep(place, Target(
             **{**vars(target), "step": target.step * arguments.coarser})))
         return finish(records, arguments, ("case", "free", "exits", "error"))

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from clsplat.city import cut, scoring, stages
+from clsplat.city import cut, forecast, scoring, stages
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
@@ -297,8 +297,10 @@ def test_two_workers_end_in_the_same(copy, monkeypatch):
     assert not (copy.path / scoring.FOLDER).exists()
 
 
-def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path):
-    folder = CityFolder(tmp_path)
+def test_responses_of_the_coarse_run_reach_the_blocks(tmp_path, monkeypatch):
+    folder, table = CityFolder(tmp_path), forecast.block_table
+    monkeypatch.setattr(forecast, "block_table",  # no steps are timed
+                        lambda city, _, counts: table(city, None, counts))
     command("train", CITY, "--coarse", "-n", "12", "-r", "8", "--sh-degree", "0", "--exposure",
             "on", "--device", DEVICE, "-q", "-o", folder.coarse)
     command("partition", folder.path, "--grid", "2x1", "--least-views", "3", "--method", "blockgs")

@@ -12,6 +12,7 @@ from urllib.request import urlopen
 import pytest
 
 from tests.data.tiny_training import CITY
+from tests.signals import listen
 
 
 class Started:
@@ -20,7 +21,7 @@ class Started:
     def __init__(self, *arguments):
         self.process = subprocess.Popen(
             [sys.executable, "-m", "clsplat", *map(str, arguments)], stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE, text=True)
+            stderr=subprocess.PIPE, text=True, preexec_fn=listen)
 
     def __enter__(self):
         watchdog = threading.Timer(300, self.process.kill)

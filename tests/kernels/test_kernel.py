@@ -80,6 +80,16 @@ def test_a_kernel_is_built_again_for_other_sizes(float_device, monkeypatch):
             assert float_device._build(kernel, ()) is not first
 
 
+def test_what_a_source_does_not_name_compiles_nothing(float_device):
+    kernel = Kernel("gather.cl", "gather", each("count"), **TYPES)
+    float_device._build(kernel, ())
+    before = len(float_device._programs)
+    float_device._build(kernel, (("NAMED_NOWHERE", 1),))
+    assert len(float_device._programs) == before
+    float_device._build(kernel, (("restrict", ""),))
+    assert len(float_device._programs) == before + 1
+
+
 @pytest.mark.parametrize("launch, expected", [
     (items("count"), (7, 1)), (items("count/3 2"), (6, 1)), (items("N/TILE"), (1, 1)),
     (items("count", "5"), (10, 5)), (groups("count", "SCAN_GROUP"), (7 * 64, 64)),

@@ -10,9 +10,8 @@ from clsplat.device import Device, kernel
 from clsplat.rendering.bands import choose_bands
 from tests.data.tiny_training import LEVELLED, model_digest, records, trained
 
-LONG = {"iterations": 100, "densify_until": 90, "densify_every": 20, "max_gaussians": 7000,
-        "test_every": 0}
-SHORT = {**LONG, "iterations": 50, "densify_until": 45, "densify_every": 10}
+SHORT = {"iterations": 50, "densify_until": 45, "densify_every": 10, "max_gaussians": 7000,
+         "test_every": 0}
 TAMING = {"schedule": "taming", "iterations": 80, "downscale": 4.0, "exposure": "on"}
 MCMC = {"schedule": "mcmc", "iterations": 100, "downscale": 4.0}
 
@@ -51,18 +50,17 @@ def digest(folder, scene, used, **changes):
 
 @pytest.mark.slow
 def test_many_steps(float_device, city, tmp_path, monkeypatch):
-    """In smaller parts and in bands, and in larger parts; fewer steps where groups run on a CPU.
-    The same once more is tests/system/test_resume.py."""
-    changes = LONG if float_device.form == "item" else SHORT
-    first = digest(tmp_path / "first", city, float_device, **changes)
+    """In smaller parts and in bands, and in larger parts. The same once more is
+    tests/system/test_resume.py."""
+    first = digest(tmp_path / "first", city, float_device, **SHORT)
     small = cut_otherwise(float_device, group_size=32, scan_group=64, compute_units=1)
     with monkeypatch.context() as patch:
         numbers = cut_in_bands(patch, 0.3)
-        assert digest(tmp_path / "small", city, small, **changes) == first
+        assert digest(tmp_path / "small", city, small, **SHORT) == first
     assert 2 < min(numbers), set(numbers)
     large = cut_otherwise(float_device, group_size=256, compute_units=13)
     monkeypatch.setattr(kernel, "RUNS_A_CORE", 7)
-    assert digest(tmp_path / "large", city, large, **changes) == first
+    assert digest(tmp_path / "large", city, large, **SHORT) == first
 
 
 @pytest.mark.slow

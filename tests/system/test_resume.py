@@ -30,6 +30,7 @@ from tests.data.tiny_training import (
     resumed,
     trained,
 )
+from tests.signals import listen
 
 TIMES = ("train_seconds", "wall_seconds", "memory_bytes", "peak_bytes", "kernel_bytes")
 
@@ -303,7 +304,7 @@ def started(folder, wait_for):
     process = subprocess.Popen(
         [sys.executable, "-m", "clsplat", "train", str(CITY), "-o", str(folder), "-q",
          *flags(**SLOW)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
     deadline = time.monotonic() + 300
     while not (folder / wait_for).exists():
         assert process.poll() is None, process.communicate()

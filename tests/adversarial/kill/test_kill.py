@@ -78,17 +78,15 @@ def test_killed_and_resumed(whole, item_device, city, tmp_path, moment, number):
     assert not list(run.path.glob("*.part"))
 
 
-@pytest.mark.parametrize("deaths", [
-    pytest.param([("checkpoint", "40")], marks=pytest.mark.slow),
-    pytest.param([("rename", "1"), ("renamed", "1"), ("step", "5"), ("growth", "1"),
-                  ("saved", "1"), ("model", "1")], marks=pytest.mark.slow)], ids=["once", "often"])
-def test_killed_again_and_again(item_device, city, tmp_path, deaths):
+@pytest.mark.slow
+def test_killed_again_and_again(item_device, city, tmp_path):
     """One run. At `rename 1` it has not begun: the same command begins it; `renamed 1` and
     `step 5` come before its first checkpoint."""
     whole = trained(tmp_path / "whole", city, item_device, **SHORT)
     assert len(records(whole, "grow")) == 1
     words = begun(item_device, SHORT)
-    for moment, number in deaths:
+    for moment, number in (("rename", "1"), ("renamed", "1"), ("step", "5"), ("growth", "1"),
+                           ("saved", "1"), ("model", "1")):
         run = killed(tmp_path / "run", moment, number, *words)
         assert not run.has_model
         words = ["--resume"] if (run.path / "options.json").exists() else words
