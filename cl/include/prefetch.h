@@ -1,12 +1,9 @@
 // What a work-item of the item form will soon read, asked for while it computes: rows that are far
 // apart in memory arrive a hundred times as late as those of the cache.
 #define AHEAD 4 // rows before its turn that a row is asked for
-#if defined(__has_builtin)
-#if __has_builtin(__builtin_prefetch)
+#if HAVE_PREFETCH
 #define PREFETCH(P) __builtin_prefetch((const void *)(size_t)(P))
-#endif
-#endif
-#ifndef PREFETCH
+#else
 #define PREFETCH(P)
 #endif
 #define LINE_OF(P) (64 / sizeof(*(P))) // elements in a line of the cache

@@ -33,7 +33,11 @@ typedef int16 mask16;
 #endif
 
 // For functions of structs: PoCL leaves some of them functions, and then copies the structs.
+#if HAVE_PREFETCH // the interpreter of oclgrind runs neither that nor what inlining leaves
 #define INLINE inline __attribute__((always_inline))
+#else
+#define INLINE inline
+#endif
 
 // Sum of the elements, always in this order, whatever the compiler would prefer.
 inline real sum16(real16 v)

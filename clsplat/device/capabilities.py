@@ -24,6 +24,11 @@ __kernel void probe(__global float *x) {
     const float lane = get_local_id(0);
     x[get_local_id(0)] = native_divide(lane - 7.3f, 0.03f * lane + 0.01f);
 }"""
+_PREFETCH = """
+__kernel void probe(__global float *x) {
+    __builtin_prefetch((const void *)(size_t)(x + get_local_id(0)));
+    x[get_local_id(0)] = get_local_id(0);
+}"""
 _PLAIN = """
 __kernel void probe(__global float *x) { x[get_local_id(0)] = exp(1.0f) + get_local_id(0); }"""
 
@@ -75,7 +80,8 @@ def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool
     lane = np.arange(32, dtype=np.float32)
     tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
              "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp2(-0.26 * lane)),
-             "HAVE_NATIVE_DIVIDE": (_NATIVE_DIVIDE, (lane - 7.3) / (0.03 * lane + 0.01))}
+             "HAVE_NATIVE_DIVIDE": (_NATIVE_DIVIDE, (lane - 7.3) / (0.03 * lane + 0.01)),
+             "HAVE_PREFETCH": (_PREFETCH, lane)}  # clang's, which not every runtime can run
     works = {}
     for name, (source, expected) in tests.items():
         try:
