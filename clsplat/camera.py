@@ -170,6 +170,19 @@ class Camera:
             pixel = p[:, :2] / divisor * self.focal + self.centre
         return pixel, p[:, 2]
 
+    def contains(self, pixels: NDArray[np.floating], beyond: ArrayLike = 0.0) -> NDArray[np.bool_]:
+        """Which pixels lie within the image, as bool[N].
+
+        Parameters
+        ----------
+        pixels : [N, 2].
+        beyond : [N] or one number, pixels: how far outside of the image they may lie.
+        """
+        (x, y), beyond = pixels.T, np.asarray(beyond)
+        inside: NDArray[np.bool_] = ((x > -beyond) & (x < self.width + beyond)
+                                     & (y > -beyond) & (y < self.height + beyond))
+        return inside
+
 
 @dataclass(frozen=True, eq=False)
 class Lens:

@@ -77,9 +77,7 @@ class View:
         bool[N].
         """
         pixels, depths = self.camera.project(points)
-        inside: NDArray[np.bool_] = depths > 0
-        for along, size in zip(pixels.T, (self.camera.width, self.camera.height)):
-            inside &= (along > 0) & (along < size)
+        inside: NDArray[np.bool_] = (depths > 0) & self.camera.contains(pixels)
         return inside
 
     def photo(self) -> NDArray[np.uint8]:

@@ -127,10 +127,7 @@ def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floati
         camera = view.camera
         pixels, depths = camera.project(positions[small])
         deviation = deviations[small] * max(camera.focal) / np.maximum(depths, near)
-        reach = VISIBLE_DEVIATIONS * deviation
-        shown = depths > near
-        for along, size in zip(pixels.T, (camera.width, camera.height)):
-            shown &= (along > -reach) & (along < size + reach)
+        shown = (depths > near) & camera.contains(pixels, VISIBLE_DEVIATIONS * deviation)
         largest[small] = np.maximum(largest[small], np.where(shown, 2 * deviation, 0))
         small = small[largest[small] < enough]
     return largest

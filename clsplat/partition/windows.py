@@ -61,11 +61,8 @@ def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequ
 def shown_pixels(view: View, positions: NDArray[np.floating], near: float
                  ) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
     """The pixels [M, 2] of the positions [N, 3] that a view shows, and which these are, [N]."""
-    camera = view.camera
-    pixels, depths = camera.project(positions)
-    shown = depths > near
-    for along, size in zip(pixels.T, (camera.width, camera.height)):
-        shown &= (along > 0) & (along < size)
+    pixels, depths = view.camera.project(positions)
+    shown = (depths > near) & view.camera.contains(pixels)
     return pixels[shown], shown
 
 
