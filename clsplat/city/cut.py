@@ -16,7 +16,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.city import EXCHANGES, LAYERS, PARTITION, CityFolder
+from clsplat.io.city import EXCHANGES, LAYERS, OTHERS, PARTITION, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions
@@ -104,6 +104,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings, **compared,
              **({} if part.around is None else {LAYERS: part.around.count}),
+             OTHERS: sorted(set(owner[part.indices].tolist()) - {-1, number}),
              **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
             part.around,
             {view.name: float(each) for view, each in zip(own.views, visits[number])})

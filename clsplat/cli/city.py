@@ -56,9 +56,10 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     failure, the same command continues. The folder is a run like any other, for `clsplat eval`,
     `render` and `compare`. For several devices, use --device 0,1 with --workers 2.
     """
+    from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks
     from clsplat.city.forecast import block_table
-    from clsplat.city.stages import begin, train_all_blocks, train_blocks, train_coarse
+    from clsplat.city.stages import begin, train_coarse
     from clsplat.device import choose_device
     from clsplat.distribute import check_scheduler, check_workers
     from clsplat.io.city import CityFolder

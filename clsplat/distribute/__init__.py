@@ -86,9 +86,9 @@ def run(tasks: Sequence[Task], workers: int = 1, scheduler: str = "", retries: i
 
 def _drive(ledger: Ledger, pool: Pool) -> None:
     running: dict[Any, Task] = {}
-    while ledger.waiting or running:
-        while ledger.waiting and len(running) < pool.slots():
-            task = ledger.waiting.popleft()
+    while running or ledger.can_begin:
+        while len(running) < pool.slots() and (task := ledger.next_task()):
             running[pool.submit(task)] = task
         for future, result in pool.finished(running):
             ledger.settle(running.pop(future), result)
+    ledger.give_up()  # what waits for a task that failed

@@ -1,15 +1,18 @@
-"""The parent's side of a child process that works on a task."""
+"""The parent's side of a child process that works on one task after the other."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from queue import Empty, SimpleQueue
 
 import clsplat
 from clsplat.distribute.task import (
@@ -19,6 +22,7 @@ from clsplat.distribute.task import (
     HANG_SECONDS,
     INPUT,
     INTERRUPTED,
+    LOG,
     LOST,
     REFUSED,
     TERMINATED,
@@ -28,50 +32,131 @@ from clsplat.distribute.task import (
 from clsplat.io.lock import latest_change
 
 HUNG = 1000  # in place of an exit code
-LOG = "log.txt"  # in the task's folder: the output of all tries
 POLL_SECONDS = 0.2
+
+
+class Child:
+    """A child process, which is started for its first task, and anew after a task that fails.
+
+    So the next task need not wait for imports, and finds its device open, but no task is begun by
+    a process of which something went wrong.
+
+    Parameters
+    ----------
+    program : see `run`.
+    device : the process's CLSPLAT_DEVICE; "" for that of this process.
+    folder : its working folder; None for that of this process.
+    """
+
+    def __init__(self, program: str, device: str = "", folder: str | None = None) -> None:
+        self.device = device
+        self._program, self._folder = program, folder
+        self._process: subprocess.Popen[bytes] | None = None
+        self._codes = SimpleQueue[int]()  # 0 for each task that succeeds, then the exit code
+
+    def work(self, task: Task, stopping: Callable[[], bool] = lambda: False) -> Result:
+        """Try a task; the Result does not name a worker.
+
+        Parameters
+        ----------
+        task : its folder exists.
+        stopping : polled; once it returns true, the process is told to save its state and end.
+        """
+        began = time.monotonic()
+        try:
+            code, log_start = self._tried(task, stopping)
+            ending, message = _ending(task, code, log_start)
+        except OSError as error:  # its folder was removed, or the disk is full
+            ending, message = FAILED, f"{task.folder}: {error.strerror or error}"
+        if ending != DONE:
+            self.end()
+        return Result(ending, message, time.monotonic() - began)
+
+    def end(self) -> None:
+        """Tell the process to end; one that works saves its state before."""
+        if self._process and self._process.stdin:
+            self._process.stdin.close()
+
+    def close(self) -> None:
+        """End the process, and wait for that."""
+        self.end()
+        if self._process:
+            self._end_code(GRACE_SECONDS + 10)
+
+    def _tried(self, task: Task, stopping: Callable[[], bool]) -> tuple[int, int]:
+        """Have the process try a task; its code, and where its output begins in the log."""
+        with open(task.folder / LOG, "ab") as log:
+            log.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} on {socket.gethostname()}: "
+                      f"{self._program} {' '.join(task.command)}\n".encode())
+            log.flush()
+            log_start = log.tell()
+            process = self._running(log.fileno())
+        assert process.stdin is not None  # a pipe
+        process.stdin.write(json.dumps([str(task.done), *task.command]).encode() + b"\n")
+        process.stdin.flush()
+        return self._code(stopping, task.folder), log_start
+
+    def _running(self, log: int) -> subprocess.Popen[bytes]:
+        """The process; where it must be started, with a file descriptor for what that says."""
+        process = self._process
+        if process and process.poll() is None and process.stdin and not process.stdin.closed:
+            return process
+        # in a new session (on Windows: a new group), since Ctrl-C in the terminal is for the
+        # parent, which passes it on once
+        process = self._process = subprocess.Popen(
+            [sys.executable, "-m", "clsplat.distribute.guarded", self._program],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, cwd=self._folder,
+            env=environment(self.device), start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0))
+        codes = self._codes = SimpleQueue[int]()
+
+        def follow() -> None:
+            assert process.stdout is not None  # a pipe
+            with process.stdout as answers:
+                for _ in answers:
+                    codes.put(0)
+            codes.put(process.wait())
+
+        threading.Thread(target=follow, daemon=True).start()
+        return process
+
+    def _code(self, stopping: Callable[[], bool], folder: Path) -> int:
+        """Wait for a task; HUNG if the process did nothing in its folder for too long, and was
+        killed."""
+        change, changed = latest_change(folder), time.monotonic()
+        while True:
+            try:
+                return self._codes.get(timeout=POLL_SECONDS)
+            except Empty:
+                if stopping():
+                    self.end()
+                    return self._end_code(GRACE_SECONDS + 10)  # it ends itself before, or hangs
+            if time.monotonic() - changed > HANG_SECONDS:
+                latest = latest_change(folder)
+                if latest == change:  # it could neither save its state nor end itself
+                    self._end_code(0)
+                    return HUNG
+                change, changed = latest, time.monotonic()
+
+    def _end_code(self, seconds: float) -> int:
+        """Wait for a process that was told to end; after so many seconds it is killed."""
+        assert self._process is not None
+        try:
+            return self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            return TERMINATED
 
 
 def in_child(task: Task, program: str, device: str = "", folder: str | None = None,
              stopping: Callable[[], bool] = lambda: False) -> Result:
-    """Try a task in a child process; the Result does not name a worker.
-
-    Parameters
-    ----------
-    task : its folder exists.
-    program : see `run`.
-    device : the child's CLSPLAT_DEVICE; "" for that of this process.
-    folder : the child's working folder; None for that of this process.
-    stopping : polled; once it returns true, the child is told to save its state and end.
-    """
-    began = time.monotonic()
+    """Try a task in a child process of its own; for the parameters see `Child` and its `work`."""
+    child = Child(program, device, folder)
     try:
-        code, log_start = _tried(task, program, device, folder, stopping)
-        ending, message = _ending(task, code, log_start)
-    except OSError as error:  # its folder was removed, or the disk is full
-        ending, message = FAILED, f"{task.folder}: {error.strerror or error}"
-    return Result(ending, message, time.monotonic() - began)
-
-
-def _tried(task: Task, program: str, device: str, folder: str | None,
-           stopping: Callable[[], bool]) -> tuple[int, int]:
-    """Run a child to its end; its exit code, and where its output begins in the log."""
-    with open(task.folder / LOG, "ab") as log:
-        log.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} on {socket.gethostname()}: {program} "
-                  f"{' '.join(task.command)}\n".encode())
-        log.flush()
-        log_start = log.tell()
-        # in a new session (on Windows: a new group), since Ctrl-C in the terminal is for the
-        # parent, which passes it on once
-        child = subprocess.Popen(
-            [sys.executable, "-m", "clsplat.distribute.guarded", str(task.done), program,
-             *task.command], stdin=subprocess.PIPE, stdout=log, stderr=log, cwd=folder,
-            env=environment(device), start_new_session=True,
-            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0))
-    try:
-        return _exit_code(child, stopping, task.folder), log_start
+        return child.work(task, stopping)
     finally:
-        _end_input(child)
+        child.close()
 
 
 def environment(device: str = "") -> dict[str, str]:
@@ -89,39 +174,8 @@ def device_fault() -> str:
     return done.stderr.strip().splitlines()[-1] if done.returncode else ""
 
 
-def _exit_code(child: subprocess.Popen[bytes], stopping: Callable[[], bool], folder: Path) -> int:
-    """Wait for a child; HUNG if it did nothing in its folder for too long, and was killed."""
-    change, changed = latest_change(folder), time.monotonic()
-    while True:
-        try:
-            return child.wait(POLL_SECONDS)
-        except subprocess.TimeoutExpired:
-            if stopping():
-                break
-        if time.monotonic() - changed > HANG_SECONDS:
-            latest = latest_change(folder)
-            if latest == change:
-                child.kill()  # it could neither save its state nor end itself
-                child.wait()
-                return HUNG
-            change, changed = latest, time.monotonic()
-    _end_input(child)
-    try:
-        return child.wait(GRACE_SECONDS + 10)  # it ends itself before, unless it hangs
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.wait()
-        return TERMINATED
-
-
-def _end_input(child: subprocess.Popen[bytes]) -> None:
-    """Tell a child to save its state and end, see guarded.py."""
-    assert child.stdin is not None  # a pipe
-    child.stdin.close()
-
-
 def _ending(task: Task, code: int, log_start: int) -> tuple[str, str]:
-    """How a try ended, and the message of its Result, by a child's exit code."""
+    """How a try ended, and the message of its Result, by a process's code."""
     if code == 0 and task.done.exists():
         return DONE, ""
     if code in (INTERRUPTED, TERMINATED):

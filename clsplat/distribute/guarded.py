@@ -1,13 +1,17 @@
-"""The child process of a task: python -m clsplat.distribute.guarded DONE MODULE ARGUMENTS...
+"""The child process of a worker: python -m clsplat.distribute.guarded MODULE
 
-It runs the command line of MODULE unless the file DONE exists. Meanwhile it locks the folder of
-DONE and has its own kernel cache. It is interrupted when its standard input ends, which happens
-when the parent closes it or dies.
+Each line of its standard input is a task, a JSON array of DONE and arguments: it runs the command
+line of MODULE with these arguments unless the file DONE exists. The output is appended to the log
+in the folder of DONE, which is locked meanwhile. After a task that succeeds it writes a line to its
+standard output, and waits for the next; after any other it ends with the exit code. It has its own
+kernel cache. When its standard input ends, because the parent closes it or dies, it ends too; a
+task that is running is interrupted.
 """
 
 from __future__ import annotations
 
 import _thread
+import json
 import os
 import runpy
 import signal
@@ -19,31 +23,56 @@ import time
 from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
+from queue import SimpleQueue
 
-from clsplat.distribute.task import GRACE_SECONDS, INPUT, INTERRUPTED, LOCKED
+from clsplat.distribute.task import GRACE_SECONDS, INPUT, INTERRUPTED, LOCKED, LOG
 from clsplat.errors import InputError
 from clsplat.io.lock import LockTaken, exclusive, latest_change
 
 LOCK_SECONDS = 300  # to wait for another process in the folder that may be saving its state
 
 
-def main(done_path: str, module: str, *arguments: str) -> None:
-    """Run the module; raises SystemExit where the module does, or with an exit code of task.py."""
-    _follow_parent()
-    done = Path(done_path)
+def main(module: str) -> None:
+    """Run the module for each task; raises SystemExit where the module does, or with an exit code
+    of task.py."""
+    working = threading.Event()
+    tasks = _follow_parent(working)
+    with os.fdopen(os.dup(1), "wb", buffering=0) as answers, ExitStack() as stack:
+        os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache(stack))
+        while (line := tasks.get()) is not None:
+            done, *arguments = json.loads(line)
+            _run(module, arguments, Path(done))
+            working.clear()
+            answers.write(b"done\n")
+
+
+def _run(module: str, arguments: list[str], done: Path) -> None:
+    """Run the module once, unless the file `done` exists; returns if it succeeds."""
     try:
+        _log_to(done.parent / LOG)
         with ExitStack() as stack:
             _lock(stack, done.parent)
             if done.exists():  # another process has finished the task
                 return
-            os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache(stack))
             sys.argv = [module, *arguments]
             runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except SystemExit as ended:
+        if ended.code:
+            raise
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(LOCKED if isinstance(error, LockTaken) else INPUT)
+    finally:
+        sys.stdout.flush()
+
+
+def _log_to(path: Path) -> None:
+    """Append all output of this process, and of those that it starts, to a file."""
+    with open(path, "ab") as log:
+        for number in (1, 2):
+            os.dup2(log.fileno(), number)
 
 
 def _lock(stack: ExitStack, folder: Path) -> None:
@@ -61,21 +90,33 @@ def _lock(stack: ExitStack, folder: Path) -> None:
                 raise
 
 
-def _follow_parent() -> None:
-    """Interrupt this process when its standard input ends, and end it after the grace period."""
+def _follow_parent(working: threading.Event) -> SimpleQueue[bytes | None]:
+    """Read tasks from standard input in a thread; None is the last one, when that ends.
+
+    Parameters
+    ----------
+    working : set with each task; while it is set, the end of standard input interrupts this
+        process, which is ended after the grace period.
+    """
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
     pipe = os.dup(0)
     with open(os.devnull, "rb") as empty:
         os.dup2(empty.fileno(), 0)  # so that child processes do not keep the pipe open
+    tasks = SimpleQueue[bytes | None]()
 
     def watch() -> None:
-        while os.read(pipe, 1):
-            pass
-        _interrupt()
+        with os.fdopen(pipe, "rb") as lines:
+            for line in lines:
+                working.set()
+                tasks.put(line)
+        tasks.put(None)
+        if working.is_set():
+            _interrupt()
         time.sleep(GRACE_SECONDS)
         os._exit(INTERRUPTED)
 
     threading.Thread(target=watch, daemon=True).start()
+    return tasks
 
 
 def _interrupt() -> None:
@@ -120,4 +161,4 @@ def _kernel_caches() -> Path | None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(sys.argv[1])

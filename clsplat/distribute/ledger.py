@@ -45,6 +45,30 @@ class Ledger:
         if self._began:
             self._began(name)
 
+    @property
+    def can_begin(self) -> bool:
+        """Whether a waiting task may begin."""
+        return any(not self._awaited(task) for task in self.waiting)
+
+    def next_task(self) -> Task | None:
+        """Take the first of the waiting tasks that may begin; None if there is none."""
+        task = next((task for task in self.waiting if not self._awaited(task)), None)
+        if task:
+            self.waiting.remove(task)
+        return task
+
+    def give_up(self) -> None:
+        """Give the tasks that still wait an Outcome, which is not reported as progress."""
+        for task in self.waiting:
+            self.outcomes[task.name] = Outcome(
+                task, False, 0.0, 0, "", f"it waits for {self._awaited(task)}")
+        self.waiting.clear()
+
+    def _awaited(self, task: Task) -> str:
+        """The first task that must be finished before this one, and is not; "" if there is none."""
+        return next((name for name in task.after
+                     if name not in self.outcomes or not self.outcomes[name].ok), "")
+
     def settle(self, task: Task, result: Result) -> None:
         """Note the end of a try: the task is finished, has finally failed, or waits again."""
         name = task.name

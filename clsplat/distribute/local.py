@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from queue import SimpleQueue
 
-from clsplat.distribute.child import in_child
+from clsplat.distribute.child import Child
 from clsplat.distribute.task import DONE, FAILED, REFUSED, Result, Task
 from clsplat.errors import ClsplatError, Interrupted
 from clsplat.io.lock import exclusive
@@ -70,29 +70,32 @@ class Processes:
 
     def __init__(self, began: Callable[[str], object], workers: int, devices: Sequence[str],
                  program: str) -> None:
-        self._began, self._workers, self._program = began, workers, program
+        self._began = began
+        self._children = [Child(program, devices[number % len(devices)] if devices else "")
+                          for number in range(workers)]
         self._threads = ThreadPoolExecutor(workers)
         self._stopping = threading.Event()
-        self._free: SimpleQueue[str] = SimpleQueue()
-        for number in range(workers):
-            self._free.put(devices[number % len(devices)] if devices else "")
+        self._free: SimpleQueue[Child] = SimpleQueue()
+        for child in self._children:
+            self._free.put(child)
 
     def slots(self) -> int:
         """The number of children."""
-        return self._workers
+        return len(self._children)
 
     def submit(self, task: Task) -> Future[Result]:
-        """Run the task in a child as soon as a device is free."""
+        """Run the task in a child as soon as one is free."""
         return self._threads.submit(self._work, task)
 
     def _work(self, task: Task) -> Result:
         self._began(task.name)
-        device = self._free.get()
+        child = self._free.get()
         try:
-            result = in_child(task, self._program, device, stopping=self._stopping.is_set)
-            return replace(result, worker=f"{HERE}, device {device}" if device else HERE)
+            result = child.work(task, self._stopping.is_set)
+            return replace(result, worker=f"{HERE}, device {child.device}" if child.device
+                           else HERE)
         finally:
-            self._free.put(device)
+            self._free.put(child)
 
     def finished(self, futures: Collection[Future[Result]]) -> list[tuple[Future[Result], Result]]:
         """Wait for the first of the futures, and return those that ended."""
@@ -103,3 +106,7 @@ class Processes:
         """Tell the children to save their state, and wait until they ended."""
         self._stopping.set()
         self._threads.shutdown(cancel_futures=True)
+        for child in self._children:
+            child.end()
+        for child in self._children:
+            child.close()

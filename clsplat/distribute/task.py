@@ -17,6 +17,7 @@ LOST = "lost"  # the worker has disappeared, or was stopped
 # exit codes of children
 INPUT, LOCKED, INTERRUPTED, TERMINATED = 2, 75, 130, 143
 HANG_SECONDS = 3600  # without a change in its folder, after which a child is ended
+LOG = "log.txt"  # in the task's folder: the output of all tries in child processes
 GRACE_SECONDS = 120  # for an interrupted child to save its state
 
 
@@ -28,12 +29,15 @@ class Task:
     ----------
     name : differs from those of the other tasks.
     command : the arguments of `clsplat`.
-    done : a file that exists once the task is finished, in a folder of its own.
+    done : a file that exists once the task is finished, in a folder that no other task uses at the
+        same time.
+    after : names of tasks that must be finished before this one begins.
     """
 
     name: str
     command: tuple[str, ...]
     done: Path
+    after: tuple[str, ...] = ()
 
     @property
     def folder(self) -> Path:

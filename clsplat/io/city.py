@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,11 +22,8 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
-from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
-from clsplat.io.georeference.files import write_placement
-from clsplat.io.masks import MASKS
-from clsplat.io.packed import write_packed
+from clsplat.io.linked import link_again, write_linked
 from clsplat.io.ply import write_ply
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, write_object
@@ -41,9 +38,9 @@ PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
 WINDOWS, VISITS = "windows", "visits"  # keys of region.json
 LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
 REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
-DEPTH = "depth"  # folder of a block's depth maps
 EXCHANGES = "exchanges"  # key of block.json: after how many steps blocks exchange gaussians
-INITIAL, SURROUNDINGS, PACKED = "initial.ply", "surroundings.ply", "scene.npz"
+OTHERS = "others"  # and: the numbers of the blocks with which it does so
+INITIAL, SURROUNDINGS = "initial.ply", "surroundings.ply"
 
 
 class CityFolder:
@@ -197,10 +194,13 @@ class CityFolder:
         block = self.block(number)
         record = json.loads(json.dumps({"number": number, **identity, "options": options}))
         if block.is_there:
-            if block.read() != record:
+            found = block.read()
+            if {**found, OTHERS: None} != {**record, OTHERS: None}:
                 raise InputError(f"{block.path}: holds a block of another partition, or with other "
                                  "options; remove it, or choose another --output")
-            _link_again(block.path, [scene.views[index] for index in views])
+            if found != record:  # another block was cut in two
+                write_object(block.path / BLOCK, record)
+            link_again(block.path, [scene.views[index] for index in views])
             return block
         part = scene.part(views)
         if not len(part.points):
@@ -210,7 +210,7 @@ class CityFolder:
         try:
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir(parents=True)
-            _write_scene(partial, part)
+            write_linked(partial, part)
             write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows),
                                              VISITS: dict(visits or {})})
             if exposures is not None:
@@ -250,12 +250,22 @@ class BlockFolder:
     @property
     def exchanges(self) -> list[int]:
         """After how many steps the block exchanges gaussians with others, ascending."""
-        steps = self.read().get(EXCHANGES, [])
-        if type(steps) is not list or not all(
-                type(step) is int and step > before for before, step in zip([0, *steps], steps)):
-            raise InputError(f"{self.path / BLOCK}: damaged ({EXCHANGES} is {str(steps)[:20]!r}); "
+        return self._numbers(EXCHANGES, 1)
+
+    @property
+    def others(self) -> list[int]:
+        """Numbers of the other blocks whose gaussians the block trains or draws, ascending."""
+        return self._numbers(OTHERS, 0)
+
+    def _numbers(self, key: str, least: int) -> list[int]:
+        """A list of ascending integers in block.json."""
+        numbers = self.read().get(key, [])
+        if type(numbers) is not list or not all(
+                type(number) is int and number > before
+                for before, number in zip([least - 1, *numbers], numbers)):
+            raise InputError(f"{self.path / BLOCK}: damaged ({key} is {str(numbers)[:20]!r}); "
                              "remove the block, and run `clsplat partition` again")
-        return steps
+        return numbers
 
     def part(self, number: int) -> Path:
         """The file of what the block owns at the exchange of this number, from 1."""
@@ -326,61 +336,6 @@ def _check_window(view: View, window: Any) -> None:
     left, top, right, bottom = window
     if not (0 <= left < right <= view.camera.width and 0 <= top < bottom <= view.camera.height):
         raise ValueError(f"the window of {view.name} is not within its photo")
-
-
-def _write_scene(folder: Path, scene: Scene) -> None:
-    """Write a scene as a folder that `read_scene` reads, in original coordinates."""
-    write_placement(folder, scene)
-    if isinstance(scene.views[0].source, bytes):
-        write_packed(scene, folder / PACKED)
-        return
-    points = scene.points + scene.offset
-    views = [replace(view, camera=view.camera.shifted(-scene.offset)) for view in scene.views]
-    known = (np.zeros((0, 2), int) if scene.observations is None else scene.observations)
-    pixels = np.empty((len(known), 2))
-    for number, view in enumerate(scene.views):
-        rows = np.flatnonzero(known[:, 1] == number)
-        pixels[rows] = view.camera.project(scene.points[known[rows, 0]])[0]
-    write_colmap(folder / "sparse" / "0", views, points, scene.colours,
-                 Tracks(known[:, 0], known[:, 1], pixels))
-    for photo, link in _photo_links(folder, views):
-        link.parent.mkdir(parents=True, exist_ok=True)
-        _link(photo, link)
-
-
-def _photo_links(folder: Path, views: Iterable[View]) -> Iterator[tuple[Path, Path]]:
-    """(photo, mask or depth map, its link in the folder of a block), if not packed."""
-    for view in views:
-        if isinstance(view.source, Path):
-            yield view.source, folder / "images" / view.name
-        if isinstance(view.mask, Path):
-            yield view.mask, folder / MASKS / f"{view.name}.png"
-        if view.depth:
-            yield view.depth, folder / DEPTH / f"{view.name}{view.depth.suffix}"
-
-
-def _link_again(folder: Path, views: Iterable[View]) -> None:
-    """Replace the links of a block to photos that were moved since."""
-    for photo, link in _photo_links(folder, views):
-        if link.is_symlink() and not link.exists():
-            try:
-                link.unlink()
-            except OSError as error:
-                raise InputError(f"{link}: cannot be replaced ({error.strerror}); check that its "
-                                 "folder may be written") from None
-            _link(photo, link)
-
-
-def _link(photo: Path, link: Path) -> None:
-    """Link to a photo, or copy it if the file system has no links."""
-    source = photo.resolve()
-    try:
-        link.symlink_to(source)
-    except OSError:
-        try:
-            os.link(source, link)
-        except OSError:
-            shutil.copyfile(source, link)
 
 
 def _read(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, Any]:

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clsplat.errors import InputError
-from clsplat.io.city import PACKED, attached
+from clsplat.io.city import attached
 from clsplat.io.citygs import has_parts, read_citygs
 from clsplat.io.colmap import has_model, read_colmap
 from clsplat.io.georeference.files import placed
+from clsplat.io.linked import PACKED
 from clsplat.io.masks import with_masks
 from clsplat.io.packed import read_packed
 from clsplat.io.projects.metashape import find_metashape, read_metashape

@@ -1,12 +1,14 @@
 """Trains one block of a larger scene from its folder, which contains all that it needs."""
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.city import DEPTH, BlockFolder
+from clsplat.io.city import BlockFolder
+from clsplat.io.linked import DEPTH
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import EARLIER, TrainOptions, checked, resolve
@@ -70,7 +72,7 @@ def train_block(block: BlockFolder, options: TrainOptions,
     progress : receives steps, messages and phases.
     patience : seconds to wait for another process that trains the block.
     alone : do without the exchanges that are left.
-    device : None: it is opened as `options` say.
+    device : None: it is opened as `options` say, and stays open in this process.
 
     Returns
     -------
@@ -89,7 +91,7 @@ def train_block(block: BlockFolder, options: TrainOptions,
             _check_same(run, options)
         if run.is_finished:
             return BEFORE
-        device = device or choose_device(options.device, form=options.form)
+        device = device or _opened(options.device, options.form)
         exchanges = [] if alone else block.exchanges
         others = other_blocks(block) if exchanges else []
         for number, step in enumerate(exchanges, 1):
@@ -105,6 +107,11 @@ def train_block(block: BlockFolder, options: TrainOptions,
             exchange(block, others, options, number)
         _go_on(block, options, device, progress)
     return "finished"
+
+
+@lru_cache(maxsize=1)  # a process of `clsplat city` trains several parts of blocks
+def _opened(name: str, form: str) -> Device:
+    return choose_device(name, form=form)
 
 
 def _go_on(block: BlockFolder, options: TrainOptions, device: Device,

@@ -20,9 +20,9 @@ import numpy as np
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.city import LAYERS, SURROUNDINGS, BlockFolder, CityFolder
+from clsplat.io.city import LAYERS, BlockFolder, CityFolder
 from clsplat.io.npz import read_npz, state_array, write_npz
-from clsplat.io.ply import read_ply, write_ply
+from clsplat.io.ply import write_ply
 from clsplat.io.records import object_of
 from clsplat.io.run import STATE, RunFolder
 from clsplat.io.scenes import read_scene
@@ -78,7 +78,7 @@ def write_part(block: BlockFolder, number: int) -> None:
 
 
 def other_blocks(block: BlockFolder) -> list[BlockFolder]:
-    """The blocks that own gaussians which a block began with, or which its views show.
+    """The blocks with which a block exchanges gaussians.
 
     Raises
     ------
@@ -88,13 +88,7 @@ def other_blocks(block: BlockFolder) -> list[BlockFolder]:
     if not city.has_record:
         raise InputError(f"{block.path}: exchanges gaussians with the other blocks of its city; "
                          "train it in the city's folder, or with --alone")
-    owners, partition = set[int](), city.partition()
-    for path in (block.initial, block.path / SURROUNDINGS):
-        if path.is_file():
-            gaussians = read_ply(path)
-            owners |= set(partition.owner(gaussians.positions.astype(np.float64)
-                                          + gaussians.offset).tolist())
-    return [city.block(number) for number in sorted(owners - {-1, block.read()["number"]})]
+    return [city.block(number) for number in block.others]
 
 
 def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from clsplat.city import finish, stages
+from clsplat.city import blocks, finish, stages
 from clsplat.city.merge import NEVER_FILLED, TRAINS, merge
 from clsplat.cli.city import _beside
 from clsplat.cli.main import main
-from clsplat.distribute import guarded, local, run
+from clsplat.distribute import Outcome, guarded, local, run
 from clsplat.errors import InputError
 from clsplat.io.lock import LockTaken
 from clsplat.io.scenes import read_scene
@@ -234,18 +234,19 @@ def test_which_block_is_trained_is_told(city, monkeypatch, workers):  # noqa: F8
             began(task.name)
             if workers == 1:
                 call(task)
-            progress(SimpleNamespace(task=task, ok=True))
+            progress(Outcome(task, True, 1.0, 1, "", ""))
+        return []
 
     @contextlib.contextmanager
     def shown(title):
         said.append(title)
         yield
 
-    monkeypatch.setattr(stages, "run", run_here)
-    monkeypatch.setattr(stages, "expected_work", lambda block: 1)
-    monkeypatch.setattr(stages, "block_options", lambda block: None)
-    monkeypatch.setattr(stages, "train_block", lambda *_, **__: None)
-    stages.train_blocks(city, workers, progress=shown,
+    monkeypatch.setattr(blocks, "run", run_here)
+    monkeypatch.setattr(blocks, "expected_work", lambda block: 1)
+    monkeypatch.setattr(blocks, "block_options", lambda block: None)
+    monkeypatch.setattr(blocks, "train_block", lambda *_, **__: None)
+    blocks.train_blocks(city, workers, progress=shown,
                         ended=lambda outcome, place: said.append(("ended", place)),
                         began=lambda name, place: said.append((name, place)))
     shows = ["block 2 of 4"] if workers == 1 else []
@@ -264,9 +265,9 @@ def test_warnings_of_photos_are_shown_with_q(capsys):
 
 def test_blocks_with_most_work_begin_first(city, monkeypatch):  # noqa: F811
     ran = []
-    monkeypatch.setattr(stages, "run", lambda tasks, *_, **__: ran.extend(tasks))
-    monkeypatch.setattr(stages, "expected_work", lambda block: int(block.path.name))
-    stages.train_blocks(city)
+    monkeypatch.setattr(blocks, "run", lambda tasks, *_, **__: ran.extend(tasks) or [])
+    monkeypatch.setattr(blocks, "expected_work", lambda block: int(block.path.name))
+    blocks.train_blocks(city)
     names = [block.path.name for block in city.blocks()]
     assert [task.name for task in ran] == names[::-1] != names
 
@@ -274,6 +275,6 @@ def test_blocks_with_most_work_begin_first(city, monkeypatch):  # noqa: F811
 def test_work_is_steps_times_trained_gaussians():
     record = {"own": 30, "margin": 12, "options": {"iterations": 100}}
     block = SimpleNamespace(read=lambda *_: record)
-    assert stages.expected_work(block) == 4200
+    assert blocks.expected_work(block) == 4200
     record["options"]["iterations"] = "many"  # refused when the block is trained
-    assert stages.expected_work(block) == 42
+    assert blocks.expected_work(block) == 42

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from clsplat.city import cut, forecast, scoring, stages
+from clsplat.city import blocks, cut, forecast, scoring, stages
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError
@@ -234,7 +234,7 @@ def test_a_starving_grid_and_empty_bounds_are_refused(copy, capsys):
 @pytest.mark.slow
 def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch):
     shutil.rmtree(copy.block(0).run)
-    real, refused = stages.train_block, []
+    real, refused = blocks.train_block, []
 
     def train_block(block, options, progress, **rest):
         if block.read()["number"] == 0 and not refused:
@@ -242,7 +242,7 @@ def test_a_block_that_does_not_fit_is_cut_in_two(copy, monkeypatch):
             raise DeviceError(f"a small device: {TOO_LARGE}: no memory for 1 MiB more")
         return real(block, options, progress, **rest)
 
-    monkeypatch.setattr(stages, "train_block", train_block)
+    monkeypatch.setattr(blocks, "train_block", train_block)
     other = (copy.block(1).run / "point_cloud.ply").stat().st_mtime_ns
 
     def killed(there):  # between the new partition and the folders that it changes

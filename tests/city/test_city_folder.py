@@ -15,7 +15,8 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io import city as module
-from clsplat.io.city import BlockFolder, CityFolder, attached
+from clsplat.io import linked
+from clsplat.io.city import OTHERS, BlockFolder, CityFolder, attached
 from clsplat.io.depth import read_depth, with_depths
 from clsplat.io.images import write_image
 from clsplat.io.packed import write_packed
@@ -173,12 +174,12 @@ def test_where_links_are_refused(city, scene, gaussians, monkeypatch, refused):
     if refused == "all links":
         monkeypatch.setattr(os, "link", refuse)
     first = check_part(written(city, scene, gaussians), scene).views[0]
-    linked = first.source.stat().st_ino == scene.views[3].source.stat().st_ino
-    assert not first.source.is_symlink() and linked == (refused == "links")
+    is_linked = first.source.stat().st_ino == scene.views[3].source.stat().st_ino
+    assert not first.source.is_symlink() and is_linked == (refused == "links")
 
 
-@pytest.mark.parametrize("moment", ["write_colmap", "_link", "write_exposures", "write_ply",
-                                    "os.rename"])
+@pytest.mark.parametrize("moment", ["linked.write_colmap", "linked._link", "write_exposures",
+                                    "write_ply", "os.rename"])
 @pytest.mark.parametrize("trouble", [
     KeyboardInterrupt(), OSError(errno.ENOSPC, "disk full"),
     InputError("file: cannot be written (disk full); free some space")],
@@ -187,9 +188,9 @@ def test_where_links_are_refused(city, scene, gaussians, monkeypatch, refused):
 def test_a_block_is_whole_or_not_there(city, scene, gaussians, monkeypatch, moment, trouble):
     def end(*_, **__):
         raise trouble
-    holder = os if moment == "os.rename" else module
+    *holder, name = moment.split(".")
     with monkeypatch.context() as patch:
-        patch.setattr(holder, moment.removeprefix("os."), end)
+        patch.setattr({"os": os, "linked": linked}[holder[0]] if holder else module, name, end)
         with pytest.raises((InputError, KeyboardInterrupt)) as caught:
             written(city, scene, gaussians)
     assert caught.value is trouble or str(caught.value).startswith(
@@ -206,6 +207,8 @@ def test_a_block_that_is_there_is_left_alone(city, scene, gaussians):
     before = block.initial.stat().st_mtime_ns
     assert written(city, scene, gaussians).path == block.path
     assert block.initial.stat().st_mtime_ns == before and (block.path / "run").exists()
+    written(city, scene, gaussians, **{OTHERS: [1, 2]})  # another block was cut in two
+    assert block.others == [1, 2] and block.initial.stat().st_mtime_ns == before
     city.write_partition({"method": "another"})
     with pytest.raises(InputError, match="holds a block of another partition"):
         written(city, scene, gaussians)

@@ -2,6 +2,7 @@
 continues where it stopped, and records its starts and ends.
 
     python -m tests.distribute.stub_command FOLDER [--steps N] [--fail N] [--code N] [--forget]
+        [--say TEXT]
 
 fails the first --fail times with exit code --code; a negative one is a signal. On the device
 NO_DEVICE, it refuses.
@@ -26,10 +27,13 @@ def main():
     parser.add_argument("--fail", type=int, default=0)
     parser.add_argument("--code", type=int, default=1)
     parser.add_argument("--forget", action="store_true", help="do not write DONE")
+    parser.add_argument("--say", default="")
     options = parser.parse_args()
     folder, state = options.folder, options.folder / STATE
     seen = [os.environ.get(name, "-") for name in ("CLSPLAT_DEVICE", "POCL_CACHE_DIR")]
-    note(folder / STARTS, os.getppid(), *seen)
+    note(folder / STARTS, os.getppid(), *seen, os.getpid())
+    if options.say:
+        print(f"{options.say} from {folder.name}")
     if NO_DEVICE in seen:
         sys.exit(2)
     if len((folder / STARTS).read_text().splitlines()) <= options.fail:

@@ -1,5 +1,6 @@
 """The engine on one machine: which tasks run, how often, where, and what ends them."""
 
+import json
 import os
 import signal
 import subprocess
@@ -13,9 +14,8 @@ import pytest
 
 import clsplat
 from clsplat.distribute import Task, child, cluster, guarded, run
-from clsplat.distribute.child import LOG
 from clsplat.distribute.ledger import MOST_LOSSES, Ledger
-from clsplat.distribute.task import FAILED, INTERRUPTED, LOCKED, LOST, Result
+from clsplat.distribute.task import DONE, FAILED, INTERRUPTED, LOCKED, LOG, LOST, Result
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.lock import HOLDER, LOCK, LockTaken, exclusive, latest_change
 from clsplat.training.progress import NotedProgress, SilentProgress
@@ -129,6 +129,74 @@ def test_as_many_children_as_workers_each_with_its_device_and_cache(tmp_path):
         assert len({span[3] for span in here}) == len(here) == len({span[2] for span in here})
 
 
+def processes_of(tasks):
+    """The process of each task's last start."""
+    return [lines(task, STARTS)[-1].split()[-1] for task in tasks]
+
+
+def test_a_child_stays_for_the_next_task_unless_one_fails(tmp_path):
+    tasks = stub_tasks(tmp_path, 4)
+    tasks[2] = Task("002", (*tasks[2].command, "--fail", "1"), tasks[2].done)
+    assert all(outcome.ok for outcome in run(tasks, program=PROGRAM))
+    first, second, third, fourth = processes_of(tasks)  # the third is tried again at the end
+    assert first == second == lines(tasks[2], STARTS)[0].split()[-1] != third == fourth
+
+
+def test_a_child_that_is_killed_between_tasks_is_replaced(tmp_path):
+    first, second = stub_tasks(tmp_path, 2)
+    for task in (first, second):
+        task.folder.mkdir()
+    worker = child.Child(PROGRAM)
+    try:
+        assert worker.work(first).ending == DONE
+        os.kill(int(processes_of([first])[0]), signal.SIGKILL)
+        worker._process.wait()
+        assert worker.work(second).ending == DONE
+    finally:
+        worker.close()
+    assert worker._process.returncode == 0 and len(set(processes_of([first, second]))) == 2
+
+
+def test_what_a_task_says_goes_to_its_own_log(tmp_path):
+    tasks = stub_tasks(tmp_path, 2, "--say", "hello")
+    assert all(outcome.ok for outcome in run(tasks, program=PROGRAM))
+    for task in tasks:
+        assert [line for line in lines(task, LOG) if not line.startswith("---")] == [
+            f"hello from {task.folder.name}"]
+
+
+# --- tasks that wait for others
+
+
+def test_a_task_begins_after_those_that_it_needs(tmp_path):
+    tasks = stub_tasks(tmp_path, 4)
+    tasks = [Task(task.name, task.command, task.done, after) for task, after in zip(
+        tasks, (("003",), ("000", "002"), (), ()))]
+    order = []
+
+    def call(task):
+        order.append(task.name)
+        task.done.touch()
+
+    assert all(outcome.ok for outcome in run(tasks, call=call)) and order == [
+        "002", "003", "000", "001"]
+
+
+def test_what_needs_a_task_that_failed_is_not_tried(tmp_path):
+    tasks = stub_tasks(tmp_path, 3)
+    tasks = [Task(task.name, task.command, task.done, after) for task, after in zip(
+        tasks, (("001",), (), ("000",)))]
+    seen = []
+
+    def call(task):
+        raise InputError("no photos")
+
+    first, failed, third = run(tasks, call=call, progress=seen.append)
+    assert [outcome.task.name for outcome in seen] == ["001"] and failed.message == "no photos"
+    assert [(o.ok, o.tries, o.message) for o in (first, third)] == [
+        (False, 0, "it waits for 001"), (False, 0, "it waits for 000")]
+
+
 def test_a_child_that_fails_is_tried_again(tmp_path):
     [outcome] = run(stub_tasks(tmp_path, 1, "--fail", 2), program=PROGRAM)
     assert outcome.ok and outcome.tries == 3 == starts(outcome.task)
@@ -156,24 +224,29 @@ def test_a_child_that_fails_without_output(tmp_path, words, devices, message):
 
 def guarded_child(task, program=PROGRAM):
     """A child as the engine starts it."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "clsplat.distribute.guarded", str(task.done), program,
-         *task.command], stdin=subprocess.PIPE, cwd=ROOT)
+    child = subprocess.Popen([sys.executable, "-m", "clsplat.distribute.guarded", program],
+                             stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
+    child.stdin.write(json.dumps([str(task.done), *task.command]).encode() + b"\n")
+    child.stdin.flush()
+    return child
 
 
 def test_two_children_on_one_task_work_once(tmp_path):
     task = stub_tasks(tmp_path, 1, "--steps", 10)[0]
     task.folder.mkdir()
     children = [guarded_child(task), guarded_child(task)]
-    assert [child.wait() for child in children] == [0, 0]
+    assert [child.stdout.readline() for child in children] == [b"done\n", b"done\n"]
     assert starts(task) == 1 and task.done.exists()
+    for process in children:
+        process.stdin.close()
+    assert [process.wait() for process in children] == [0, 0]
 
 
 def test_a_folder_that_stays_locked_is_reported(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(guarded, "LOCK_SECONDS", 0.3)
-    monkeypatch.setattr(guarded, "_follow_parent", lambda: None)
+    monkeypatch.setattr(guarded, "_log_to", lambda path: None)
     with held_elsewhere(tmp_path) as other, pytest.raises(SystemExit) as ended:
-        guarded.main(str(tmp_path / "done"), PROGRAM, str(tmp_path))
+        guarded._run(PROGRAM, [str(tmp_path)], tmp_path / "done")
     assert ended.value.code == LOCKED
     assert f"process {other} on" in capsys.readouterr().err
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from clsplat.city import cut, stages
+from clsplat.city import blocks, cut
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import BLOCK, EXCHANGES, LAYERS, CityFolder
+from clsplat.io.city import BLOCK, EXCHANGES, LAYERS, OTHERS, CityFolder
 from clsplat.io.npz import read_npz
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
@@ -57,7 +57,8 @@ def stopped(tmp_path_factory, item_device):
                        observations=None).reduced(8.0, 10_000)
         start = block_start(first, scene, region, part.views, lambda _: True)
         city.write_block(number, scene, views[number], region, {}, start.gaussians, None, OPTIONS, {
-            **city.identity(), LAYERS: start.around.count, EXCHANGES: [AT]}, start.around)
+            **city.identity(), LAYERS: start.around.count, OTHERS: [1 - number], EXCHANGES: [AT]},
+            start.around)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
         said = train_block(city.block(0), block_options(city.block(0)))
@@ -170,28 +171,36 @@ def test_exchanges_lie_in_the_second_half():
 
 
 @pytest.mark.parametrize("fill", [False, True])
-def test_all_blocks_come_to_an_exchange_before_any_goes_on(tmp_path, monkeypatch, fill):
+def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
+        tmp_path, monkeypatch, fill):
+    """Blocks 0, 1, 2 in a row, where the second part of block 1 fails."""
+    found = {n: SimpleNamespace(
+        path=tmp_path / f"00{n}", run=tmp_path / f"00{n}" / "run", exchanges=[100, 200],
+        others=others, part=lambda number, n=n: tmp_path / f"00{n}" / "run" / f"part_{number}")
+        for n, others in ((0, [1]), (1, [0, 2]), (2, [1]), (3, [2]))}
+    city = SimpleNamespace(blocks=found.values, block=found.__getitem__)
+    monkeypatch.setattr(blocks, "expected_work", lambda block: 1)
     ran = []
-    blocks = [SimpleNamespace(path=tmp_path / f"00{n}", run=tmp_path / f"00{n}" / "run",
-                              exchanges=[100, 200], part=lambda number: f"part {number}")
-              for n in range(3)]
 
-    def run(tasks, *_, **__):
-        ran.append([(task.name, "--alone" in task.command, getattr(task.done, "name", task.done))
-                    for task in tasks])
-        return [SimpleNamespace(task=task, message="", ok=(len(ran), task.name) != fails)
-                for task in tasks]
+    def train(task):
+        ran.append(task.name)
+        if task.name == "001 part 2 of 3":
+            raise InputError("no such photo")
+        task.done.touch()
 
-    monkeypatch.setattr(stages, "run", run)
-    monkeypatch.setattr(stages, "expected_work", lambda block: 1)
-    fails, model = None, "point_cloud.ply"
-    city = SimpleNamespace(blocks=lambda: blocks)
-    stages.train_blocks(city, fill=fill)
-    assert ran == [[(f"00{n}", False, done) for n in range(3)]
-                   for done in ("part 1", "part 2", model)]
-    ran, fails = [], (2, "001")
-    outcomes = stages.train_blocks(city, fill=fill)
-    assert sorted((o.task.name, o.ok) for o in outcomes) == [
-        ("000", True), ("001", False), ("002", True)]
-    assert len(ran) == (3 if fill else 2)
-    assert not fill or ran[2] == [("000", True, model), ("002", True, model)]
+    engine = blocks.run
+    monkeypatch.setattr(blocks, "run", lambda tasks, *args, call, **named: engine(
+        tasks, *args, call=train, **named))
+    outcomes = {outcome.task.name: outcome for outcome in blocks.train_blocks(city, fill=fill)}
+    firsts = [f"00{n} part 1 of 3" for n in range(4)]
+    seconds = [f"00{n} part 2 of 3" for n in range(4)]
+    last = "003 part 3 of 3"  # needs the second parts of 2 and 3 only
+    assert ran[:9] == [*firsts, *seconds, last]
+    assert ran[9:] == (["000", "002"] if fill else [])
+    assert {name: outcome.ok for name, outcome in outcomes.items()} == {
+        "000": True, "001": False, "002": True, "003": True}
+    assert outcomes["001"].message == "no such photo"
+    monkeypatch.setattr(blocks, "run", lambda tasks, *args, call, **named: engine(
+        tasks, *args, call=lambda task: task.done.touch(), **named))
+    assert all(outcome.ok for outcome in blocks.train_blocks(city))
+    assert all((block.run / "point_cloud.ply").exists() for block in found.values())
