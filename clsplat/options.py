@@ -140,6 +140,9 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
               for key, value in schedule_of(name).defaults.items()}
     for known in options_of(TrainOptions):
         values |= known.metadata["sets"].get(getattr(chosen, known.name), {})
+    if any(given.get(known.name, known.default) != known.default
+           for known in options_of(SphereOptions)):
+        values["sphere"] = True
     options = TrainOptions(**{**values, **given})
     _check_agreement(options, given)
     return options
@@ -150,9 +153,11 @@ EARLIER = {"vignetting": "off", "tone": "off"}  # what runs did that do not reco
 
 def recorded(record: dict[str, Any]) -> TrainOptions:
     """The options among the values of a run's options.json; InputError for a damaged one."""
-    known = {option.name for option in options_of(TrainOptions)}
+    record = {**EARLIER, **record}
+    schedule = checked("options.json", "schedule", record.get("schedule", TrainOptions.schedule))
+    known = {option.name for option in options_of(TrainOptions) if serves(option, schedule)}
     return resolve({name: checked("options.json", name, value)
-                    for name, value in {**EARLIER, **record}.items() if name in known}, {})
+                    for name, value in record.items() if name in known}, {})
 
 
 def serves(known: declared.Option, schedule: str) -> bool:

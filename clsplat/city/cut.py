@@ -29,10 +29,10 @@ from clsplat.partition.partition import Partition
 from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
-from clsplat.schedule import planned_steps, schedule_of
+from clsplat.schedule import SceneFacts, planned_steps, schedule_of
 from clsplat.training.block import decided_by, options_of_blocks
 from clsplat.training.exchange import exchange_steps, most_exchanges
-from clsplat.training.facts import smallest_size
+from clsplat.training.facts import scene_facts, smallest_size
 from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import THREADS
 
@@ -86,6 +86,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     steps = [whole_steps(options, scene) / len(views) * each.sum() for each in visits]
     surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
+    facts = scene_facts(scene, [scene.views[index] for index in views])
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
                                   observations=None)
@@ -95,7 +96,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         part = block_start(gaussians, scene, region, own.views, partial(
             takes_layers, surroundings, dataclasses.replace(own, region=region),
             decided, compared))
-        given = block_steps(options, steps[number], smallest_size(own.views))
+        given = block_steps(options, steps[number], smallest_size(own.views), facts)
         if not any(view.depth for view in own.views):
             given["depth"] = ""
         city.write_block(
@@ -180,17 +181,19 @@ def takes_layers(surroundings: str, scene: Scene, decided: dict[str, Any],
     return layers < gaussians
 
 
-def block_steps(options: TrainOptions, steps: float, size: tuple[int, int]) -> dict[str, Any]:
+def block_steps(options: TrainOptions, steps: float, size: tuple[int, int], facts: SceneFacts
+                ) -> dict[str, Any]:
     """The options, by name, of a block that takes this number of steps.
 
     Parameters
     ----------
     size : (width, height) of its smallest training image, pixels.
+    facts : about the scene of the whole.
     """
     schedule = schedule_of(options.schedule)
     shrunk = dataclasses.replace(options, iterations=max(1, round(steps)), eval_at=(),
                                  eval_every=0, lpips="", snapshots="levels" in schedule.parts)
-    shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size))
+    shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size, facts))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}
 

@@ -118,6 +118,16 @@ def _observed(observations: NDArray[np.integer], all_views: Sequence[View], view
     return point[view >= 0], view[view >= 0]
 
 
+def observed_points(scene: Scene, views: Sequence[View]) -> list[NDArray[np.integer]]:
+    """For each of `views` the sparse points that it sees; none where the scene has no observations.
+    """
+    if scene.observations is None:
+        return [np.zeros(0, int) for _ in views]
+    point, view = _observed(scene.observations, scene.views, views)
+    point = point[np.argsort(view, kind="stable")]
+    return np.split(point, np.cumsum(np.bincount(view, minlength=len(views)))[:-1])
+
+
 def projected_points(points: NDArray[np.float64], views: Sequence[View]
                      ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
     """At most 10000 evenly chosen points [P, 3], and the pairs of a point [M] and an index into

@@ -36,8 +36,8 @@ class GrowthOptions:
 class SphereOptions:
     """Spheres around the initial points, which gaussians must not leave."""
 
-    sphere: bool = option(True, "Spheres", "remove gaussians that leave the sphere around their "
-                          "anchor", part="spheres")
+    sphere: bool = option(False, "Spheres", "remove gaussians that leave the sphere around their "
+                          "anchor; on where another option of spheres is given", part="spheres")
     sphere_neighbours: int = option(15, "Spheres", "number of nearest points whose mean distance "
                                     "is the unit of a sphere's radius", minimum=1, part="spheres")
     sphere_reach: float = option(30.0, "Spheres", "radius of a sphere, in these units",

@@ -54,8 +54,8 @@ class SceneFacts:
     inverse_distance : 1 / world unit; mean of 1 / distance to the nearest other sparse point.
     photos : returns an iterator over all training photos uint8[3, H, W], which are read anew.
     pixels : number of pixels in all training photos.
-    overlap : number of training photos that show a place, in the mean (covisibility/overlap.py);
-        nan: not known.
+    disagreement : returns the standard deviation of a place's colour over the photos that show it,
+        a share of full brightness (covisibility/disagreement.py); nan: not known. Photos are read.
     """
 
     size: tuple[int, int]
@@ -63,7 +63,7 @@ class SceneFacts:
     inverse_distance: float
     photos: Callable[[], Iterator[NDArray[np.uint8]]]
     pixels: int
-    overlap: float = math.nan
+    disagreement: Callable[[], float] = lambda: math.nan
 
 
 class Schedule:
@@ -145,7 +145,8 @@ class Schedule:
         return None, "none: the schedule has no limit"
 
     @classmethod
-    def options_of_block(cls, options: TrainOptions, size: tuple[int, int]) -> dict[str, Any]:
+    def options_of_block(cls, options: TrainOptions, size: tuple[int, int], facts: SceneFacts
+                         ) -> dict[str, Any]:
         """{option: value} that differ from `options` in a block of a city, which starts from a
         coarse run.
 
@@ -153,6 +154,7 @@ class Schedule:
         ----------
         options : of the whole, with the steps of the block.
         size : (width, height) of the block's smallest training image, pixels.
+        facts : about the scene of the whole.
         """
         return {}
 

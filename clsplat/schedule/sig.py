@@ -2,12 +2,11 @@
 
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
-than its pixels can determine. Pixels of several photos that show the same place are no new places,
-and a gaussian needs a number of places: the more photos overlap, the more pixels it needs. The
-paper has no safeguards; ours: rounds of growth disturb the frequency, so it is tested only after
-them, several tests in a row must agree, and each coarser level has a deadline, a share of the run,
-so that the finest always gets its time. The tests `paper` and `release` have no safeguards, as
-published.
+than its pixels can determine: the more the photos disagree about the colour of a place, the more
+pixels a gaussian needs for its own. The paper has no safeguards; ours: rounds of growth disturb the
+frequency, so it is tested only after them, several tests in a row must agree, and each coarser
+level has a deadline, a share of the run, so that the finest always gets its time. The tests `paper`
+and `release` have no safeguards, as published.
 """
 
 import math
@@ -32,9 +31,9 @@ SAMPLES_A_LEVEL = 8
 SETTLE_SHARE = 0.2  # of a level at most pass before its first round of growth (densify_from)
 GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are trained
 ROUND_STEPS = (100, 200)  # least and most between rounds of growth
-PLACES_A_GAUSSIAN = 2.5  # pixels that show different places
-LEAST_PIXELS_A_GAUSSIAN = 10.0  # where few photos overlap: it has 59 parameters, a pixel 3 values
-USUAL_OVERLAP = 16.0  # photos that show a place, where no sparse point tells
+COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's colour
+LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
+USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
 LEAST_STEPS = 2 * ROUND_STEPS[0]  # of a level: in fewer, what it begins has no time to settle
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
@@ -45,9 +44,9 @@ PAPER = {
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
     "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
-    "sphere_reach": 15.0, "reproject": "on", "exposure": "off"}
+    "sphere": True, "sphere_reach": 15.0, "reproject": "on", "exposure": "off"}
 RELEASE = {
-    "iterations": 30_000,
+    "iterations": 30_000, "sphere": True,
     "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
     "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "level_reset": False,
     "pixels_per_gaussian": 0.0, "prune_size": 0.05, "opacity_rate": 0.02,
@@ -97,7 +96,7 @@ class SigOptions:
                                part="sig")
     pixels_per_gaussian: float = option(
         AUTO, "Levels", "the model grows only while each gaussian has at least this many training "
-        "pixels, at the level's size; auto: fewer where few photos show the same place",
+        "pixels, at the level's size; auto: fewer where the photos agree about the colours",
         words={AUTO: AUTO, "none": 0.0}, minimum=0.0, part="sig")
 
 
@@ -130,24 +129,27 @@ class Sig(Schedule):
     @classmethod
     def planned_limit(cls, options: "TrainOptions", facts: SceneFacts) -> tuple[int | None, str]:
         """See `Schedule.planned_limit`."""
-        each = pixels_per_gaussian(options, facts.overlap)
+        each = pixels_per_gaussian(options, facts)
         if not each:
             return None, "none: requested"
         limit = int(most_gaussians(options, facts, 1.0))
         if isinstance(options.pixels_per_gaussian, float):
             return limit, f"{limit:,}: one for each {each:g} training pixels, as requested"
-        shown = (f"as {facts.overlap:.1f} photos show the same place" if facts.overlap > 0 else
-                 "as no sparse point tells how much the photos overlap")
+        differ = 100 * facts.disagreement()
+        shown = (f"as photos of a place differ by {differ:.1f} % of full brightness" if differ >= 0
+                 else "as no sparse point tells how much photos of a place differ")
         return limit, f"{limit:,}: one for each {each:.1f} training pixels, {shown}"
 
     @classmethod
-    def options_of_block(cls, options: "TrainOptions", size: tuple[int, int]) -> dict[str, Any]:
+    def options_of_block(cls, options: "TrainOptions", size: tuple[int, int], facts: SceneFacts
+                         ) -> dict[str, Any]:
         """See `Schedule.options_of_block`: the coarse run, at half size, had the coarser levels,
-        and has pruned what it did not need."""
+        and has pruned what it did not need. All blocks have the same pixels for a gaussian."""
+        each = {"pixels_per_gaussian": pixels_per_gaussian(options, facts)}
         if options.levels:
-            return {}
+            return each
         levels = chosen_levels(options, size, LEVELS_OF_BLOCK, TILE)
-        return {"levels": levels, "level_reset": False}
+        return {"levels": levels, "level_reset": False, **each}
 
     def __init__(self, options: "TrainOptions", facts: SceneFacts) -> None:
         super().__init__(options, facts)
@@ -332,24 +334,23 @@ def level_shares(levels: Sequence[float], together: float | str) -> tuple[float,
     return tuple(together * resolution / sum(coarser) for resolution in coarser)
 
 
-def pixels_per_gaussian(options: "TrainOptions", overlap: float) -> float:
+def pixels_per_gaussian(options: "TrainOptions", facts: SceneFacts) -> float:
     """The least number of training pixels for each gaussian; 0: any number.
 
-    Parameters
-    ----------
-    options : of the training.
-    overlap : number of photos that show a place; nan: not known.
+    The mean of n colours that scatter by s has a standard error of s / sqrt(n).
     """
     requested: str | float = options.pixels_per_gaussian
     if isinstance(requested, float):
         return requested
-    overlap = USUAL_OVERLAP if math.isnan(overlap) else overlap
-    return max(LEAST_PIXELS_A_GAUSSIAN, PLACES_A_GAUSSIAN * overlap)
+    scatter = facts.disagreement()
+    if math.isnan(scatter):
+        scatter = USUAL_DISAGREEMENT
+    return max(LEAST_PIXELS_A_GAUSSIAN, (scatter / COLOUR_ERROR) ** 2)
 
 
 def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> float:
     """Number of gaussians that the training pixels of a level can determine; may be inf."""
-    each = pixels_per_gaussian(options, facts.overlap)
+    each = pixels_per_gaussian(options, facts)
     return math.floor(facts.pixels / level**2 / each) if each else math.inf
 
 

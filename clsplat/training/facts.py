@@ -1,13 +1,18 @@
 """What a schedule knows about a scene before training."""
 
 from collections.abc import Sequence
+from functools import cache
 
-from clsplat.covisibility.overlap import mean_overlap
+from clsplat.covisibility.disagreement import colour_disagreement
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.partition.blocks import seen_pixels
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts
-from clsplat.training.photos import decoded
+from clsplat.training.photos import at_level, decoded
+
+SMALL_SIDE = 256  # pixels of the photos whose colours are compared
+RUNS, RUN = 4, 12  # of photos that follow each other, and so show the same places
+
 
 
 def scene_facts(scene: Scene, views: Sequence[View]) -> SceneFacts:
@@ -21,7 +26,17 @@ def scene_facts(scene: Scene, views: Sequence[View]) -> SceneFacts:
     return SceneFacts(
         smallest_size(views), len(scene.points), mean_inverse_distance(scene.points) / scene.unit,
         lambda: (photo[:3] for photo in decoded(views)), seen_pixels(scene, views),
-        mean_overlap(scene, views))
+        cache(lambda: _disagreement(scene, views)))
+
+
+def _disagreement(scene: Scene, views: Sequence[View]) -> float:
+    """The disagreement of some of the photos, at a small size."""
+    if len(views) > RUNS * RUN:
+        views = [views[begin * (len(views) - RUN) // (RUNS - 1) + number]
+                 for begin in range(RUNS) for number in range(RUN)]
+    side = max(max(view.camera.width, view.camera.height) for view in views)
+    small = at_level(views, max(1.0, side / SMALL_SIDE))
+    return colour_disagreement(scene, small, decoded(small))
 
 
 def smallest_size(views: Sequence[View]) -> tuple[int, int]:

@@ -35,17 +35,20 @@ def test_levels_for_which_there_is_no_time_are_left_out(steps, expected):
 def test_a_block_begins_at_half_the_size_and_prunes_as_it_goes(side, steps, expected):
     """The coarse run, at half size, has had the levels from 3 on."""
     options = options_of(levels=(), level_share="auto", iterations=steps)
-    assert Sig.options_of_block(options, (side, side + 9)) == {
-        "levels": expected, "level_reset": False}
-    assert Sig.options_of_block(options_of(levels=(3.0, 1.0)), (500, 500)) == {}
+    facts = dataclasses.replace(FACTS, disagreement=lambda: 0.036)
+    assert Sig.options_of_block(options, (side, side + 9), facts) == {
+        "levels": expected, "level_reset": False,
+        "pixels_per_gaussian": pytest.approx(25.0)}
+    asked = options_of(levels=(3.0, 1.0), pixels_per_gaussian=7.0)
+    assert Sig.options_of_block(asked, (500, 500), facts) == {"pixels_per_gaussian": 7.0}
 
 
-@pytest.mark.parametrize("overlap, pixels", [
-    (16.0, 40.0), (6.4, 16.0), (4.0, 10.0), (1.0, 10.0), (math.nan, 40.0)])
-def test_the_more_photos_overlap_the_more_pixels_a_gaussian_needs(overlap, pixels):
-    facts = dataclasses.replace(FACTS, overlap=overlap)
+@pytest.mark.parametrize("disagreement, pixels", [
+    (0.072, 100.0), (0.036, 25.0), (0.01, 15.0), (0.0, 15.0), (math.nan, 17.4)])
+def test_the_more_photos_disagree_the_more_pixels_a_gaussian_needs(disagreement, pixels):
+    facts = dataclasses.replace(FACTS, disagreement=lambda: disagreement)
     limit, reason = Sig.planned_limit(options_of(), facts)
-    assert limit == FACTS.pixels // pixels
+    assert limit == pytest.approx(FACTS.pixels / pixels, rel=3e-3)
     assert reason.startswith(f"{limit:,}: one for each {pixels} training pixels, as ")
     schedule = Sig(options_of(), facts)
     assert schedule.target(1, 10**6, 10**6) == 10**6 and schedule.target(2, 1, 10**6) <= limit // 16
