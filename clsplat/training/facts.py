@@ -14,7 +14,6 @@ SMALL_SIDE = 256  # pixels of the photos whose colours are compared
 RUNS, RUN = 4, 12  # of photos that follow each other, and so show the same places
 
 
-
 def scene_facts(scene: Scene, views: Sequence[View]) -> SceneFacts:
     """The facts of a scene for its schedule, where gaussians begin at its sparse points.
 

@@ -73,7 +73,8 @@ def course_of(count, pixels, size=(512, 382), **options):
     (15689, 24, (512, 382), 7000, 117_220), (25683, 65, (509, 383), 30000, 316_781),
     (4400, 28, (320, 240), 7000, 53_677)], ids=["boruszyn", "caliterra", "city"])
 def test_runs_that_meet_their_ceiling_end_as_foretold(count, views, size, steps, ended):
-    segments = course_of(count, views * size[0] * size[1], size, iterations=steps)
+    segments = course_of(count, views * size[0] * size[1], size, iterations=steps,
+                         pixels_per_gaussian=40.0)
     assert largest(segments) == pytest.approx(ended, rel=0.01)
     assert sum(segment.steps for segment in segments) == steps
     levels = list(dict.fromkeys(segment.level for segment in segments))

@@ -1,5 +1,6 @@
 """What a scene needs of what is optional: found out, said why, refused where it cannot be met."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -37,7 +38,8 @@ def found(scene, **options):
 
 @pytest.fixture
 def drift(monkeypatch):
-    """Sets the drift that is measured; returns what it was measured on."""
+    """Sets the drift that is measured; returns what it was measured on. Other photos are not read.
+    """
     seen = []
 
     def set_to(value):
@@ -45,6 +47,7 @@ def drift(monkeypatch):
             seen.append((views, photos, points))
             return value
         monkeypatch.setattr(decisions, "exposure_drift", measure)
+        monkeypatch.setattr(facts, "colour_disagreement", lambda *_: math.nan)
         return seen
     return set_to
 

@@ -81,7 +81,7 @@ def test_from_a_file(scene, tmp_path, stored, wanted):
 
 
 @pytest.mark.parametrize("options, kept", [
-    ({}, True), ({"sphere": False}, False), ({"schedule": "constant"}, False)])
+    ({"sphere": True}, True), ({}, False), ({"sphere": True, "schedule": "constant"}, False)])
 def test_spheres_of_a_file_are_kept_where_the_training_has_spheres(scene, tmp_path, options, kept):
     path, given = tmp_path / "a.ply", made(2, FIELDS)
     write_ply(path, given, scene.offset + [1, 0, 0], sphere=True)
@@ -102,11 +102,11 @@ def test_what_cannot_begin(scene, tmp_path):
 
 def test_spheres_are_there_where_the_options_want_them(scene):
     """Around where each begins; a wider neighbourhood, a larger sphere."""
-    few, many = (initial_gaussians(scene, TrainOptions(sphere_neighbours=count))
+    few, many = (initial_gaussians(scene, TrainOptions(sphere=True, sphere_neighbours=count))
                  for count in (3, 15))
     assert np.array_equal(few.anchors, few.positions)
     assert (few.max_offsets < many.max_offsets).all()
-    for options in ({"sphere": False}, {"schedule": "dash"}):
+    for options in ({}, {"sphere": True, "schedule": "dash"}):
         assert "anchors" not in initial_gaussians(scene, TrainOptions(**options)).rows
 
 

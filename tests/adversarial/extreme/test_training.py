@@ -1,6 +1,7 @@
 """Stiff trainings end well, or end plainly: finite numbers, and a line that says what is wrong."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,12 +142,11 @@ def test_a_normalised_scene_is_the_same_in_any_unit(city, factor):
 
 def test_gaussians_in_other_units(city, tmp_path):
     """Those of a file begin where the scene's own do, whatever unit the scene is in."""
-    options = options_of(schedule="sig", levels=(1.0,), sh_degree=0)
+    options = options_of(schedule="sig", sphere=True, levels=(1.0,), sh_degree=0)
     given = initial_gaussians(city, options)
     write_ply(tmp_path / "a.ply", given, city.offset, sphere=True)
     scene = city.normalised()
-    begun = initial_gaussians(scene, options_of(init=str(tmp_path / "a.ply"), sh_degree=0,
-                                                schedule="sig", levels=(1.0,)))
+    begun = initial_gaussians(scene, replace(options, init=str(tmp_path / "a.ply")))
     own = initial_gaussians(scene, options)
     assert set(begun.rows) == set(own.rows) and "anchors" in own.rows
     for name, values in own.rows.items():
