@@ -12,6 +12,7 @@ import click
 
 from clsplat.cli.flags import flags_of, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.config.option import is_auto
 from clsplat.errors import InputError, Interrupted
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 
@@ -72,7 +73,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
     check_workers(workers)
     against = _reference(against, tree)
-    if options.init != "sfm" or options.coarse:
+    if not is_auto(options.init) or options.coarse:
         raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out")
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))

@@ -7,12 +7,14 @@ from clsplat.device import Device
 from clsplat.estimate.detail import photo_detail
 from clsplat.estimate.memory import Memory, predicted_memory
 from clsplat.estimate.step_time import predicted_seconds
+from clsplat.estimate.trial_steps import sampled
 from clsplat.gaussians import Gaussians
 from clsplat.options import TrainOptions, seconds_of
 from clsplat.scene import Scene
 from clsplat.schedule import laid_over
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.training.decisions import Decision
+from clsplat.training.dense_start import start_seconds
 from clsplat.training.initialise import initial_gaussians
 from clsplat.training.photo_store import MEMORY_BYTES
 from clsplat.training.photos import DEVICE_SHARE, reading_bytes
@@ -73,11 +75,16 @@ class Planned:
         Raises DeviceError where these steps, or those to come, do not fit the device.
         """
         options, prepared = self.prepared.options, self.prepared
-        gaussians = initial_gaussians(prepared.scene, options)
+        scene, count = prepared.scene, prepared.decisions.facts.count
+        gaussians = (sampled(scene, count, options.sh_degree) if options.init == "dense" else
+                     initial_gaussians(scene, options))
         self.progress.phase("planning: how many gaussians")
         segments = self._segments(options, gaussians)
         seconds, ends, measured = predicted_seconds(self.device, prepared, gaussians, segments,
                                                     self.progress, known)
+        if not known:  # of this device
+            self.progress.phase("planning: timing the search for dense points")
+            seconds += start_seconds(self.device, prepared)
         if options.time_budget:
             budget = seconds_of(options.time_budget)
             options = laid_over(options, max(1, int(options.iterations * budget / seconds)))

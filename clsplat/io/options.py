@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from clsplat.config.option import option
+from clsplat.config.option import AUTO, option
 
 
 @dataclass(frozen=True)
@@ -21,5 +21,7 @@ class SceneOptions:
     test_offset: int = option(0, "Scene", "with --test-every N: views before the first one that is "
                               "held out, less than N; other offsets hold out other views",
                               minimum=0)
-    init: str = option("sfm", "Scene", "initial gaussians: sfm (the sparse points), random, or a "
-                       "file of gaussians or points", main=True)
+    init: str = option(AUTO, "Scene", "initial gaussians: sfm (the sparse points), dense (places "
+                       "on which several photos agree), random, or a file of gaussians or points; "
+                       "auto: dense with --schedule sig, where photos overlap and the run is not "
+                       "short, else sfm", main=True)

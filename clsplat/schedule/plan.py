@@ -86,6 +86,7 @@ class Schedule:
         "spheres", "reprojection", and the `part` of its own options. Options of other parts are
         refused.
     Options : frozen dataclass of the schedule's own options (config/option.py), or None.
+    begins_dense : whether a training begins at dense points unless the options say otherwise.
     selection : how growth selects gaussians: "threshold", "highest" or "score" (densify/select.py);
         or "relocation" (densify/relocate.py), which needs no statistics, and in place of pruning
         makes dead gaussians copies of others.
@@ -99,6 +100,7 @@ class Schedule:
     defaults: ClassVar[dict[str, Any]] = {}
     parts: ClassVar[frozenset[str]] = frozenset()
     Options: ClassVar[type | None] = None
+    begins_dense: ClassVar[bool] = False
     selection = "threshold"
     observe_every = 100
     latest: Any = None

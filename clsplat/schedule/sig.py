@@ -40,13 +40,13 @@ REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
 # the choices of the authors' paper and of their released code
 PAPER = {
-    "iterations": 30_000,
+    "iterations": 30_000, "init": "sfm",
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
     "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
     "sphere": True, "sphere_reach": 15.0, "reproject": "on", "exposure": "off"}
 RELEASE = {
-    "iterations": 30_000, "sphere": True,
+    "iterations": 30_000, "init": "sfm", "sphere": True,
     "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
     "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "level_reset": False,
     "pixels_per_gaussian": 0.0, "prune_size": 0.05, "opacity_rate": 0.02,
@@ -104,6 +104,7 @@ class Sig(Schedule):
     """Levels from coarse to fine; `observe` decides when the next begins."""
 
     parts = frozenset({"sig", "levels", "spheres", "reprojection"})
+    begins_dense = True
     Options = SigOptions
 
     @classmethod

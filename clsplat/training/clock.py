@@ -21,6 +21,10 @@ class Clock:
         self._since = time.perf_counter() - self._device.build_seconds
         self._bytes = self._device.kernel_bytes
 
+    def add(self, seconds: float) -> None:
+        """Count seconds that were spent before the first step as training."""
+        self._train_seconds += seconds
+
     @contextmanager
     def paused(self) -> Iterator[None]:
         """Exclude the time of the block from training."""

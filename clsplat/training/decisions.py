@@ -19,6 +19,7 @@ from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts, planned_steps, scaled_steps, schedule_of
 from clsplat.schedule.simulate import largest, simulate
+from clsplat.training.dense_start import chosen_start, planned_count
 from clsplat.training.facts import scene_facts
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM, model_bytes
 from clsplat.training.photos import at_level, decoded
@@ -55,7 +56,7 @@ class Decisions:
     ----------
     options : with values instead of "auto" where the scene decides, and with scaled steps.
     neighbours : indices of the source views of each training view; None if no loss term uses them.
-    facts : what the schedule knows about the scene; gaussians begin at the sparse points.
+    facts : what the schedule knows about the scene, with the planned number of initial gaussians.
     parts : name of a part -> its decision.
     """
 
@@ -93,14 +94,17 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     neighbours, reproject = _neighbours(scene, views, options)
     spread = view_spread(scene, scene.views)  # held-out views must be served, too
     facts, schedule = scene_facts(scene, views), schedule_of(options.schedule)
-    parts = {"steps": Decision(steps, length),
-             "levels": Decision(*schedule.planned_levels(options, facts)),
-             "gaussians": Decision(*schedule.planned_limit(options, facts)),
+    limit = Decision(*schedule.planned_limit(options, facts))
+    start = Decision(*chosen_start(scene, views, options))
+    if start.value == "dense":
+        facts = dataclasses.replace(facts, count=planned_count(limit.value, facts.pixels, options))
+    parts = {"steps": Decision(steps, length), "init": start,
+             "levels": Decision(*schedule.planned_levels(options, facts)), "gaussians": limit,
              "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
              "exposure": exposure, "vignetting": _vignetting(scene, views, options, exposure),
              "tone": _tone(options, exposure), "robust": _robust(options),
              "reproject": reproject}
-    decided = ("sh_degree", "exposure", "vignetting", "tone", "reproject")
+    decided = ("init", "sh_degree", "exposure", "vignetting", "tone", "reproject")
     options = dataclasses.replace(options, **{name: parts[name].value for name in decided})
     if device is not None:
         parts["engine"] = _engine(facts, options, device)

@@ -4,7 +4,9 @@ import os
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clsplat.config.option import AUTO
 from clsplat.densify.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -18,16 +20,20 @@ from clsplat.schedule import schedule_of
 FEWEST_GAUSSIANS = 2  # their distance gives new gaussians a size
 
 
-def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
-    """Gaussians at the sparse points, at random points within their bounds, or from a file of
-    gaussians or points.
+def initial_gaussians(scene: Scene, options: TrainOptions,
+                      dense: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
+                      ) -> Gaussians:
+    """Gaussians at the sparse points, at dense points (positions and colours), at random points
+    within their bounds, or from a file of gaussians or points.
 
     They have spheres if the options request it. Those of a coarse run are in an order in which
     neighbours lie together in memory, since a view sees a small part of them: of 39,600 gaussians,
     steps then take 3/4 of the time. Raises InputError where they are more than the options allow,
     or where the file cannot be used.
     """
-    if options.init == "sfm":
+    if dense is not None:
+        gaussians = Gaussians.from_points(*dense, options.sh_degree)
+    elif options.init in (AUTO, "sfm"):
         gaussians = Gaussians.from_points(scene.points, scene.colours, options.sh_degree)
     elif options.init == "random":
         rng = np.random.default_rng([options.seed, 0])
@@ -38,10 +44,10 @@ def initial_gaussians(scene: Scene, options: TrainOptions) -> Gaussians:
     else:
         if not os.path.exists(options.init):
             raise InputError(
-                f"{options.init}: no such file; --init expects sfm, random or a file")
+                f"{options.init}: no such file; --init expects sfm, dense, random or a file")
         if os.path.isdir(options.init):
-            raise InputError(f"{options.init}: a folder; --init expects sfm, random or a file, "
-                             "such as the point_cloud.ply of a run")
+            raise InputError(f"{options.init}: a folder; --init expects sfm, dense, random or a "
+                             "file, such as the point_cloud.ply of a run")
         gaussians = read_model(options.init, scene.offset, scene.georeference).scaled(
             1 / scene.unit)
         if gaussians.count < FEWEST_GAUSSIANS:

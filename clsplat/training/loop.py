@@ -167,6 +167,7 @@ class Training:
     def begin(self, warnings: Iterable[str]) -> None:
         """Write the first records of a new run, and show its warnings."""
         session = self.session
+        self.clock.add(session.start_seconds)
         self.clock.restart()
         self.recorder.log("plan", reasons=session.decisions.reasons,
                           levels=session.schedule.levels)

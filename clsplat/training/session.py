@@ -29,12 +29,9 @@ from clsplat.response import Lenses, Response
 from clsplat.scene import Scene, View, corrected_views
 from clsplat.schedule import Plan, Schedule, laid_over, schedule_of
 from clsplat.training.decisions import Decisions, find_decisions
+from clsplat.training.dense_start import first_gaussians
 from clsplat.training.depth_maps import DepthMapsOnDevice
-from clsplat.training.initialise import (
-    initial_gaussians,
-    initial_responses,
-    surrounding_gaussians,
-)
+from clsplat.training.initialise import initial_responses, surrounding_gaussians
 from clsplat.training.layers import Layers
 from clsplat.training.model import Model
 from clsplat.training.photos import Photos, decoded
@@ -155,15 +152,15 @@ class Session:
 
     Attributes
     ----------
-    schedule : of the steps; there is no such attribute where the caller decides.
+    schedule : of the steps; missing where the caller decides.
     step : takes steps; has the model, the exposures and the statistics.
     source_views : None if no loss term compares with another view.
     layers : what a block's views show of its surroundings; None: nothing is drawn as layers.
     level : down-sampling factor of the training images.
     cameras : packed cameras of the training views at that level.
     options : may be replaced between steps (`lay_over`).
-    disturbed_at : step after which outliers were last looked for, a level began or opacities were
-        reset.
+    start_seconds : that finding the initial gaussians took.
+    disturbed_at : step of the latest search for outliers, change of level or reset of opacities.
     """
 
     def __init__(self, prepared: PreparedScene, device: Device, gaussians: Gaussians,
@@ -208,7 +205,7 @@ class Session:
         self.source_views = (SourceViews(device, neighbours, exposures, options.seed)
                              if neighbours else None)
         self.depths = DepthMapsOnDevice(device, self.scene.unit) if options.depth else None
-        self.iteration, self.level = 0, 0.0
+        self.iteration, self.level, self.start_seconds = 0, 0.0, 0.0
         self.use_level(self.photos.level)
 
     @classmethod
@@ -235,13 +232,16 @@ class Session:
         progress = progress or SilentProgress()
         progress.phase("planning")
         prepared = prepare(scene, options, device)
-        gaussians = gaussians or initial_gaussians(prepared.scene, prepared.options)
+        gaussians, seconds = ((gaussians, 0.0) if gaussians else
+                              first_gaussians(device, prepared, progress))
         schedule = prepared.schedule(gaussians)
         progress.phase("reading photos")
         for _ in decoded(prepared.test_views):
             pass  # a damaged photo would stop the run at its evaluation
-        return cls(prepared, device, gaussians, schedule, progress=progress, folder=folder,
-                   level=level)
+        session = cls(prepared, device, gaussians, schedule, progress=progress, folder=folder,
+                      level=level)
+        session.start_seconds = seconds
+        return session
 
     @property
     def model(self) -> Model:

@@ -1,0 +1,1 @@
+"""Dense points from photos with known poses, by multi-view stereo."""

@@ -1,0 +1,266 @@
+"""Dense points of a scene: the places on which several photos agree, merged to a number of them.
+
+The depth of each photo comes from a plane sweep over four adjacent photos. A pixel becomes a point
+if its window looks alike in two of these, and one of them has, where the point projects to, the
+same depth within one percent. Points that lie in one cell are merged to their mean; cells are
+as large as the number of points that is wanted allows, in pixels, so that near places get small
+cells and distant ones large cells.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.covisibility.source_views import choose_source_views, visibility
+from clsplat.device import Device
+from clsplat.stereo.sweep import device_images, sweep
+
+if TYPE_CHECKING:
+    from clsplat.scene import Scene, View
+
+SIDE = 256  # pixels: the longer side of the photos that are compared
+SOURCES = 4  # photos with which each is compared
+PLANES = 96
+BEYOND = 0.85, 1.2  # the first and last plane, beyond the depths of the view's sparse points
+LEAST_SEEN = 20  # sparse points of a view, to tell its depths
+LEAST_SCORE = 0.5  # correlation of a pixel's window
+LEAST_SOURCES = 2  # of a photo that is compared, as a score is the mean of two
+AGREEING = 1  # source photos that must have the same depth; two leave out borders of a flight
+SAME_DEPTH = 0.01  # relative difference
+LEAST_SHARE = 1 / 8  # of the points that cells have in the mean: with fewer, it is no surface
+SPARSE = 10  # points of pixels that a sparse point counts for, as it is more exact
+AROUND = 0.5  # of the extent of the sparse points, on each side: what is kept
+HALVINGS = 20  # of the interval in which the size of cells is looked for
+LARGEST_CELL = 2.0**20  # pixels
+Floats = NDArray[np.float64]
+DepthMap = tuple[NDArray[np.float32], NDArray[np.bool_]]  # see `_depth_map`
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points with colours.
+
+    Attributes
+    ----------
+    positions : float64[N, 3], world.
+    colours : float64[N, 3], 0 to 255.
+    sizes : float64[N], world units: of a pixel there, in the photo that shows it.
+    merged : int[N], how many points each is the mean of.
+    """
+
+    positions: Floats
+    colours: Floats
+    sizes: Floats
+    merged: NDArray[np.integer]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Points]) -> Points:
+        """The points of several, in their order."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts])
+                     for name in ("positions", "colours", "sizes", "merged")))
+
+
+def sweep_seconds(device: Device, scene: Scene, views: Sequence[View],
+                  photos_of: Callable[[Sequence[View]], Sequence[NDArray[np.uint8]]]) -> float:
+    """About how long the sweeps of all views take, by that of one of them.
+
+    Parameters
+    ----------
+    device, scene, views : as for `dense_points`.
+    photos_of : reads the photos of views.
+    """
+    number, sources = next(((number, sources) for number, sources
+                            in enumerate(stereo_views(scene, views)) if sources), (0, []))
+    chosen = [views[each] for each in (number, *sources)]
+    photos, between = photos_of(chosen), _depth_ranges(chosen[:1], *visibility(scene, chosen[:1]))
+    for _ in range(2):  # the first one compiles
+        begin = time.perf_counter()
+        _depth_map(device, 0, range(1, len(chosen)), chosen, photos, between[0])
+        seconds = time.perf_counter() - begin
+    return len(views) * seconds
+
+
+def stereo_views(scene: Scene, views: Sequence[View]) -> list[list[int]]:
+    """For each view the indices of those with which it is compared; none where they are too few.
+    """
+    chosen: list[list[int]] = [sources.tolist() for sources in
+                               choose_source_views(scene, views, SOURCES)]
+    return [sources if len(sources) >= LEAST_SOURCES else [] for sources in chosen]
+
+
+def dense_points(device: Device, scene: Scene, views: Sequence[View],
+                 photos: Sequence[NDArray[np.uint8]], most: int,
+                 progress: Callable[[int], object] = lambda done: None
+                 ) -> tuple[Floats, NDArray[np.uint8]]:
+    """Points of a scene with their colours, the sparse points among them.
+
+    Parameters
+    ----------
+    device : which sweeps.
+    scene : with sparse points.
+    views : of the scene, with cameras of the size of `photos`.
+    photos : of the views, uint8[3, h, w], or uint8[4, h, w] with a mask.
+    most : as many points are wanted; there may be fewer, where photos show fewer or are too small,
+        and there are as many as sparse points at least.
+    progress : called with the number of views that are done.
+
+    Returns
+    -------
+    float64[N, 3], world; uint8[N, 3].
+    """
+    sources, seen = stereo_views(scene, views), visibility(scene, views)
+    depths = []
+    for number, between in enumerate(_depth_ranges(views, *seen)):
+        depths.append(_depth_map(device, number, sources[number], views, photos, between))
+        progress(number + 1)
+    low, high = np.percentile(scene.points, (0.5, 99.5), axis=0)
+    around = AROUND * (high - low)
+    parts = [_agreeing(number, sources[number], views, depths, photos[number])
+             for number in range(len(views)) if sources[number]]
+    parts = [_chosen(part, ((part.positions > low - around)
+                            & (part.positions < high + around)).all(axis=1)) for part in parts]
+    merged = merge(Points.joined([*parts, _sparse(scene, views, *seen)]), most)
+    return merged.positions, merged.colours.round().astype(np.uint8)
+
+
+def _depth_ranges(views: Sequence[View], points: Floats, point: NDArray[np.integer],
+                  seen_by: NDArray[np.integer]) -> list[tuple[float, float] | None]:
+    """For each view the depths of the nearest and the farthest plane; None where too few sparse
+    points tell. For the other arguments see `visibility`."""
+    result: list[tuple[float, float] | None] = []
+    for number, view in enumerate(views):
+        _, depth = view.camera.project(points[point[seen_by == number]])
+        depth = depth[depth > 0]
+        near, far = (np.percentile(depth, (1, 99)) * BEYOND if len(depth) >= LEAST_SEEN
+                     else (0.0, 0.0))
+        result.append((float(near), float(far)) if near > 0 else None)
+    return result
+
+
+def _depth_map(device: Device, number: int, sources: Sequence[int], views: Sequence[View],
+               photos: Sequence[NDArray[np.uint8]], between: tuple[float, float] | None
+               ) -> DepthMap:
+    """The depths of a view's pixels [h, w], 0 where there is none, and bool[h, w], which of them
+    look alike in two sources; the others may still confirm a depth of another view.
+
+    Parameters
+    ----------
+    number : of the view.
+    sources : those that it is compared with; none: it has no depths.
+    between : the depths of the first and the last plane; None: it has no depths.
+    """
+    _, height, width = photos[number].shape
+    depth, alike = np.zeros((height, width), np.float32), np.zeros((height, width), np.bool_)
+    if sources and between:
+        chosen = [number, *sources]
+        images, sizes = device_images(device, [_grey(photos[each]) for each in chosen])
+        inverse, score = (values.download()[:height, :width] for values in sweep(
+            images, sizes, [views[each].camera for each in chosen], 0, range(1, len(chosen)),
+            (1 / between[1], 1 / between[0]), PLANES))
+        known = inverse > 0
+        depth[known] = 1 / inverse[known]
+        alike = score > LEAST_SCORE
+    return depth, alike
+
+
+def _grey(photo: NDArray[np.uint8]) -> Floats:
+    """The mean of the colours, 0 to 1, nan where a pixel does not count."""
+    grey: Floats = photo[:3].mean(axis=0) / 255
+    grey[(photo[3:] == 0).any(axis=0)] = np.nan
+    return grey
+
+
+def _agreeing(number: int, sources: Sequence[int], views: Sequence[View],
+              depths: Sequence[DepthMap], photo: NDArray[np.uint8]) -> Points:
+    """The points of a view's pixels whose depth enough source views confirm."""
+    camera, (depth, alike) = views[number].camera, depths[number]
+    row, column = np.nonzero((depth > 0) & alike)
+    z = depth[row, column].astype(np.float64)
+    x, y = ((place + 0.5 - centre) / focal for place, centre, focal
+            in zip((column, row), camera.centre, camera.focal))
+    world = (np.stack([x * z, y * z, z], axis=1) - camera.translation) @ camera.rotation
+    confirmed = np.zeros(len(z), int)
+    for source in sources:
+        other, (known, _) = views[source].camera, depths[source]
+        pixel, distance = other.project(world)
+        shown = (distance > 0) & other.contains(pixel)
+        u, v = pixel[shown].astype(int).T
+        confirmed[shown] += np.abs(known[v, u] - distance[shown]) < SAME_DEPTH * distance[shown]
+    keeps = confirmed >= AGREEING
+    return Points(world[keeps], photo[:3, row[keeps], column[keeps]].T.astype(np.float64),
+                  z[keeps] / np.mean(camera.focal), np.ones(keeps.sum(), int))
+
+
+def _sparse(scene: Scene, views: Sequence[View], points: Floats, point: NDArray[np.integer],
+            seen_by: NDArray[np.integer]) -> Points:
+    """The sparse points; for the other arguments see `visibility`."""
+    sizes = np.full(len(scene.points), np.inf)
+    if len(points) == len(scene.points):  # not a sample of them
+        for number, view in enumerate(views):
+            seen = point[seen_by == number]
+            _, depth = view.camera.project(points[seen])
+            np.minimum.at(sizes, seen, np.maximum(depth, 0) / np.mean(view.camera.focal))
+    known = np.isfinite(sizes) & (sizes > 0)
+    sizes[~known] = np.median(sizes[known]) if known.any() else 1.0
+    return Points(scene.points, scene.colours.astype(np.float64), sizes,
+                  np.full(len(scene.points), SPARSE))
+
+
+def merge(points: Points, most: int) -> Points:
+    """Merge the points of each cell to their mean.
+
+    Cells are at least a pixel large.
+
+    Parameters
+    ----------
+    points : at least one.
+    most : there are at most so many cells, unless cells of LARGEST_CELL pixels are more.
+    """
+    merged = _in_cells(points, 1.0)
+    if len(_kept(merged).sizes) <= most:
+        return _kept(merged)
+    low, high = 0.0, np.log(LARGEST_CELL)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        few = len(_kept(_in_cells(merged, np.exp(middle))).sizes) <= most
+        low, high = (low, middle) if few else (middle, high)
+    return _kept(_in_cells(merged, np.exp(high)))
+
+
+def _kept(points: Points) -> Points:
+    """Without those that few were merged to, which lie beside the surfaces where most are."""
+    return _chosen(points, points.merged >= LEAST_SHARE * points.merged.mean())
+
+
+def _chosen(points: Points, which: NDArray[np.bool_]) -> Points:
+    return Points(points.positions[which], points.colours[which], points.sizes[which],
+                  points.merged[which])
+
+
+def _in_cells(points: Points, pixels: float) -> Points:
+    """The means of the points in cells of so many pixels, whose sizes are rounded to steps of 2."""
+    middle = np.median(points.sizes)
+    octave = np.rint(np.log2(points.sizes / middle))
+    cell = np.floor(points.positions / (pixels * middle * 2.0**octave)[:, None])
+    place = np.column_stack([cell, octave])
+    place -= place.min(axis=0)
+    widths = place.max(axis=0) + 1
+    if np.prod(widths) < 2.0**62:
+        key = np.ravel_multi_index(tuple(place.T.astype(np.int64)), tuple(widths.astype(np.int64)))
+    else:  # far-off points
+        key = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1)
+    _, of = np.unique(key, return_inverse=True)
+    weights = points.merged.astype(np.float64)
+    total = np.bincount(of, weights)
+
+    def mean(values: Floats) -> Floats:
+        return np.stack([np.bincount(of, weights * column) / total for column in values.T], axis=1)
+
+    return Points(mean(points.positions), mean(points.colours), mean(points.sizes[:, None])[:, 0],
+                  total.astype(int))

@@ -1,0 +1,75 @@
+"""Depth of a photo's pixels, by comparing it with other photos on planes (cl/sweep.cl)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.camera import Camera
+from clsplat.device import Array, Device, Kernel, items
+
+SWEEP = Kernel(
+    "sweep.cl", "sweep", items("width height", "SCAN_GROUP"), width="int", height="int",
+    reference="int", source_count="int", planes="int", first="real", spacing="real",
+    images=("real", "V", "H", "W"), sizes=("int", "V", 2), sources=("int", "S"),
+    warps=("real", "S", 12),
+    inverse_depths=("real", "H", "W"), scores=("real", "H", "W"))
+
+
+def sweep(images: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
+          sources: Sequence[int], inverse_depths: tuple[float, float], planes: int
+          ) -> tuple[Array, Array]:
+    """The inverse depth of each pixel of one photo, and how alike its window looks in others.
+
+    Parameters
+    ----------
+    images : real[V, H, W], grey photos, 0 to 1; nan where a pixel does not count.
+    sizes : int[V, 2], (width, height) of each photo, at most W and H.
+    cameras : of the photos.
+    reference : the photo whose depth is found.
+    sources : the photos that it is compared with, at least two.
+    inverse_depths : 1 / world unit, of the first and the last plane.
+    planes : how many, at least three.
+
+    Returns
+    -------
+    real[H, W], 1 / world unit, and real[H, W], from -1 to 1; 0 where there is none.
+    """
+    device, (_, height, width) = images.device, images.shape
+    first, last = inverse_depths
+    found = device.empty((height, width)), device.empty((height, width))
+    device.launch(
+        SWEEP, width=width, height=height, reference=reference, source_count=len(sources),
+        planes=planes, first=first, spacing=(last - first) / (planes - 1), images=images,
+        sizes=sizes, sources=device.upload(np.array(sources, np.int32)),
+        warps=device.upload(np.array([plane_warp(cameras[reference], cameras[source])
+                                      for source in sources])),
+        inverse_depths=found[0], scores=found[1])
+    return found
+
+
+def plane_warp(reference: Camera, source: Camera) -> NDArray[np.float64]:
+    """float64[12]: A [3, 3] by rows and b [3], with which the reference's pixel (x, y) at inverse
+    depth w lies at A (x, y, 1) + w b in the source, homogeneous (Gallup et al. 2007, eq. 1)."""
+    turn = source.rotation @ reference.rotation.T
+    shift = source.translation - turn @ reference.translation
+    matrix = _intrinsics(source)
+    return np.concatenate([(matrix @ turn @ np.linalg.inv(_intrinsics(reference))).ravel(),
+                           matrix @ shift])
+
+
+def _intrinsics(camera: Camera) -> NDArray[np.float64]:
+    (fx, fy), (cx, cy) = camera.focal, camera.centre
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+
+
+def device_images(device: Device, photos: Sequence[NDArray[np.float64]]) -> tuple[Array, Array]:
+    """`images` and `sizes` of `sweep`, from photos [h, w] of any sizes."""
+    sizes = np.array([photo.shape[::-1] for photo in photos], np.int32)
+    width, height = sizes.max(axis=0)
+    images = np.full((len(photos), height, width), np.nan)
+    for image, photo in zip(images, photos):
+        image[:photo.shape[0], :photo.shape[1]] = photo
+    return device.upload(images), device.upload(sizes)

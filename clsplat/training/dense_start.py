@@ -1,0 +1,123 @@
+"""Whether a training begins at dense points, and these points."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.config.option import is_auto
+from clsplat.device import Device
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.options import TrainOptions, seconds_of
+from clsplat.scene import Scene, View
+from clsplat.schedule import schedule_of
+from clsplat.stereo.dense_points import SIDE, dense_points, stereo_views, sweep_seconds
+from clsplat.training.initialise import initial_gaussians
+from clsplat.training.photos import at_level, decoded
+from clsplat.training.progress import SilentProgress
+
+if TYPE_CHECKING:
+    from clsplat.training.session import PreparedScene
+
+OF_THE_LIMIT = 0.8  # of the gaussians that the training may end with; growth places the rest
+PIXELS_A_POINT = 40  # of the training photos, where the schedule has no limit
+LEAST_OVERLAP = 0.5  # of the photos, that can be compared with others
+# in a shorter training stereo would take most of the time, on a CPU
+LEAST_STEPS, LEAST_SECONDS = 20, 2.0  # for each photo; the second of a time budget
+
+
+def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions) -> tuple[str, str]:
+    """(the value of `init` that is used, the reason); InputError where dense points were requested
+    and cannot be had.
+
+    Parameters
+    ----------
+    scene : at the size of training.
+    views : the training views of the scene.
+    options : with scaled steps.
+    """
+    dense = options.init == "dense"
+    if not dense and not is_auto(options.init):
+        return options.init, f"{options.init}: requested"
+    if not dense:
+        if not schedule_of(options.schedule).begins_dense:
+            return "sfm", f"sfm: the sparse points, as --schedule {options.schedule} is published"
+        if options.coarse or scene.region is not None:
+            return "sfm", "sfm: the sparse points, in a part of a city"
+        if options.time_budget and seconds_of(options.time_budget) < LEAST_SECONDS * len(views):
+            return "sfm", (f"sfm: the sparse points; dense ones need a time budget of "
+                           f"{LEAST_SECONDS:g} s for each of {len(views)} photos")
+        if options.iterations < LEAST_STEPS * len(views):
+            return "sfm", (f"sfm: the sparse points; dense ones need {LEAST_STEPS} steps for each "
+                           f"of {len(views)} photos")
+    overlap = sum(map(bool, stereo_views(scene, views)))
+    counted = f"{overlap} of {len(views)} photos can be compared with two others"
+    if dense:
+        if not overlap:
+            raise InputError(f"{scene.name}: --init dense needs three photos that share sparse "
+                             "points; there are none: use --init sfm")
+        return "dense", f"dense: requested; {counted}"
+    if overlap < LEAST_OVERLAP * len(views):
+        return "sfm", f"sfm: the sparse points, as only {counted}"
+    return "dense", f"dense: {counted}"
+
+
+def planned_count(limit: int | None, pixels: int, options: TrainOptions) -> int:
+    """How many dense points are wanted.
+
+    Parameters
+    ----------
+    limit : number of gaussians that the schedule may end with; None: any.
+    pixels : in all training photos.
+    """
+    most = pixels // PIXELS_A_POINT if limit is None else limit
+    if options.max_gaussians:
+        most = min(most, options.max_gaussians)
+    return max(1, int(OF_THE_LIMIT * most))
+
+
+def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress
+                    ) -> tuple[Gaussians, float]:
+    """The initial gaussians of a training, and the seconds that it took to find them.
+
+    Parameters
+    ----------
+    device : of the training; the compilation of its kernels does not count.
+    prepared : the scene, with all decisions.
+    progress : receives what is being done.
+    """
+    began = time.perf_counter() - device.build_seconds
+    dense = _dense(device, prepared, progress) if prepared.options.init == "dense" else None
+    gaussians = initial_gaussians(prepared.scene, prepared.options, dense)
+    return gaussians, time.perf_counter() - device.build_seconds - began
+
+
+def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
+           ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """As many dense points as the decisions say, and their colours."""
+    small = _small(prepared.train_views)
+    progress.phase("finding dense points: reading photos")
+    photos = list(decoded(small))
+    return dense_points(
+        device, prepared.scene, small, photos, prepared.decisions.facts.count,
+        lambda done: progress.phase(f"finding dense points: photo {done} of {len(small)}"))
+
+
+def start_seconds(device: Device, prepared: PreparedScene) -> float:
+    """About how long it will take to find the initial gaussians; the arguments are those of
+    `first_gaussians`."""
+    if prepared.options.init != "dense":
+        return 0.0
+    return sweep_seconds(device, prepared.scene, _small(prepared.train_views),
+                         lambda views: list(decoded(views)))
+
+
+def _small(views: Sequence[View]) -> tuple[View, ...]:
+    """The views with photos of the size at which they are compared."""
+    side = max(max(view.camera.width, view.camera.height) for view in views)
+    return at_level(views, max(1.0, side / SIDE))
