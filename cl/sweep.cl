@@ -11,8 +11,8 @@
 //
 // images: real[V, H, W], grey, 0 to 1; nan where a pixel does not count, and beyond a photo that is
 // smaller than the others. sizes: int[V, 2], (width, height). sources: int[S], the compared ones;
-// warps: real[S, 12]: A (3x3, by rows) and b, with which the pixel (x, y) at inverse depth w lies at
-// A (x, y, 1) + w b in the source, homogeneous.
+// warps: real[S, 12]: A (3x3, by rows) and b, with which the pixel (x, y) at inverse depth w lies
+// at A (x, y, 1) + w b in the source, homogeneous.
 // inverse_depths, scores: real[H, W]; both 0 where the window leaves the photo or has no texture,
 // or where the best plane is the first or the last, which says that the depth lies beyond.
 #include "real.h"
@@ -149,6 +149,8 @@ __kernel void sweep(int width, int height, int reference, int source_count, int 
     if (at == 0 || at == planes - 1)
         return;
     load_window(&window, own, width, column, row, 1);
+    if (!(window.variance >= (real)LEAST_VARIANCE)) // also where a pixel between does not count
+        return;
     const real middle = first + at * spacing, fine = spacing / 2;
     real near[FINE];
     best = NO_MATCH;
@@ -160,6 +162,8 @@ __kernel void sweep(int width, int height, int reference, int source_count, int 
             at = k;
         }
     }
+    if (!(best > NO_MATCH))
+        return;
     real shift = 0;
     if (at > 0 && at < FINE - 1) {
         const real bend = near[at - 1] - 2 * best + near[at + 1]; // not above 0

@@ -29,7 +29,7 @@ LAYERS = (
     {"covisibility"},
     {"partition"},
     {"io"},
-    {"rendering", "schedule", "sfm", "synth"},
+    {"rendering", "schedule", "sfm", "stereo", "synth"},
     {"loss", "optimise"},
     {"densify"},
     {"options"},

@@ -58,7 +58,8 @@ def test_nothing_is_left_open(city, drift):
         options = found(city, schedule=schedule).options
         assert options.exposure in ("on", "off") and options.reproject in ("on", "off")
         assert options.vignetting in ("on", "off") and options.tone == "off"
-        unchanged = {"exposure": "off", "vignetting": "off", "reproject": "off"}
+        assert options.init == ("dense" if schedule == "sig" else "sfm")
+        unchanged = {"exposure": "off", "vignetting": "off", "reproject": "off", "init": "sfm"}
         # the city has 32 photos
         chosen = scaled_steps(resolve({}, {"schedule": schedule, "iterations": 9600}))
         assert replace(options, **unchanged) == replace(chosen, **unchanged)

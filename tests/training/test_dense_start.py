@@ -1,0 +1,93 @@
+"""Whether a training begins at dense points, how many are wanted, and that it then does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from clsplat.training import session
+from clsplat.training.dense_start import (
+    LEAST_SECONDS,
+    LEAST_STEPS,
+    chosen_start,
+    first_gaussians,
+    planned_count,
+    start_seconds,
+)
+from clsplat.training.progress import SilentProgress
+from clsplat.training.session import prepare
+from tests.data.tiny_training import CITY, records, resumed, trained
+
+
+@pytest.fixture(scope="module")
+def city():
+    return read_scene(CITY).reduced(4)
+
+
+def chosen(scene, **options):
+    return chosen_start(scene, scene.views, resolve({}, {"iterations": 7000, **options}))
+
+
+@pytest.mark.parametrize("options, value", [
+    ({}, "dense"), ({"schedule": "constant"}, "sfm"), ({"schedule": "mcmc"}, "sfm"),
+    ({"preset": "paper"}, "sfm"), ({"preset": "release"}, "sfm"), ({"coarse": True}, "sfm"),
+    ({"init": "sfm"}, "sfm"), ({"init": "random"}, "random"),
+    ({"iterations": 32 * LEAST_STEPS}, "dense"), ({"iterations": 32 * LEAST_STEPS - 1}, "sfm"),
+    ({"init": "dense", "schedule": "constant"}, "dense"), ({"init": "dense"}, "dense")], ids=str)
+def test_sig_begins_at_dense_points_where_the_run_is_long_enough(city, options, value):
+    found, reason = chosen(city, **options)
+    assert found == value and reason.startswith(f"{value}: ")
+
+
+@pytest.mark.parametrize("seconds, value", [(32 * LEAST_SECONDS, "dense"),
+                                            (32 * LEAST_SECONDS - 1, "sfm")])
+def test_a_short_time_budget_begins_at_the_sparse_points(city, seconds, value):
+    options = resolve({}, {"time_budget": f"{seconds:g}s", "iterations": 30_000})
+    assert chosen_start(city, city.views, options)[0] == value
+
+
+def test_photos_that_do_not_overlap(city):
+    apart = replace(city, observations=city.observations[city.observations[:, 1] < 9])
+    value, reason = chosen(apart)
+    assert value == "sfm" and "only 9 of 32 photos" in reason
+    assert chosen(apart, init="dense")[0] == "dense"
+    nothing = replace(city, observations=city.observations[:0])
+    with pytest.raises(InputError, match="city: --init dense needs three photos .* --init sfm"):
+        chosen(nothing, init="dense")
+
+
+def test_the_number_of_points():
+    assert planned_count(1000, 10**6, resolve({}, {})) == 800
+    assert planned_count(None, 40_000, resolve({}, {})) == 800
+    assert planned_count(1000, 10**6, resolve({}, {"max_gaussians": 500})) == 400
+    assert planned_count(0, 0, resolve({}, {})) == 1
+
+
+def test_initial_gaussians_are_as_many_as_were_planned(city, float_device):
+    options = resolve({}, {"iterations": 700, "pixels_per_gaussian": 40.0})
+    city = replace(city, views=city.views[8:18], observations=None)
+    prepared = prepare(city, options, float_device)
+    wanted = prepared.decisions.facts.count
+    gaussians, seconds = first_gaussians(float_device, prepared, SilentProgress())
+    assert 0.5 * wanted < gaussians.count <= wanted < len(city.points) and seconds > 0
+    assert 0 < start_seconds(float_device, prepared) < 60
+    middle, extent = city.points.mean(axis=0), np.ptp(city.points, axis=0)
+    spread = gaussians.positions * prepared.scene.unit - middle
+    assert (np.abs(spread) < 2 * extent).all()
+    assert start_seconds(float_device, prepare(city, replace(options, init="sfm"))) == 0
+
+
+@pytest.mark.slow
+def test_a_training_begins_there_and_counts_the_time(city, item_device, tmp_path, monkeypatch):
+    """The time of dense points is time of the training, also after it was resumed."""
+    monkeypatch.setattr(session, "first_gaussians", lambda *given: (first_gaussians(*given)[0], 1e3))
+    run = trained(tmp_path / "run", city, item_device, schedule="sig", iterations=32 * LEAST_STEPS,
+                  init="dense", stop_at=20, levels=(1.0,))
+    assert records(run, "plan")[0]["reasons"]["init"].startswith("dense: ")
+    resumed(run, city, item_device, schedule="sig", iterations=32 * LEAST_STEPS, init="dense",
+            stop_at=60, levels=(1.0,))
+    seconds = [record["train_seconds"] for record in records(run, "step")]
+    assert len(seconds) > 1 and 1e3 < seconds[0] < seconds[-1] < 2e3
