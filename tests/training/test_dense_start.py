@@ -83,7 +83,8 @@ def test_initial_gaussians_are_as_many_as_were_planned(city, float_device):
 @pytest.mark.slow
 def test_a_training_begins_there_and_counts_the_time(city, item_device, tmp_path, monkeypatch):
     """The time of dense points is time of the training, also after it was resumed."""
-    monkeypatch.setattr(session, "first_gaussians", lambda *given: (first_gaussians(*given)[0], 1e3))
+    monkeypatch.setattr(session, "first_gaussians",
+                        lambda *given: (first_gaussians(*given)[0], 1e3))
     run = trained(tmp_path / "run", city, item_device, schedule="sig", iterations=32 * LEAST_STEPS,
                   init="dense", stop_at=20, levels=(1.0,))
     assert records(run, "plan")[0]["reasons"]["init"].startswith("dense: ")
