@@ -54,7 +54,7 @@ def sweep(images, sizes, sources, warps, first, spacing, planes):
 
 
 def correlation(own, pixel, inverse_depth, source, warp, offsets, middle):
-    """[P]: of windows `own` [P, T] around pixels (x, y), of mean 0, with their places in a source."""
+    """[P]: of windows `own` [P, T] around pixels (x, y), whose mean is 0, with their places."""
     height, width = source.shape
     matrix, shift = warp[:9].reshape(3, 3), warp[9:]
     q = matrix @ [*pixel, np.ones(len(own))] + shift[:, None] * inverse_depth
