@@ -14,7 +14,8 @@
 // warps: real[S, 12]: A (3x3, by rows) and b, with which the pixel (x, y) at inverse depth w lies
 // at A (x, y, 1) + w b in the source, homogeneous.
 // inverse_depths, scores: real[H, W]; both 0 where the window leaves the photo or has no texture,
-// or where the best plane is the first or the last, which says that the depth lies beyond.
+// or where the best plane is the first or the last, which says that the depth lies beyond. A fine
+// plane may lie up to half a spacing beyond these two.
 #include "real.h"
 
 #define SIDE 7
@@ -73,7 +74,7 @@ INLINE real correlation(const Window *window, real x, real y, real inverse_depth
 {
     const real3 q = (real3)(warp[0], warp[3], warp[6]) * x + (real3)(warp[1], warp[4], warp[7]) * y
         + (real3)(warp[2], warp[5], warp[8]) + (real3)(warp[9], warp[10], warp[11]) * inverse_depth;
-    if (!(q.z > 0))
+    if (!(q.z > 0) || min(size.x, size.y) < 2) // bilinear samples are between two pixels
         return NO_MATCH;
     const real u = q.x / q.z, v = q.y / q.z;
     if (!(u >= 0 && v >= 0 && u <= size.x && v <= size.y))

@@ -36,6 +36,7 @@ SAME_DEPTH = 0.01  # relative difference
 LEAST_SHARE = 1 / 8  # of the points that cells have in the mean: with fewer, it is no surface
 SPARSE = 10  # points of pixels that a sparse point counts for, as it is more exact
 AROUND = 0.5  # of the extent of the sparse points, on each side: what is kept
+THINNEST = 0.1  # of the largest extent, which a flat scene has at least along each axis
 HALVINGS = 20  # of the interval in which the size of cells is looked for
 LARGEST_CELL = 2.0**20  # pixels
 Floats = NDArray[np.float64]
@@ -106,8 +107,7 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
     scene : with sparse points.
     views : of the scene, with cameras of the size of `photos`.
     photos : of the views, uint8[3, h, w], or uint8[4, h, w] with a mask.
-    most : as many points are wanted; there may be fewer, where photos show fewer or are too small,
-        and there are as many as sparse points at least.
+    most : as many points are wanted; there are fewer where photos show fewer or are too small.
     progress : called with the number of views that are done.
 
     Returns
@@ -120,7 +120,8 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
         depths.append(_depth_map(device, number, sources[number], views, photos, between))
         progress(number + 1)
     low, high = np.percentile(scene.points, (0.5, 99.5), axis=0)
-    around = AROUND * (high - low)
+    extent = high - low
+    around = AROUND * np.maximum(extent, THINNEST * extent.max())
     parts = [_agreeing(number, sources[number], views, depths, photos[number])
              for number in range(len(views)) if sources[number]]
     parts = [_chosen(part, ((part.positions > low - around)

@@ -67,11 +67,11 @@ def test_a_bad_count_is_told(text):
 @pytest.mark.parametrize("family", ["adam", "batch", "bin", "blend", "compact", "contribution",
                                     "cull", "exposure", "frequency", "gather", "image_loss",
                                     "noise", "pose", "project", "reduce", "regularise", "render",
-                                    "reproject", "sort", "statistics", "step"])
+                                    "reproject", "sort", "statistics", "step", "sweep"])
 def test_each_family_prints_its_lines(family, monkeypatch, capsys):
     monkeypatch.setattr(measure, "measure_ceilings", lambda device: Ceilings(1e15, 1e18))
     more = ["--scene", "data_samples/city", "--downscale", "4"] if family == "step" else []
-    sized = family in ("exposure", "image_loss", "reproject")
+    sized = family in ("exposure", "image_loss", "reproject", "sweep")
     more += [] if sized else ["--gaussians", "0" if family == "step" else "2k"]
     assert entry.main([family, "--json", "--repeats", "2", *more]) == 0
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

@@ -50,6 +50,19 @@ def test_points_lie_on_the_plane_and_have_its_colours(float_device, scene, photo
     assert np.array_equal(positions, again[0]) and np.array_equal(colours, again[1])
 
 
+def test_a_plane_that_faces_an_axis_keeps_its_points(item_device, scene, photos):
+    """Sparse points without any extent along one axis say little of what lies beside them."""
+    turn = np.arctan(SLANT)
+    rotation = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0],
+                         [-np.sin(turn), 0, np.cos(turn)]])
+    turned = [replace(view, camera=replace(view.camera, rotation=view.camera.rotation @ rotation.T))
+              for view in scene.views]
+    flat = replace(scene, views=tuple(turned), points=scene.points @ rotation.T)
+    assert np.ptp(flat.points[:, 2]) < 1e-9
+    positions, _ = dense_points(item_device, flat, flat.views, photos, MANY)
+    assert len(positions) > 3 * len(scene.points)
+
+
 def test_no_more_than_are_wanted(float_device, scene, photos):
     positions, _ = dense_points(float_device, scene, scene.views, photos, 300)
     assert 200 < len(positions) <= 300
