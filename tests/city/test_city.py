@@ -19,6 +19,7 @@ from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.partition.make import make_partition
 from tests.data.tiny_training import CITY
+from tests.schedule.driven_sig import FACTS
 
 pytestmark = pytest.mark.slow  # each decisions a city that is trained
 
@@ -100,7 +101,7 @@ def test_a_block_takes_as_many_steps_as_its_visits_say(made):
         assert record["options"]["iterations"] == round(60 * visits.sum() / training)
         assert record["options"]["test_every"] == 0 and record["options"]["levels"] == [1.0]
     assert RunFolder.open(made.coarse).read_options()["downscale"] == 8
-    assert cut.block_steps(resolve({}, {}), 299.6, (640, 480))["iterations"] == 300
+    assert cut.block_steps(resolve({}, {}), 299.6, (640, 480), FACTS)["iterations"] == 300
 
 
 def pictures(folder, out, *words):

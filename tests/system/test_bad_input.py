@@ -156,7 +156,7 @@ def test_spoilt_scene(tmp_path, case):
 def test_a_sphere_wants_neighbours(tmp_path):
     """Its radius is a mean over 15 others, or as many as are asked for."""
     folder = write_scene(tmp_path / "town", left(15, reconstruction()))
-    words = ("train", folder, "-o", tmp_path / "run", *TRAIN)
+    words = ("train", folder, "-o", tmp_path / "run", *TRAIN, "--sphere")
     line = refused(*words, naming=("15 distinct points", "--sphere-neighbours 15", "at least 16",
                                    "--no-sphere"))
     assert ";" in line and not content(tmp_path / "run")

@@ -263,8 +263,8 @@ def test_levels_and_frequencies_are_recorded(levelled):
     plan, = records(levelled, "plan")
     assert levelled.records()[0] == plan and plan["iteration"] == 0
     assert plan["levels"] == [2.0, 1.0] and set(plan["reasons"]) == set(
-        "steps levels gaussians sh_degree antialiased exposure vignetting tone robust reproject "
-        "engine".split())
+        "steps init levels gaussians sh_degree antialiased exposure vignetting tone robust "
+        "reproject engine".split())
     level, = records(levelled, "level")
     assert set(level) - set(COMMON) == {"reason", "since", "rounds", "frequency", "slope",
                                         "threshold", "hits"}

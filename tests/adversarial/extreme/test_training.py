@@ -25,7 +25,8 @@ SLOW = pytest.mark.slow
 EMPTIED = {"transparent"}
 # where 600 steps take two levels and settle: rounding alone moves 0.01 dB at most
 SETTLED = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 600, "downscale": 4.0,
-           "densify_every": 0, "reset_every": 0, "prune_opacity": 0.005}
+           "densify_every": 0, "reset_every": 0, "prune_opacity": 0.005,
+           "pixels_per_gaussian": 10.0}
 GROWING = {**SETTLED, "iterations": 200, "pixels_per_gaussian": 20.0, "rounds": 3,
            "densify_from": 20, "level_reset": False}
 
