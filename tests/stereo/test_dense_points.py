@@ -63,19 +63,19 @@ def test_a_plane_that_faces_an_axis_keeps_its_points(item_device, scene, photos)
     assert len(positions) > 3 * len(scene.points)
 
 
-def test_no_more_than_are_wanted(float_device, scene, photos):
-    positions, _ = dense_points(float_device, scene, scene.views, photos, 300)
+def test_no_more_than_are_wanted(item_device, scene, photos):
+    positions, _ = dense_points(item_device, scene, scene.views, photos, 300)
     assert 200 < len(positions) <= 300
     assert np.median(on_plane(positions)) < 0.002
 
 
-def test_scenes_without_observations(float_device, scene, photos):
+def test_scenes_without_observations(item_device, scene, photos):
     bare = replace(scene, observations=None)
-    positions, _ = dense_points(float_device, bare, scene.views, photos, MANY)
+    positions, _ = dense_points(item_device, bare, scene.views, photos, MANY)
     assert len(positions) > 3 * len(scene.points)
 
 
-def test_masked_pixels_give_no_points(float_device, scene, photos):
+def test_masked_pixels_give_no_points(item_device, scene, photos):
     masks = [np.full((1, 48, 64), 255, np.uint8) for _ in photos]
     for mask, view in zip(masks, scene.views):  # all that lies at x > 0
         _, along = photo_of(view.camera)
@@ -83,16 +83,16 @@ def test_masked_pixels_give_no_points(float_device, scene, photos):
         rays = np.stack([(x - 32) / 40, (y - 24) / 41, np.ones(x.shape)], -1) @ view.camera.rotation
         mask[0, view.camera.position[0] + along * rays[..., 0] > 0] = 0
     masked = [np.concatenate(pair) for pair in zip(photos, masks)]
-    found, _ = dense_points(float_device, scene, scene.views, masked, MANY)
+    found, _ = dense_points(item_device, scene, scene.views, masked, MANY)
     assert (found[:, 0] > 0.1).sum() <= (scene.points[:, 0] > 0.1).sum()  # no more than these
     assert (found[:, 0] < 0).sum() > 2 * (scene.points[:, 0] < 0).sum()
 
 
-def test_photos_that_share_nothing_leave_the_sparse_points(float_device, scene, photos):
+def test_photos_that_share_nothing_leave_the_sparse_points(item_device, scene, photos):
     assert stereo_views(scene, scene.views)[0]
     alone = replace(scene, observations=scene.observations[scene.observations[:, 1] == 0])
     assert stereo_views(alone, alone.views) == 6 * [[]]
-    positions, colours = dense_points(float_device, alone, alone.views, photos, MANY)
+    positions, colours = dense_points(item_device, alone, alone.views, photos, MANY)
     assert 0.9 * len(scene.points) < len(positions) <= len(scene.points)  # some share a cell
     assert np.allclose(on_plane(positions), 0, atol=1e-9) and (colours == 9).all()
 
