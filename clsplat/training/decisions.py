@@ -22,7 +22,7 @@ from clsplat.schedule.simulate import largest, simulate
 from clsplat.training.dense_start import chosen_start, planned_count
 from clsplat.training.facts import scene_facts
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM, model_bytes
-from clsplat.training.photos import at_level, decoded
+from clsplat.training.photos import decoded, with_side
 
 SAMPLED_PHOTOS = 64
 SMALL_SIDE = 256  # pixels; brightness needs no more
@@ -207,9 +207,7 @@ def _robust(options: TrainOptions) -> Decision:
 
 def _small_photos(views: Sequence[View]) -> tuple[View, ...]:
     """Some of the views, with small photos."""
-    chosen = views[::-(-len(views) // SAMPLED_PHOTOS)]
-    side = max(max(v.camera.width, v.camera.height) for v in chosen)
-    return at_level(chosen, max(1.0, side / SMALL_SIDE))
+    return with_side(views[::-(-len(views) // SAMPLED_PHOTOS)], SMALL_SIDE)
 
 
 def _neighbours(scene: Scene, views: Sequence[View], options: TrainOptions

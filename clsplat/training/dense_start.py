@@ -18,7 +18,7 @@ from clsplat.scene import Scene, View
 from clsplat.schedule import schedule_of
 from clsplat.stereo.dense_points import SIDE, dense_points, stereo_views, sweep_seconds
 from clsplat.training.initialise import initial_gaussians
-from clsplat.training.photos import at_level, decoded
+from clsplat.training.photos import decoded, with_side
 from clsplat.training.progress import SilentProgress
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentPro
 def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
            ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """As many dense points as the decisions say, and their colours."""
-    small = _small(prepared.train_views)
+    small = with_side(prepared.train_views, SIDE)
     progress.phase("finding dense points: reading photos")
     photos = list(decoded(small))
     return dense_points(
@@ -115,11 +115,5 @@ def start_seconds(device: Device, prepared: PreparedScene) -> float:
     `first_gaussians`."""
     if prepared.options.init != "dense":
         return 0.0
-    return sweep_seconds(device, prepared.scene, _small(prepared.train_views),
+    return sweep_seconds(device, prepared.scene, with_side(prepared.train_views, SIDE),
                          lambda views: list(decoded(views)))
-
-
-def _small(views: Sequence[View]) -> tuple[View, ...]:
-    """The views with photos of the size at which they are compared."""
-    side = max(max(view.camera.width, view.camera.height) for view in views)
-    return at_level(views, max(1.0, side / SIDE))

@@ -8,7 +8,7 @@ from clsplat.gaussians import mean_inverse_distance
 from clsplat.partition.blocks import seen_pixels
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts
-from clsplat.training.photos import at_level, decoded
+from clsplat.training.photos import decoded, with_side
 
 SMALL_SIDE = 256  # pixels of the photos whose colours are compared
 RUNS, RUN = 4, 12  # of photos that follow each other, and so show the same places
@@ -33,8 +33,7 @@ def _disagreement(scene: Scene, views: Sequence[View]) -> float:
     if len(views) > RUNS * RUN:
         views = [views[begin * (len(views) - RUN) // (RUNS - 1) + number]
                  for begin in range(RUNS) for number in range(RUN)]
-    side = max(max(view.camera.width, view.camera.height) for view in views)
-    small = at_level(views, max(1.0, side / SMALL_SIDE))
+    small = with_side(views, SMALL_SIDE)
     return colour_disagreement(scene, small, decoded(small))
 
 

@@ -133,6 +133,13 @@ def at_level(views: Iterable[View], level: float) -> tuple[View, ...]:
     return tuple(replace(view, camera=view.camera.reduced(level)) for view in views)
 
 
+def with_side(views: Sequence[View], side: float) -> tuple[View, ...]:
+    """The views, all smaller by one factor where a photo's longer side has more than `side` pixels.
+    """
+    longest = max(max(view.camera.width, view.camera.height) for view in views)
+    return at_level(views, max(1.0, longest / side))
+
+
 def photo_array(view: View) -> ArraySpec:
     """The device array of a view's photo, with a mask if there may be one."""
     planes = 4 if view.may_have_mask or view.weighed else 3

@@ -17,7 +17,7 @@ names.
 
 Other columns than schedules are given by their flags; an ablation, for example:
 
-    --schedules sig --with 'w/o levels: --levels 1' --with 'w/o spheres: --no-sphere' --baseline sig
+    --schedules sig --with 'w/o levels: --levels 1' --with 'spheres: --sphere' --baseline sig
 """
 
 import argparse
