@@ -281,5 +281,5 @@ def _distances(points: NDArray[np.floating], neighbours: int
     typical = np.median(np.linalg.norm(distinct - np.median(distinct, axis=0), axis=1))
     size = min(np.linalg.norm(np.ptp(distinct, axis=0)), 10 * typical)
     k = min(neighbours, len(distinct) - 1)
-    distance = cKDTree(distinct).query(distinct, k=k + 1)[0][:, 1:]
+    distance = cKDTree(distinct).query(distinct, k=k + 1, workers=-1)[0][:, 1:]
     return distance, inverse.reshape(-1), MINIMUM_DISTANCE * size

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,9 @@ LEAST_SHARE = 1 / 8  # of the points that cells have in the mean: with fewer, it
 SPARSE = 10  # points of pixels that a sparse point counts for, as it is more exact
 AROUND = 0.5  # of the extent of the sparse points, on each side: what is kept
 THINNEST = 0.1  # of the largest extent, which a flat scene has at least along each axis
-HALVINGS = 20  # of the interval in which the size of cells is looked for
+MOST_SIZES = 20  # of cells that are tried
+SAME_SIZE = 1.01  # ratio of two sizes of cells that need not be told apart
+FILLED = 0.98  # of the cells that are wanted: a size that gives so many is good enough
 LARGEST_CELL = 2.0**20  # pixels
 Floats = NDArray[np.float64]
 DepthMap = tuple[NDArray[np.float32], NDArray[np.bool_]]  # see `_depth_map`
@@ -122,8 +125,10 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
     low, high = np.percentile(scene.points, (0.5, 99.5), axis=0)
     extent = high - low
     around = AROUND * np.maximum(extent, THINNEST * extent.max())
-    parts = [_agreeing(number, sources[number], views, depths, photos[number])
-             for number in range(len(views)) if sources[number]]
+    with ThreadPoolExecutor() as threads:
+        parts = list(threads.map(
+            lambda number: _agreeing(number, sources[number], views, depths, photos[number]),
+            [number for number in range(len(views)) if sources[number]]))
     parts = [_chosen(part, ((part.positions > low - around)
                             & (part.positions < high + around)).all(axis=1)) for part in parts]
     merged = merge(Points.joined([*parts, _sparse(scene, views, *seen)]), most)
@@ -224,14 +229,21 @@ def merge(points: Points, most: int) -> Points:
     most : there are at most so many cells, unless cells of LARGEST_CELL pixels are more.
     """
     merged = _in_cells(points, 1.0)
-    if len(_kept(merged).sizes) <= most:
-        return _kept(merged)
-    low, high = 0.0, np.log(LARGEST_CELL)
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        few = len(_kept(_in_cells(merged, np.exp(middle))).sizes) <= most
-        low, high = (low, middle) if few else (middle, high)
-    return _kept(_in_cells(merged, np.exp(high)))
+    kept = _kept(merged)
+    low, size, high = 1.0, 1.0, LARGEST_CELL
+    for _ in range(MOST_SIZES):
+        count = len(kept.sizes)
+        if count <= most and (size == 1.0 or count >= FILLED * most):
+            break
+        low, high = (low, size) if count <= most else (size, high)
+        if high < SAME_SIZE * low:  # the number jumps where one more point is needed in a cell
+            break
+        # a surface has cells in proportion to size ** -2
+        size *= np.sqrt(count / (most * (1 + FILLED) / 2))
+        if not low < size < high:
+            size = np.sqrt(low * high)
+        kept = _kept(_in_cells(merged, size))
+    return kept if len(kept.sizes) <= most else _kept(_in_cells(merged, high))
 
 
 def _kept(points: Points) -> Points:
