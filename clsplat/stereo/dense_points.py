@@ -229,21 +229,25 @@ def merge(points: Points, most: int) -> Points:
     most : there are at most so many cells, unless cells of LARGEST_CELL pixels are more.
     """
     merged = _in_cells(points, 1.0)
-    kept = _kept(merged)
+    tried = _kept(merged)
+    fitting = None
     low, size, high = 1.0, 1.0, LARGEST_CELL
     for _ in range(MOST_SIZES):
-        count = len(kept.sizes)
-        if count <= most and (size == 1.0 or count >= FILLED * most):
-            break
-        low, high = (low, size) if count <= most else (size, high)
+        count = len(tried.sizes)
+        if count <= most:
+            fitting, high = tried, size
+            if size == 1.0 or count >= FILLED * most:
+                break
+        else:
+            low = size
         if high < SAME_SIZE * low:  # the number jumps where one more point is needed in a cell
             break
         # a surface has cells in proportion to size ** -2
         size *= np.sqrt(count / (most * (1 + FILLED) / 2))
         if not low < size < high:
             size = np.sqrt(low * high)
-        kept = _kept(_in_cells(merged, size))
-    return kept if len(kept.sizes) <= most else _kept(_in_cells(merged, high))
+        tried = _kept(_in_cells(merged, size))
+    return fitting or _kept(_in_cells(merged, LARGEST_CELL))
 
 
 def _kept(points: Points) -> Points:
