@@ -66,14 +66,20 @@ INLINE real sampled(__global const real *restrict image, int width, int2 size, r
     return above + fy * (below - above);
 }
 
+// The place in a source of the pixel (x, y) at an inverse depth, homogeneous.
+INLINE real3 warped(real x, real y, real inverse_depth, __global const real *restrict warp)
+{
+    return (real3)(warp[0], warp[3], warp[6]) * x + (real3)(warp[1], warp[4], warp[7]) * y
+        + (real3)(warp[2], warp[5], warp[8]) + (real3)(warp[9], warp[10], warp[11]) * inverse_depth;
+}
+
 // The correlation of a window around (x, y) with its place in a source; NO_MATCH where that lies
 // outside, or has no texture.
 INLINE real correlation(const Window *window, real x, real y, real inverse_depth,
                         __global const real *restrict image, int width, int2 size,
                         __global const real *restrict warp)
 {
-    const real3 q = (real3)(warp[0], warp[3], warp[6]) * x + (real3)(warp[1], warp[4], warp[7]) * y
-        + (real3)(warp[2], warp[5], warp[8]) + (real3)(warp[9], warp[10], warp[11]) * inverse_depth;
+    const real3 q = warped(x, y, inverse_depth, warp);
     if (!(q.z > 0) || min(size.x, size.y) < 2) // bilinear samples are between two pixels
         return NO_MATCH;
     const real u = q.x / q.z, v = q.y / q.z;
@@ -173,4 +179,32 @@ __kernel void sweep(int width, int height, int reference, int source_count, int 
     }
     inverse_depths[i] = middle + (at - FINE / 2 + shift) * fine;
     scores[i] = best;
+}
+
+// How many sources have the same depth as a pixel of the reference, where it projects to, with a
+// relative difference below `same_depth`. The pixel's point lies at the inverse depth w / q.z of
+// the source, where q is its warped place.
+//
+// inverse_depths: real[V, H, W], 0 where there is none. confirmed: uint[H, W].
+__kernel void confirm(int width, int height, int reference, int source_count, real same_depth,
+                      __global const real *restrict inverse_depths,
+                      __global const int *restrict sizes, __global const int *restrict sources,
+                      __global const real *restrict warps, __global uint *restrict confirmed)
+{
+    const long plane = (long)width * height, i = get_global_id(0);
+    if (i >= plane)
+        return;
+    const real x = i % width + (real)0.5, y = i / width + (real)0.5;
+    const real w = inverse_depths[reference * plane + i];
+    uint found = 0;
+    for (int s = 0; s < source_count; s++) {
+        const real3 q = warped(x, y, w, warps + 12 * s);
+        const int2 size = vload2(sources[s], sizes);
+        const real u = q.x / q.z, v = q.y / q.z;
+        if (!(q.z > 0 && u >= 0 && v >= 0 && u < size.x && v < size.y)) // nor for a nan
+            continue;
+        const real there = q.z * inverse_depths[sources[s] * plane + (long)v * width + (int)u];
+        found += fabs(w - there) < same_depth * there;
+    }
+    confirmed[i] = found;
 }

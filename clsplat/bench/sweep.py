@@ -1,16 +1,18 @@
-"""A plane sweep of one photo over others, at the size at which trainings compare photos."""
+"""A plane sweep of one photo over others, and the confirmation of its depths by these, at the size
+at which trainings compare photos."""
 
 import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.device import Array
-from clsplat.stereo.dense_points import PLANES, SOURCES
-from clsplat.stereo.sweep import device_images, sweep
+from clsplat.stereo.dense_points import PLANES, SAME_DEPTH, SOURCES
+from clsplat.stereo.sweep import confirm, device_images, sweep
 
 from .measure import Bench
 
 COARSE, FINE = 16, 7 * 49  # pixels of a window in a plane of the sweep, and in all finer planes
 OPERATIONS = 30  # of a pixel of a window: its place, four pixels, three sums
+CONFIRM_OPERATIONS = 25  # of a pixel in a source: its place, and the comparison
 
 
 def main(argv: list[str]) -> None:
@@ -31,3 +33,11 @@ def main(argv: list[str]) -> None:
                  {"width": width, "height": height, "planes": bench.options.planes},
                  images.nbytes + 2 * width * height * device.real.itemsize,
                  OPERATIONS * windows * SOURCES * width * height)
+    depths = device.upload(np.full(images.shape, 0.5))
+
+    def run_confirm() -> Array:
+        return confirm(depths, sizes, cameras, 0, range(1, len(photos)), SAME_DEPTH)
+
+    bench.report("sweep", f"confirm, {SOURCES} sources", bench.milliseconds(run_confirm),
+                 {"width": width, "height": height},
+                 depths.nbytes + 4 * width * height, CONFIRM_OPERATIONS * SOURCES * width * height)

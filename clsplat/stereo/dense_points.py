@@ -10,7 +10,7 @@ cells and distant ones large cells.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from clsplat.covisibility.source_views import choose_source_views, visibility
 from clsplat.device import Device
-from clsplat.stereo.sweep import device_images, sweep
+from clsplat.stereo.sweep import confirm, device_images, sweep
 
 if TYPE_CHECKING:
     from clsplat.scene import Scene, View
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 SIDE = 256  # pixels: the longer side of the photos that are compared
 SOURCES = 4  # photos with which each is compared
 PLANES = 96
+BATCH = 32  # photos that are on the device together with their sources
 BEYOND = 0.85, 1.2  # the first and last plane, beyond the depths of the view's sparse points
 LEAST_SEEN = 20  # sparse points of a view, to tell its depths
 LEAST_SCORE = 0.5  # correlation of a pixel's window
@@ -43,7 +44,7 @@ SAME_SIZE = 1.01  # ratio of two sizes of cells that need not be told apart
 FILLED = 0.98  # of the cells that are wanted: a size that gives so many is good enough
 LARGEST_CELL = 2.0**20  # pixels
 Floats = NDArray[np.float64]
-DepthMap = tuple[NDArray[np.float32], NDArray[np.bool_]]  # see `_depth_map`
+DepthMap = tuple[NDArray[np.float32], NDArray[np.bool_]]  # see `_depth_maps`
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +80,14 @@ def sweep_seconds(device: Device, scene: Scene, views: Sequence[View],
     device, scene, views : as for `dense_points`.
     photos_of : reads the photos of views.
     """
-    number, sources = next(((number, sources) for number, sources
-                            in enumerate(stereo_views(scene, views)) if sources), (0, []))
-    chosen = [views[each] for each in (number, *sources)]
+    number, others = next(((number, sources) for number, sources
+                           in enumerate(stereo_views(scene, views)) if sources), (0, []))
+    chosen = [views[each] for each in (number, *others)]
     photos, between = photos_of(chosen), _depth_ranges(chosen[:1], *visibility(scene, chosen[:1]))
+    sources = [list(range(1, len(chosen))), *([] for _ in others)]
     for _ in range(2):  # the first one compiles
         begin = time.perf_counter()
-        _depth_map(device, 0, range(1, len(chosen)), chosen, photos, between[0])
+        _depth_maps(device, sources, chosen, photos, between)
         seconds = time.perf_counter() - begin
     return len(views) * seconds
 
@@ -118,17 +120,13 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
     float64[N, 3], world; uint8[N, 3].
     """
     sources, seen = stereo_views(scene, views), visibility(scene, views)
-    depths = []
-    for number, between in enumerate(_depth_ranges(views, *seen)):
-        depths.append(_depth_map(device, number, sources[number], views, photos, between))
-        progress(number + 1)
+    maps = _depth_maps(device, sources, views, photos, _depth_ranges(views, *seen), progress)
     low, high = np.percentile(scene.points, (0.5, 99.5), axis=0)
     extent = high - low
     around = AROUND * np.maximum(extent, THINNEST * extent.max())
     with ThreadPoolExecutor() as threads:
-        parts = list(threads.map(
-            lambda number: _agreeing(number, sources[number], views, depths, photos[number]),
-            [number for number in range(len(views)) if sources[number]]))
+        parts = list(threads.map(_points_of, views, photos, _confirmed(device, sources, views,
+                                                                       maps)))
     parts = [_chosen(part, ((part.positions > low - around)
                             & (part.positions < high + around)).all(axis=1)) for part in parts]
     merged = merge(Points.joined([*parts, _sparse(scene, views, *seen)]), most)
@@ -149,30 +147,43 @@ def _depth_ranges(views: Sequence[View], points: Floats, point: NDArray[np.integ
     return result
 
 
-def _depth_map(device: Device, number: int, sources: Sequence[int], views: Sequence[View],
-               photos: Sequence[NDArray[np.uint8]], between: tuple[float, float] | None
-               ) -> DepthMap:
-    """The depths of a view's pixels [h, w], 0 where there is none, and bool[h, w], which of them
-    look alike in two sources; the others may still confirm a depth of another view.
+def _depth_maps(device: Device, sources: Sequence[Sequence[int]], views: Sequence[View],
+                photos: Sequence[NDArray[np.uint8]],
+                between: Sequence[tuple[float, float] | None],
+                progress: Callable[[int], object] = lambda done: None) -> list[DepthMap]:
+    """The inverse depths of all pixels of each view [h, w], 0 where there is none, and bool[h, w],
+    which of them look alike in two sources; the others may still confirm those of another view.
 
     Parameters
     ----------
-    number : of the view.
-    sources : those that it is compared with; none: it has no depths.
-    between : the depths of the first and the last plane; None: it has no depths.
+    sources : for each view those that it is compared with; none: it has no depths.
+    between : for each view the depths of the first and the last plane; None: it has no depths.
     """
-    _, height, width = photos[number].shape
-    depth, alike = np.zeros((height, width), np.float32), np.zeros((height, width), np.bool_)
-    if sources and between:
-        chosen = [number, *sources]
-        images, sizes = device_images(device, [_grey(photos[each]) for each in chosen])
-        inverse, score = (values.download()[:height, :width] for values in sweep(
-            images, sizes, [views[each].camera for each in chosen], 0, range(1, len(chosen)),
-            (1 / between[1], 1 / between[0]), PLANES))
-        known = inverse > 0
-        depth[known] = 1 / inverse[known]
-        alike = score > LEAST_SCORE
-    return depth, alike
+    maps = [(np.zeros(photo.shape[1:], np.float32), np.zeros(photo.shape[1:], np.bool_))
+            for photo in photos]
+    done = 0
+    for some, together in _batches(sources):
+        images, sizes = device_images(device, [_grey(photos[number]) for number in together])
+        cameras = [views[number].camera for number in together]
+        for number in some:
+            planes = between[number]
+            if sources[number] and planes:
+                height, width = photos[number].shape[1:]
+                inverse, score = (values.download()[:height, :width] for values in sweep(
+                    images, sizes, cameras, together.index(number),
+                    [together.index(source) for source in sources[number]],
+                    (1 / planes[1], 1 / planes[0]), PLANES))
+                maps[number] = np.maximum(inverse, 0), score > LEAST_SCORE
+            done += 1
+            progress(done)
+    return maps
+
+
+def _batches(sources: Sequence[Sequence[int]]) -> Iterator[tuple[range, list[int]]]:
+    """All views by BATCH at a time, each time with these and their source views."""
+    for first in range(0, len(sources), BATCH):
+        some = range(first, min(first + BATCH, len(sources)))
+        yield some, sorted({*some, *(source for number in some for source in sources[number])})
 
 
 def _grey(photo: NDArray[np.uint8]) -> Floats:
@@ -182,25 +193,34 @@ def _grey(photo: NDArray[np.uint8]) -> Floats:
     return grey
 
 
-def _agreeing(number: int, sources: Sequence[int], views: Sequence[View],
-              depths: Sequence[DepthMap], photo: NDArray[np.uint8]) -> Points:
-    """The points of a view's pixels whose depth enough source views confirm."""
-    camera, (depth, alike) = views[number].camera, depths[number]
-    row, column = np.nonzero((depth > 0) & alike)
-    z = depth[row, column].astype(np.float64)
+def _confirmed(device: Device, sources: Sequence[Sequence[int]], views: Sequence[View],
+               maps: Sequence[DepthMap]) -> Iterator[NDArray[np.float32]]:
+    """For each view the inverse depths of the pixels that become points [h, w], or 0: they look
+    alike in two sources, and enough sources confirm their depth."""
+    for some, together in _batches(sources):
+        depths, sizes = device_images(device, [maps[number][0] for number in together])
+        cameras = [views[number].camera for number in together]
+        for number in some:
+            inverse, alike = maps[number]
+            if alike.any():
+                height, width = inverse.shape
+                count = confirm(depths, sizes, cameras, together.index(number),
+                                [together.index(source) for source in sources[number]],
+                                SAME_DEPTH).download()[:height, :width]
+                alike = alike & (count >= AGREEING)
+            yield np.where(alike, inverse, np.float32(0))
+
+
+def _points_of(view: View, photo: NDArray[np.uint8], inverse: NDArray[np.float32]) -> Points:
+    """The points of a view's pixels that have an inverse depth; they have one where it is not 0."""
+    camera = view.camera
+    row, column = np.nonzero(inverse)
+    z = 1 / inverse[row, column].astype(np.float64)
     x, y = ((place + 0.5 - centre) / focal for place, centre, focal
             in zip((column, row), camera.centre, camera.focal))
     world = (np.stack([x * z, y * z, z], axis=1) - camera.translation) @ camera.rotation
-    confirmed = np.zeros(len(z), int)
-    for source in sources:
-        other, (known, _) = views[source].camera, depths[source]
-        pixel, distance = other.project(world)
-        shown = (distance > 0) & other.contains(pixel)
-        u, v = pixel[shown].astype(int).T
-        confirmed[shown] += np.abs(known[v, u] - distance[shown]) < SAME_DEPTH * distance[shown]
-    keeps = confirmed >= AGREEING
-    return Points(world[keeps], photo[:3, row[keeps], column[keeps]].T.astype(np.float64),
-                  z[keeps] / np.mean(camera.focal), np.ones(keeps.sum(), int))
+    return Points(world, photo[:3, row, column].T.astype(np.float64), z / np.mean(camera.focal),
+                  np.ones(len(z), int))
 
 
 def _sparse(scene: Scene, views: Sequence[View], points: Floats, point: NDArray[np.integer],

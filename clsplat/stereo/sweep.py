@@ -1,4 +1,5 @@
-"""Depth of a photo's pixels, by comparing it with other photos on planes (cl/sweep.cl)."""
+"""Depth of a photo's pixels, by comparing it with other photos on planes, and which photos confirm
+it (cl/sweep.cl)."""
 
 from __future__ import annotations
 
@@ -16,6 +17,11 @@ SWEEP = Kernel(
     images=("real", "V", "H", "W"), sizes=("int", "V", 2), sources=("int", "S"),
     warps=("real", "S", 12),
     inverse_depths=("real", "H", "W"), scores=("real", "H", "W"))
+CONFIRM = Kernel(
+    "sweep.cl", "confirm", items("width height", "SCAN_GROUP"), width="int", height="int",
+    reference="int", source_count="int", same_depth="real",
+    inverse_depths=("real", "V", "H", "W"), sizes=("int", "V", 2), sources=("int", "S"),
+    warps=("real", "S", 12), confirmed=("uint", "H", "W"))
 
 
 def sweep(images: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
@@ -43,11 +49,42 @@ def sweep(images: Array, sizes: Array, cameras: Sequence[Camera], reference: int
     device.launch(
         SWEEP, width=width, height=height, reference=reference, source_count=len(sources),
         planes=planes, first=first, spacing=(last - first) / (planes - 1), images=images,
-        sizes=sizes, sources=device.upload(np.array(sources, np.int32)),
-        warps=device.upload(np.array([plane_warp(cameras[reference], cameras[source])
-                                      for source in sources])),
+        sizes=sizes, **_compared(device, cameras, reference, sources),
         inverse_depths=found[0], scores=found[1])
     return found
+
+
+def confirm(inverse_depths: Array, sizes: Array, cameras: Sequence[Camera], reference: int,
+            sources: Sequence[int], same_depth: float) -> Array:
+    """How many photos have the depth of a pixel of another one, where it projects to.
+
+    Parameters
+    ----------
+    inverse_depths : real[V, H, W], 1 / world unit, of each photo's pixels; 0 where there is none.
+    sizes, cameras : of the photos, as for `sweep`.
+    reference : the photo whose pixels are counted.
+    sources : the photos that may confirm them.
+    same_depth : relative difference below which depths are the same.
+
+    Returns
+    -------
+    uint[H, W].
+    """
+    device, (_, height, width) = inverse_depths.device, inverse_depths.shape
+    confirmed = device.empty((height, width), np.uint32)
+    device.launch(
+        CONFIRM, width=width, height=height, reference=reference, source_count=len(sources),
+        same_depth=same_depth, inverse_depths=inverse_depths, sizes=sizes,
+        **_compared(device, cameras, reference, sources), confirmed=confirmed)
+    return confirmed
+
+
+def _compared(device: Device, cameras: Sequence[Camera], reference: int, sources: Sequence[int]
+              ) -> dict[str, Array]:
+    """The arrays that say with which photos the reference is compared."""
+    warps = [plane_warp(cameras[reference], cameras[source]) for source in sources]
+    return {"sources": device.upload(np.array(sources, np.int32)),
+            "warps": device.upload(np.array(warps))}
 
 
 def plane_warp(reference: Camera, source: Camera) -> NDArray[np.float64]:
@@ -65,7 +102,7 @@ def _intrinsics(camera: Camera) -> NDArray[np.float64]:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
-def device_images(device: Device, photos: Sequence[NDArray[np.float64]]) -> tuple[Array, Array]:
+def device_images(device: Device, photos: Sequence[NDArray[np.floating]]) -> tuple[Array, Array]:
     """`images` and `sizes` of `sweep`, from photos [h, w] of any sizes."""
     sizes = np.array([photo.shape[::-1] for photo in photos], np.int32)
     width, height = sizes.max(axis=0)

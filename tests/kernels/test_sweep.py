@@ -1,4 +1,5 @@
-"""A plane sweep over photos of a plane, against the reference, and what has no depth."""
+"""A plane sweep over photos of a plane, against the reference, what has no depth, and which photos
+confirm one."""
 
 from dataclasses import replace
 
@@ -6,9 +7,10 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.stereo.sweep import device_images, plane_warp, sweep
+from clsplat.stereo.sweep import confirm, device_images, plane_warp, sweep
 from tests.cases import POISON
 from tests.reference.sweep import NO_MATCH
+from tests.reference.sweep import confirm as reference_confirm
 from tests.reference.sweep import sweep as reference
 
 DEPTH = 5.0  # of a plane that faces the first camera, which is tilted a little
@@ -190,3 +192,69 @@ def test_poison_ends_where_it_is(float_device, place, bad):
         depths, scores = run(float_device, photos, cameras)
     assert np.isfinite(depths).all() and np.isfinite(scores).all()
     assert (scores >= NO_MATCH).all() and (scores <= 1 + 1e-5).all()
+
+
+SAME = 0.02
+
+
+def confirmed(device, depths, cameras, sources, reference=0):
+    arrays = device_images(device, depths)
+    return confirm(*arrays, cameras, reference, sources, SAME).download()
+
+
+@pytest.mark.oclgrind
+@pytest.mark.parametrize("sizes", [3 * [(9, 7)], [(23, 11), (20, 13), (15, 11), (23, 13), (9, 9)]],
+                         ids=["of one size", "of different sizes"])
+def test_sources_confirm_depths_that_they_share(device, sizes):
+    """Depths of a plane, of which some are wrong by about the difference that counts."""
+    cameras, rng = cameras_of(sizes), np.random.default_rng(0)
+    depths = []
+    for camera in cameras:
+        inverse = 1 / photo_of(camera)[1]
+        inverse *= 1 + rng.choice([0, 0, 0.8, 1.2], inverse.shape) * SAME
+        inverse[rng.random(inverse.shape) < 0.1] = 0
+        depths.append(inverse.astype(np.float32).astype(float))
+    sources = list(range(1, len(sizes)))
+    counts = confirmed(device, depths, cameras, sources)
+    wanted, margin = reference_confirm(depths, sizes, cameras, 0, sources, SAME)
+    height, width = wanted.shape
+    clear = margin > (1e-9 if device.real == np.float64 else 1e-4)
+    assert np.array_equal(counts[:height, :width][clear], wanted[clear])
+    assert clear.mean() > 0.9 and {0, 1, 2} <= {*wanted.ravel()}
+    again = confirmed(device, depths[::-1], cameras[::-1],
+                      [len(sizes) - 1 - source for source in sources], len(sizes) - 1)
+    assert np.array_equal(again, counts)
+
+
+def test_what_no_source_confirms(float_device):
+    cameras = cameras_of(3 * [(25, 20)])
+    depths = [1 / photo_of(camera)[1] for camera in cameras]
+    assert confirmed(float_device, depths, cameras, [1, 2]).max() == 2
+    assert not confirmed(float_device, [depths[0], 1.05 * depths[1], 0 * depths[2]], cameras,
+                         [1, 2]).any()
+    assert not confirmed(float_device, [0 * depths[0], *depths[1:]], cameras, [1, 2]).any()
+    behind = [cameras[0], *(replace(camera, translation=camera.translation - [0, 0, 20])
+                            for camera in cameras[1:])]
+    assert not confirmed(float_device, depths, behind, [1, 2]).any()
+
+
+@pytest.mark.parametrize("bad", POISON)
+@pytest.mark.parametrize("place", ["own", "source", "turned", "shifted"])
+def test_poison_confirms_nothing(float_device, place, bad):
+    cameras = cameras_of(2 * [(25, 20)])
+    depths = [1 / photo_of(camera)[1] for camera in cameras]
+    sound = confirmed(float_device, depths, cameras, [1])
+    if place in ("own", "source"):
+        depths[int(place == "source")][8, 11] = POISON[bad]
+    else:
+        name = "rotation" if place == "turned" else "translation"
+        getattr(cameras[1], name)[..., 0] = POISON[bad]
+    with np.errstate(all="ignore"):
+        counts = confirmed(float_device, depths, cameras, [1])
+    if place == "own":
+        assert (counts != sound).sum() <= 1
+    elif place == "source":
+        assert (counts != sound).sum() <= 4  # pixels that project to that of the source
+    elif not np.isfinite(POISON[bad]):
+        assert not counts.any()
+    assert counts.max() <= 1

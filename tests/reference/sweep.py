@@ -1,4 +1,5 @@
-"""Plane sweep of one photo over others, float64 (cl/sweep.cl has the contract)."""
+"""Plane sweep of one photo over others, and which of these confirm its depths, float64 (cl/sweep.cl
+has the contract)."""
 
 import numpy as np
 
@@ -73,3 +74,30 @@ def correlation(own, pixel, inverse_depth, source, warp, offsets, middle):
     with np.errstate(divide="ignore", invalid="ignore"):
         found = (own * values).mean(axis=1) / np.sqrt((own**2).mean(axis=1) * variance)
     return np.where(inside & (variance >= LEAST_VARIANCE), found, NO_MATCH)
+
+
+def confirm(inverse_depths, sizes, cameras, reference, sources, same_depth):
+    """confirmed [H, W], and how near each pixel is to another number of sources, as a relative depth
+    or in pixels of a source [H, W]; each pixel is projected as a point."""
+    height, width = inverse_depths[reference].shape
+    counts, margin = np.zeros((height, width), int), np.full((height, width), np.inf)
+    own = cameras[reference]
+    for row, column in zip(*np.nonzero(inverse_depths[reference] > 0)):
+        z = 1 / inverse_depths[reference][row, column]
+        ray = [(column + 0.5 - own.centre[0]) / own.focal[0],
+               (row + 0.5 - own.centre[1]) / own.focal[1], 1.0]
+        point = own.rotation.T @ (z * np.array(ray) - own.translation)
+        for source in sources:
+            pixel, depth = cameras[source].project(point[None])
+            (u, v), depth = pixel[0], depth[0]
+            columns, rows = sizes[source]
+            to_border = np.abs(pixel[0] - np.rint(pixel[0]))
+            margin[row, column] = min(margin[row, column], *to_border)
+            if not (depth > 0 and 0 <= u < columns and 0 <= v < rows):
+                continue
+            known = inverse_depths[source][int(v), int(u)]
+            if known > 0:
+                off = abs(1 / known - depth) / depth
+                counts[row, column] += off < same_depth
+                margin[row, column] = min(margin[row, column], abs(off - same_depth))
+    return counts, margin
