@@ -284,14 +284,15 @@ def _in_cells(points: Points, pixels: float) -> Points:
     """The means of the points in cells of so many pixels, whose sizes are rounded to steps of 2."""
     middle = np.median(points.sizes)
     octave = np.rint(np.log2(points.sizes / middle))
-    cell = np.floor(points.positions / (pixels * middle * 2.0**octave)[:, None])
-    place = np.column_stack([cell, octave])
-    place -= place.min(axis=0)
-    widths = place.max(axis=0) + 1
+    side = pixels * middle * 2.0**octave
+    place = [octave, *(np.floor(column / side) for column in points.positions.T)]
+    place = [column - column.min() for column in place]
+    widths = [column.max() + 1 for column in place]
     if np.prod(widths) < 2.0**62:
-        key = np.ravel_multi_index(tuple(place.T.astype(np.int64)), tuple(widths.astype(np.int64)))
+        key = np.ravel_multi_index([column.astype(np.int64) for column in place],
+                                   [int(width) for width in widths])
     else:  # far-off points
-        key = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1)
+        key = np.unique(np.stack(place, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     _, of = np.unique(key, return_inverse=True)
     weights = points.merged.astype(np.float64)
     total = np.bincount(of, weights)
