@@ -83,7 +83,7 @@ def sweep_seconds(device: Device, scene: Scene, views: Sequence[View],
     number, others = next(((number, sources) for number, sources
                            in enumerate(stereo_views(scene, views)) if sources), (0, []))
     chosen = [views[each] for each in (number, *others)]
-    photos, between = photos_of(chosen), _depth_ranges(chosen[:1], *visibility(scene, chosen[:1]))
+    photos, between = photos_of(chosen), _depth_ranges(chosen, *visibility(scene, chosen))
     sources = [list(range(1, len(chosen))), *([] for _ in others)]
     for _ in range(2):  # the first one compiles
         begin = time.perf_counter()
