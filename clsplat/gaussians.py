@@ -272,7 +272,7 @@ def _distances(points: NDArray[np.floating], neighbours: int
                ) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
     """(float64[M, k] distances of the M distinct points to their nearest neighbours, ascending;
     int[N], which of them each point is; the distance below which two points are coincident)."""
-    distinct, inverse = np.unique(points, axis=0, return_inverse=True)
+    distinct, inverse = _distinct(points)
     if len(distinct) < 2:
         raise InputError(
             f"the sparse model's {len(points)} points all lie at one place; "
@@ -282,4 +282,16 @@ def _distances(points: NDArray[np.floating], neighbours: int
     size = min(np.linalg.norm(np.ptp(distinct, axis=0)), 10 * typical)
     k = min(neighbours, len(distinct) - 1)
     distance = cKDTree(distinct).query(distinct, k=k + 1, workers=-1)[0][:, 1:]
-    return distance, inverse.reshape(-1), MINIMUM_DISTANCE * size
+    return distance, inverse, MINIMUM_DISTANCE * size
+
+
+def _distinct(points: NDArray[np.floating]
+              ) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
+    """As np.unique(points, axis=0, return_inverse=True), in half of the time."""
+    order = np.lexsort(points.T[::-1])
+    ordered = points[order]
+    is_new = np.ones(len(points), bool)
+    is_new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    inverse = np.empty(len(points), np.intp)
+    inverse[order] = np.cumsum(is_new) - 1
+    return ordered[is_new], inverse
