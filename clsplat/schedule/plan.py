@@ -147,6 +147,14 @@ class Schedule:
         return None, "none: the schedule has no limit"
 
     @classmethod
+    def most_visits(cls, options: TrainOptions, facts: SceneFacts) -> tuple[float, str]:
+        """(Number, clause with the reason): the most steps that are worth taking for each training
+        photo, whatever number of steps the options ask for; 0: any number. The arguments are those
+        of `planned_limit`, with the options as the user gave them.
+        """
+        return 0.0, ""
+
+    @classmethod
     def options_of_block(cls, options: TrainOptions, size: tuple[int, int], facts: SceneFacts
                          ) -> dict[str, Any]:
         """{option: value} that differ from `options` in a block of a city, which starts from a

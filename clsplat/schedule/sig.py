@@ -3,38 +3,39 @@
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
 than its pixels can determine: the more the photos disagree about the colour of a place, the more
-pixels a gaussian needs for its own. The paper has no safeguards; ours: rounds of growth disturb the
-frequency, so it is tested only after them, several tests in a row must agree, and each coarser
-level has a deadline, a share of the run, so that the finest always gets its time. The tests `paper`
-and `release` have no safeguards, as published.
+pixels a gaussian needs for its own, and the fewer visits a photo bears. The paper has no
+safeguards; ours: rounds of growth disturb the frequency, so it is tested only after them, several
+tests in a row must agree, and each coarser level has a deadline, a share of the run, so that the
+finest always gets its time. The tests `paper` and `release` have no safeguards, as published.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from clsplat.config.option import AUTO, option
-from clsplat.errors import InputError
 from clsplat.schedule.convergence import judge
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule, listed, sizes_text
+from clsplat.schedule.sig_limits import (
+    LEAST_STEPS,
+    LEVELS_OF_BLOCK,
+    SMALLEST_SIDE,
+    TILE,
+    chosen_levels,
+    level_shares,
+    most_gaussians,
+    most_visits,
+    pixels_per_gaussian,
+)
 
 if TYPE_CHECKING:
     from clsplat.options import TrainOptions
 
-LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
-LEVELS_OF_BLOCK = (2.0, 1.0)
-SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns at once
-TILE = 16  # pixels
 OBSERVE_STEPS = 100  # between samples of the frequency, fewer where levels are short
 SAMPLES_A_LEVEL = 8
 SETTLE_SHARE = 0.2  # of a level at most pass before its first round of growth (densify_from)
 GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are trained
 ROUND_STEPS = (100, 200)  # least and most between rounds of growth
-COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's colour
-LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
-USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
-LEAST_STEPS = 2 * ROUND_STEPS[0]  # of a level: in fewer, what it begins has no time to settle
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 
@@ -44,14 +45,15 @@ PAPER = {
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
     "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
-    "sphere": True, "sphere_reach": 15.0, "reproject": "on", "exposure": "off"}
+    "sphere": True, "sphere_reach": 15.0, "reproject": "on", "visits": 0.0, "exposure": "off"}
 RELEASE = {
     "iterations": 30_000, "init": "sfm", "sphere": True,
     "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
     "convergence_hits": 5, "level_share": 1.0, "densify_every": 200, "level_reset": False,
     "pixels_per_gaussian": 0.0, "prune_size": 0.05, "opacity_rate": 0.02,
     "grow_threshold": 1.25e-4, "sphere_neighbours": 8, "sphere_reach": 15.0, "sphere_shrink": 0.8,
-    "sphere_rule": "release", "exposure": "off", "optimizer": "sparse", "ssim_weight": 0.33}
+    "sphere_rule": "release", "visits": 0.0, "exposure": "off", "optimizer": "sparse",
+    "ssim_weight": 0.33}
 VARIANTS = ("robust", "paper", "release")
 
 
@@ -98,6 +100,10 @@ class SigOptions:
         AUTO, "Levels", "the model grows only while each gaussian has at least this many training "
         "pixels, at the level's size; auto: fewer where the photos agree about the colours",
         words={AUTO: AUTO, "none": 0.0}, minimum=0.0, part="sig")
+    visits: float = option(
+        AUTO, "Levels", "most steps for each training photo, whatever -n is; auto: 400, and fewer "
+        "where the photos disagree about the colours; all: as many as -n gives",
+        words={AUTO: AUTO, "all": 0.0}, minimum=0.0, part="sig")
 
 
 class Sig(Schedule):
@@ -136,10 +142,14 @@ class Sig(Schedule):
         limit = int(most_gaussians(options, facts, 1.0))
         if isinstance(options.pixels_per_gaussian, float):
             return limit, f"{limit:,}: one for each {each:g} training pixels, as requested"
-        differ = 100 * facts.disagreement()
-        shown = (f"as photos of a place differ by {differ:.1f} % of full brightness" if differ >= 0
-                 else "as no sparse point tells how much photos of a place differ")
+        shown = differing(facts)
         return limit, f"{limit:,}: one for each {each:.1f} training pixels, {shown}"
+
+    @classmethod
+    def most_visits(cls, options: "TrainOptions", facts: SceneFacts) -> tuple[float, str]:
+        """See `Schedule.most_visits`."""
+        return most_visits(options, facts), ("as requested" if isinstance(options.visits, float)
+                                             else differing(facts))
 
     @classmethod
     def options_of_block(cls, options: "TrainOptions", size: tuple[int, int], facts: SceneFacts
@@ -320,70 +330,8 @@ class Sig(Schedule):
             setattr(self, name, value)
 
 
-def level_shares(levels: Sequence[float], together: float | str) -> tuple[float, ...]:
-    """The share of the run that each of the coarser levels may take, in proportion to its
-    resolution.
-
-    Parameters
-    ----------
-    levels : down-sampling factors, from coarse to fine.
-    together : of all coarser levels; auto: the finest, too, has its share in proportion.
-    """
-    *coarser, finest = (1 / level for level in levels)
-    if isinstance(together, str):
-        together = sum(coarser) / (sum(coarser) + finest)
-    return tuple(together * resolution / sum(coarser) for resolution in coarser)
-
-
-def pixels_per_gaussian(options: "TrainOptions", facts: SceneFacts) -> float:
-    """The least number of training pixels for each gaussian; 0: any number.
-
-    The mean of n colours that scatter by s has a standard error of s / sqrt(n).
-    """
-    requested: str | float = options.pixels_per_gaussian
-    if isinstance(requested, float):
-        return requested
-    scatter = facts.disagreement()
-    if math.isnan(scatter):
-        scatter = USUAL_DISAGREEMENT
-    return max(LEAST_PIXELS_A_GAUSSIAN, (scatter / COLOUR_ERROR) ** 2)
-
-
-def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> float:
-    """Number of gaussians that the training pixels of a level can determine; may be inf."""
-    each = pixels_per_gaussian(options, facts)
-    return math.floor(facts.pixels / level**2 / each) if each else math.inf
-
-
-def chosen_levels(options: "TrainOptions", size: tuple[int, int],
-                  candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE
-                  ) -> tuple[float, ...]:
-    """The down-sampling factors of a training.
-
-    The default ones leave out sides below `least`, and the coarsest levels for which there is
-    no time.
-
-    Parameters
-    ----------
-    options : with scaled steps.
-    size : (width, height) of the smallest training image, pixels.
-    candidates : the default ones.
-    least : pixels; less in a block, where the smallest of many windows says little of the others.
-
-    Raises
-    ------
-    InputError : a requested factor would make an image smaller than a tile.
-    """
-    levels, side = options.levels, min(size)
-    if levels:
-        if int(side / levels[0]) < TILE and levels[0] > 1:
-            raise InputError(
-                f"--levels {levels[0]:g}: would train on images of {int(size[0] / levels[0])} x "
-                f"{int(size[1] / levels[0])} pixels, less than a tile of {TILE}; use smaller "
-                "factors, or a smaller --downscale")
-        return levels
-    levels = tuple(level for level in candidates if level == 1 or side / level >= least)
-    while (shares := level_shares(levels, options.level_share)) and (
-            shares[0] * options.iterations < LEAST_STEPS):
-        levels = levels[1:]
-    return levels
+def differing(facts: SceneFacts) -> str:
+    """How much the photos disagree, as a clause."""
+    differ = 100 * facts.disagreement()
+    return (f"as photos of a place differ by {differ:.1f} % of full brightness" if differ >= 0
+            else "as no sparse point tells how much photos of a place differ")

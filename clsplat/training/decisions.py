@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.config.option import AUTO, is_auto
+from clsplat.config.option import AUTO, MOST_STEPS, is_auto
 from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
 from clsplat.covisibility.source_views import ViewSpread, choose_source_views, view_spread
 from clsplat.covisibility.vignetting import DARKENS, corner_darkening
@@ -17,7 +17,7 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
-from clsplat.schedule import SceneFacts, planned_steps, scaled_steps, schedule_of
+from clsplat.schedule import SceneFacts, most_steps, planned_steps, scaled_steps, schedule_of
 from clsplat.schedule.simulate import largest, simulate
 from clsplat.training.dense_start import chosen_start, planned_count
 from clsplat.training.facts import scene_facts
@@ -57,12 +57,14 @@ class Decisions:
     options : with values instead of "auto" where the scene decides, and with scaled steps.
     neighbours : indices of the source views of each training view; None if no loss term uses them.
     facts : what the schedule knows about the scene, with the planned number of initial gaussians.
+    most_steps : which a time budget may not exceed.
     parts : name of a part -> its decision.
     """
 
     options: TrainOptions
     neighbours: list[list[int]] | None
     facts: SceneFacts
+    most_steps: int
     parts: dict[str, Decision]
 
     @property
@@ -88,17 +90,17 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     device : of the training; None leaves the choice of the Adam engine to `model.Model`, which
         knows the initial gaussians only.
     """
-    steps, length = planned_steps(options, len(views))
-    options = scaled_steps(dataclasses.replace(options, iterations=steps))
+    facts, schedule = scene_facts(scene, views), schedule_of(options.schedule)
+    length, most = _steps(scene, len(views), options, facts)
+    options = scaled_steps(dataclasses.replace(options, iterations=length.value))
     exposure = _exposure(scene, views, options)
     neighbours, reproject = _neighbours(scene, views, options)
     spread = view_spread(scene, scene.views)  # held-out views must be served, too
-    facts, schedule = scene_facts(scene, views), schedule_of(options.schedule)
     limit = Decision(*schedule.planned_limit(options, facts))
     start = Decision(*chosen_start(scene, views, options))
     if start.value == "dense":
         facts = dataclasses.replace(facts, count=planned_count(limit.value, facts.pixels, options))
-    parts = {"steps": Decision(steps, length), "init": start,
+    parts = {"steps": length, "init": start,
              "levels": Decision(*schedule.planned_levels(options, facts)), "gaussians": limit,
              "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),
              "exposure": exposure, "vignetting": _vignetting(scene, views, options, exposure),
@@ -109,7 +111,7 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     if device is not None:
         parts["engine"] = _engine(facts, options, device)
         options = dataclasses.replace(options, engine=parts["engine"].value)
-    return Decisions(options, neighbours, facts, parts)
+    return Decisions(options, neighbours, facts, most, parts)
 
 
 def needed_degree(cap: float) -> int:
@@ -130,6 +132,22 @@ def needed_degree(cap: float) -> int:
         if SHINE * reach ** (degree + 1) / math.factorial(degree + 1) <= VISIBLE:
             return degree
     return HIGHEST_DEGREE
+
+
+def _steps(scene: Scene, photos: int, options: TrainOptions, facts: SceneFacts
+           ) -> tuple[Decision, int]:
+    """(The number of steps before `steps_scale`, the most with it). Parts of a city take as many as
+    they are told."""
+    steps, reason = planned_steps(options, photos)
+    if options.coarse or scene.region is not None:
+        return Decision(steps, reason), MOST_STEPS
+    most, fewer = most_steps(options, photos, facts)
+    scaled = min(MOST_STEPS, max(1, round(most * options.steps_scale)))
+    if options.time_budget:
+        return Decision(min(steps, most), f"{reason}; {fewer}" if fewer else reason), scaled
+    if steps <= most:
+        return Decision(steps, reason), scaled
+    return Decision(most, f"{fewer}; {steps:,} would over-fit them"), scaled
 
 
 def _requested(value: Any) -> Decision:

@@ -395,6 +395,6 @@ class Session:
                        self.layers[index] if self.layers else None)
 
     def lay_over(self, iterations: int) -> None:
-        """Fit the whole schedule to a number of steps."""
-        self.options = laid_over(self.decisions.options, iterations)
+        """Fit the whole schedule to a number of steps, or to `Decisions.most_steps`."""
+        self.options = laid_over(self.decisions.options, min(iterations, self.decisions.most_steps))
         self.schedule.options = self.step.options = self.options

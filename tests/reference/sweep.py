@@ -77,8 +77,8 @@ def correlation(own, pixel, inverse_depth, source, warp, offsets, middle):
 
 
 def confirm(inverse_depths, sizes, cameras, reference, sources, same_depth):
-    """confirmed [H, W], and how near each pixel is to another number of sources, as a relative depth
-    or in pixels of a source [H, W]; each pixel is projected as a point."""
+    """confirmed [H, W], and how near each pixel is to another number of sources, as a relative
+    depth or in pixels of a source [H, W]; each pixel is projected as a point."""
     height, width = inverse_depths[reference].shape
     counts, margin = np.zeros((height, width), int), np.full((height, width), np.inf)
     own = cameras[reference]

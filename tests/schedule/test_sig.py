@@ -10,11 +10,11 @@ from clsplat.options import TrainOptions
 from clsplat.schedule import scaled_steps, schedule_of
 from clsplat.schedule.sig import (
     GROWS_SHARE,
-    LEVELS,
     OBSERVE_STEPS,
     ROUND_STEPS,
     Sig,
 )
+from clsplat.schedule.sig_limits import LEVELS
 from tests.schedule.driven_sig import (
     FACTS,
     PRESETS,

@@ -6,7 +6,8 @@ import math
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.schedule.sig import LEVELS, SMALLEST_SIDE, TILE, Sig, chosen_levels, level_shares
+from clsplat.schedule.sig import Sig
+from clsplat.schedule.sig_limits import LEVELS, SMALLEST_SIDE, TILE, chosen_levels, level_shares
 from tests.schedule.driven_sig import FACTS, drive, lengths, options_of, rising, sig
 
 

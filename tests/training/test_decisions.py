@@ -13,6 +13,8 @@ from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
+from clsplat.schedule.sig_limits import AGREEING
+from clsplat.schedule.steps import FEWEST
 from clsplat.training import decisions, facts
 from clsplat.training.decisions import (
     SAMPLED_PHOTOS,
@@ -70,6 +72,27 @@ def test_the_number_of_steps_follows_the_photos(photos, steps):
     assert planned_steps(resolve({}, {}), photos)[0] == steps
     assert planned_steps(resolve({}, {"iterations": 60}), photos) == (60, "60: requested")
     assert planned_steps(resolve({}, {"preset": "paper"}), photos)[0] == 30_000
+
+
+@pytest.mark.parametrize("differ, most", [(0.0, 12_800), (AGREEING, 12_800), (math.nan, 12_800),
+                                          (0.05, 2429), (0.2, FEWEST)])
+def test_more_steps_than_the_photos_bear_are_not_taken(city, drift, monkeypatch, differ, most):
+    drift(0.0)
+    monkeypatch.setattr(facts, "colour_disagreement", lambda *_: differ)
+    result = found(city, iterations=30_000)
+    assert result.options.iterations == result.most_steps == most
+    assert result.reasons["steps"].startswith(f"{most:,}: at most ")
+    assert result.reasons["steps"].endswith("; 30,000 would over-fit them")
+    assert found(city, iterations=900).reasons["steps"] == "900: requested"
+    tenth = found(city, iterations=30_000, steps_scale=0.1)
+    assert tenth.options.iterations == tenth.most_steps == round(most / 10)
+    budget = found(city, time_budget="1h")
+    assert budget.options.iterations == min(most, 9600) and budget.most_steps == most
+    assert found(city, iterations=30_000, visits=100.0).options.iterations == 3200
+    for every in ({"visits": 0.0}, {"coarse": True}, {"schedule": "constant"},
+                  {"schedule": "mcmc"}):
+        assert found(city, iterations=30_000, **every).options.iterations == 30_000
+    assert resolve({}, {"preset": "paper"}).visits == resolve({}, {"preset": "release"}).visits == 0
 
 
 def test_outliers_are_left_out_where_that_is_requested(city, drift):

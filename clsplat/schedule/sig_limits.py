@@ -1,0 +1,107 @@
+"""What the photos of a scene determine in the SIG schedule: its levels, how many gaussians each of
+them bears, and how often a photo may be visited."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from clsplat.errors import InputError
+from clsplat.schedule.plan import SceneFacts
+
+if TYPE_CHECKING:
+    from clsplat.options import TrainOptions
+
+LEVELS = (5.0, 4.0, 3.0, 2.0, 1.0)
+LEVELS_OF_BLOCK = (2.0, 1.0)
+SMALLEST_SIDE = 64  # pixels: what smaller images teach, the next level learns at once
+TILE = 16  # pixels
+LEAST_STEPS = 200  # of a level: in fewer, what it begins has no time to settle
+COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's colour
+LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
+USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
+MOST_VISITS = 400  # steps for each training photo
+AGREEING = 0.033  # of full brightness: photos of a place that differ by more bear fewer visits
+VISITS_POWER = 4  # of that ratio; from lund and boruszyn, see docs/notebook/judge.md
+
+
+def level_shares(levels: Sequence[float], together: float | str) -> tuple[float, ...]:
+    """The share of the run that each of the coarser levels may take, in proportion to its
+    resolution.
+
+    Parameters
+    ----------
+    levels : down-sampling factors, from coarse to fine.
+    together : of all coarser levels; auto: the finest, too, has its share in proportion.
+    """
+    *coarser, finest = (1 / level for level in levels)
+    if isinstance(together, str):
+        together = sum(coarser) / (sum(coarser) + finest)
+    return tuple(together * resolution / sum(coarser) for resolution in coarser)
+
+
+def pixels_per_gaussian(options: "TrainOptions", facts: SceneFacts) -> float:
+    """The least number of training pixels for each gaussian; 0: any number.
+
+    The mean of n colours that scatter by s has a standard error of s / sqrt(n).
+    """
+    requested: str | float = options.pixels_per_gaussian
+    if isinstance(requested, float):
+        return requested
+    scatter = facts.disagreement()
+    if math.isnan(scatter):
+        scatter = USUAL_DISAGREEMENT
+    return max(LEAST_PIXELS_A_GAUSSIAN, (scatter / COLOUR_ERROR) ** 2)
+
+
+def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> float:
+    """Number of gaussians that the training pixels of a level can determine; may be inf."""
+    each = pixels_per_gaussian(options, facts)
+    return math.floor(facts.pixels / level**2 / each) if each else math.inf
+
+
+def chosen_levels(options: "TrainOptions", size: tuple[int, int],
+                  candidates: tuple[float, ...] = LEVELS, least: int = SMALLEST_SIDE
+                  ) -> tuple[float, ...]:
+    """The down-sampling factors of a training.
+
+    The default ones leave out sides below `least`, and the coarsest levels for which there is
+    no time.
+
+    Parameters
+    ----------
+    options : with scaled steps.
+    size : (width, height) of the smallest training image, pixels.
+    candidates : the default ones.
+    least : pixels; less in a block, where the smallest of many windows says little of the others.
+
+    Raises
+    ------
+    InputError : a requested factor would make an image smaller than a tile.
+    """
+    levels, side = options.levels, min(size)
+    if levels:
+        if int(side / levels[0]) < TILE and levels[0] > 1:
+            raise InputError(
+                f"--levels {levels[0]:g}: would train on images of {int(size[0] / levels[0])} x "
+                f"{int(size[1] / levels[0])} pixels, less than a tile of {TILE}; use smaller "
+                "factors, or a smaller --downscale")
+        return levels
+    levels = tuple(level for level in candidates if level == 1 or side / level >= least)
+    while (shares := level_shares(levels, options.level_share)) and (
+            shares[0] * options.iterations < LEAST_STEPS):
+        levels = levels[1:]
+    return levels
+
+
+def most_visits(options: "TrainOptions", facts: SceneFacts) -> float:
+    """The most steps for each training photo; 0: any number.
+
+    Held-out photos get worse after so many, as gaussians then learn what the photos disagree about.
+    """
+    requested: str | float = options.visits
+    if isinstance(requested, float):
+        return requested
+    scatter = facts.disagreement()
+    if math.isnan(scatter):
+        scatter = USUAL_DISAGREEMENT
+    return MOST_VISITS * min(1.0, AGREEING / scatter) ** VISITS_POWER if scatter else MOST_VISITS
