@@ -149,8 +149,12 @@ class Schedule:
     @classmethod
     def most_visits(cls, options: TrainOptions, facts: SceneFacts) -> tuple[float, str]:
         """(Number, clause with the reason): the most steps that are worth taking for each training
-        photo, whatever number of steps the options ask for; 0: any number. The arguments are those
-        of `planned_limit`, with the options as the user gave them.
+        photo, whatever number of steps the options ask for; 0: any number.
+
+        Parameters
+        ----------
+        options : as the user gave them.
+        facts : what was measured of the scene.
         """
         return 0.0, ""
 

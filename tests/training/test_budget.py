@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from clsplat.config.option import MOST_STEPS
 from clsplat.errors import InputError
 from clsplat.options import resolve
 from clsplat.schedule import SceneFacts, scaled_steps, schedule_of
@@ -114,7 +115,7 @@ class Unbuilt(Session):
         self.options, self.schedule, self.iteration = options, schedule, 0
         self.step = SimpleNamespace(options=options, count=COUNT)
         self.level = schedule.levels[0]
-        self.decisions = SimpleNamespace(options=options)
+        self.decisions = SimpleNamespace(most_steps=MOST_STEPS, options=options)
         self.device = SimpleNamespace(finish=lambda: None)
         self.photos = SimpleNamespace(read_seconds=0.0)
 
