@@ -8,13 +8,7 @@ Other packages register theirs (registry.py).
 
 from clsplat.schedule.plan import Plan, SceneFacts, Schedule
 from clsplat.schedule.registry import OURS, schedule_of
-from clsplat.schedule.steps import (
-    chooses_steps,
-    laid_over,
-    most_steps,
-    planned_steps,
-    scaled_steps,
-)
+from clsplat.schedule.steps import chooses_steps, laid_over, planned_steps, scaled_steps
 
-__all__ = ["OURS", "Plan", "SceneFacts", "Schedule", "chooses_steps", "laid_over", "most_steps",
+__all__ = ["OURS", "Plan", "SceneFacts", "Schedule", "chooses_steps", "laid_over",
            "planned_steps", "scaled_steps", "schedule_of"]

@@ -147,16 +147,17 @@ class Schedule:
         return None, "none: the schedule has no limit"
 
     @classmethod
-    def most_visits(cls, options: TrainOptions, facts: SceneFacts) -> tuple[float, str]:
-        """(Number, clause with the reason): the most steps that are worth taking for each training
-        photo, whatever number of steps the options ask for; 0: any number.
+    def most_steps(cls, options: TrainOptions, facts: SceneFacts, photos: int) -> tuple[int, str]:
+        """(Number, clause with the reason): the most steps that are worth taking, whatever the
+        options ask for, before `steps_scale`; 0: any number.
 
         Parameters
         ----------
         options : as the user gave them.
         facts : what was measured of the scene.
+        photos : number of training photos.
         """
-        return 0.0, ""
+        return 0, ""
 
     @classmethod
     def options_of_block(cls, options: TrainOptions, size: tuple[int, int], facts: SceneFacts

@@ -3,7 +3,7 @@
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
 than its pixels can determine: the more the photos disagree about the colour of a place, the more
-pixels a gaussian needs for its own, and the fewer visits a photo bears. The paper has no
+pixels a gaussian needs for its own, and the fewer steps the photos bear. The paper has no
 safeguards; ours: rounds of growth disturb the frequency, so it is tested only after them, several
 tests in a row must agree, and each coarser level has a deadline, a share of the run, so that the
 finest always gets its time. The tests `paper` and `release` have no safeguards, as published.
@@ -24,7 +24,7 @@ from clsplat.schedule.sig_limits import (
     chosen_levels,
     level_shares,
     most_gaussians,
-    most_visits,
+    most_steps,
     pixels_per_gaussian,
 )
 
@@ -101,8 +101,8 @@ class SigOptions:
         "pixels, at the level's size; auto: fewer where the photos agree about the colours",
         words={AUTO: AUTO, "none": 0.0}, minimum=0.0, part="sig")
     visits: float = option(
-        AUTO, "Levels", "most steps for each training photo, whatever -n is; auto: 400, and fewer "
-        "where the photos disagree about the colours; all: as many as -n gives",
+        AUTO, "Levels", "most steps for each training photo, whatever -n is; auto: 150, or 7000 "
+        "in all, and fewer where the photos disagree about the colours; all: as -n says",
         words={AUTO: AUTO, "all": 0.0}, minimum=0.0, part="sig")
 
 
@@ -146,10 +146,15 @@ class Sig(Schedule):
         return limit, f"{limit:,}: one for each {each:.1f} training pixels, {shown}"
 
     @classmethod
-    def most_visits(cls, options: "TrainOptions", facts: SceneFacts) -> tuple[float, str]:
-        """See `Schedule.most_visits`."""
-        return most_visits(options, facts), ("as requested" if isinstance(options.visits, float)
-                                             else differing(facts))
+    def most_steps(cls, options: "TrainOptions", facts: SceneFacts, photos: int
+                   ) -> tuple[int, str]:
+        """See `Schedule.most_steps`."""
+        most = most_steps(options, facts, photos)
+        if not most:
+            return 0, ""
+        why = (f"--visits {options.visits:g}" if isinstance(options.visits, float)
+               else differing(facts))
+        return most, f"for {photos:,} training photos, {why}"
 
     @classmethod
     def options_of_block(cls, options: "TrainOptions", size: tuple[int, int], facts: SceneFacts

@@ -19,9 +19,11 @@ LEAST_STEPS = 200  # of a level: in fewer, what it begins has no time to settle
 COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's colour
 LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
 USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
-MOST_VISITS = 400  # steps for each training photo
-AGREEING = 0.033  # of full brightness: photos of a place that differ by more bear fewer visits
-VISITS_POWER = 4  # of that ratio; from lund and boruszyn, see docs/notebook/judge.md
+VISITS = 150  # steps for each training photo, after which more photos are no longer learned better
+ENOUGH = 7000  # steps that photos bear which agree, however few they are
+AGREEING = 0.036  # of full brightness: photos of a place that differ by more bear fewer steps
+POWER = 4  # of that ratio; from lund and boruszyn, see docs/notebook/judge.md
+FEWEST = 1000  # steps
 
 
 def level_shares(levels: Sequence[float], together: float | str) -> tuple[float, ...]:
@@ -93,15 +95,14 @@ def chosen_levels(options: "TrainOptions", size: tuple[int, int],
     return levels
 
 
-def most_visits(options: "TrainOptions", facts: SceneFacts) -> float:
-    """The most steps for each training photo; 0: any number.
+def most_steps(options: "TrainOptions", facts: SceneFacts, photos: int) -> int:
+    """The most steps that are worth taking with so many training photos; 0: any number.
 
-    Held-out photos get worse after so many, as gaussians then learn what the photos disagree about.
+    Held-out photos get worse after these, as gaussians then learn what the photos disagree about.
     """
     requested: str | float = options.visits
     if isinstance(requested, float):
-        return requested
+        return max(1, round(requested * photos)) if requested else 0
     scatter = facts.disagreement()
-    if math.isnan(scatter):
-        scatter = USUAL_DISAGREEMENT
-    return MOST_VISITS * min(1.0, AGREEING / scatter) ** VISITS_POWER if scatter else MOST_VISITS
+    share = (AGREEING / scatter) ** POWER if scatter > AGREEING else 1.0  # 1 for a nan
+    return max(FEWEST, round(share * max(ENOUGH, VISITS * photos)))

@@ -10,14 +10,12 @@ from clsplat.schedule.registry import schedule_of
 
 if TYPE_CHECKING:
     from clsplat.options import TrainOptions
-    from clsplat.schedule.plan import SceneFacts
 
 STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densify_every",
                "reset_every")
 FULL_LENGTH = 7000  # steps; a shorter run has smaller step counts
 PUBLISHED_LENGTH = 30_000  # steps, of 3DGS (Kerbl et al. 2023)
 VISITS = 300  # steps a photo, after which held-out photos of small sets get worse: judge.md
-FEWEST = 1000  # steps that a run takes however few visits its photos bear
 
 
 def chooses_steps(options: TrainOptions) -> bool:
@@ -42,24 +40,6 @@ def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:
         return steps, f"as many as fit --time-budget {options.time_budget}"
     return steps, (f"{steps:,}: {VISITS} for each of {photos:,} training photos, but at least "
                    f"{FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
-
-
-def most_steps(options: TrainOptions, photos: int, facts: SceneFacts) -> tuple[int, str]:
-    """The most steps that are worth taking, and a sentence with the reason, which is "" where the
-    schedule has no such number.
-
-    Parameters
-    ----------
-    options : those of the run.
-    photos : number of training photos.
-    facts : about the scene.
-    """
-    visits, reason = schedule_of(options.schedule).most_visits(options, facts)
-    if not visits:
-        return MOST_STEPS, ""
-    most = max(FEWEST, round(visits * photos))
-    return most, (f"{most:,}: at most {visits:.0f} for each of {photos:,} training photos, and at "
-                  f"least {FEWEST:,}, {reason}")
 
 
 def scaled_steps(options: TrainOptions) -> TrainOptions:

@@ -17,7 +17,7 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
-from clsplat.schedule import SceneFacts, most_steps, planned_steps, scaled_steps, schedule_of
+from clsplat.schedule import SceneFacts, planned_steps, scaled_steps, schedule_of
 from clsplat.schedule.simulate import largest, simulate
 from clsplat.training.dense_start import chosen_start, planned_count
 from clsplat.training.facts import scene_facts
@@ -139,15 +139,15 @@ def _steps(scene: Scene, photos: int, options: TrainOptions, facts: SceneFacts
     """(The number of steps before `steps_scale`, the most with it). Parts of a city take as many as
     they are told."""
     steps, reason = planned_steps(options, photos)
-    if options.coarse or scene.region is not None:
+    most, fewer = schedule_of(options.schedule).most_steps(options, facts, photos)
+    if not most or options.coarse or scene.region is not None:
         return Decision(steps, reason), MOST_STEPS
-    most, fewer = most_steps(options, photos, facts)
     scaled = min(MOST_STEPS, max(1, round(most * options.steps_scale)))
     if options.time_budget:
-        return Decision(min(steps, most), f"{reason}; {fewer}" if fewer else reason), scaled
+        return Decision(min(steps, most), f"{reason}, and at most {most:,} {fewer}"), scaled
     if steps <= most:
         return Decision(steps, reason), scaled
-    return Decision(most, f"{fewer}; {steps:,} would over-fit them"), scaled
+    return Decision(most, f"{most:,}: the most {fewer}; {steps:,} would over-fit them"), scaled
 
 
 def _requested(value: Any) -> Decision:

@@ -13,8 +13,7 @@ from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
-from clsplat.schedule.sig_limits import AGREEING
-from clsplat.schedule.steps import FEWEST
+from clsplat.schedule.sig_limits import AGREEING, ENOUGH, FEWEST
 from clsplat.training import decisions, facts
 from clsplat.training.decisions import (
     SAMPLED_PHOTOS,
@@ -74,21 +73,24 @@ def test_the_number_of_steps_follows_the_photos(photos, steps):
     assert planned_steps(resolve({}, {"preset": "paper"}), photos)[0] == 30_000
 
 
-@pytest.mark.parametrize("differ, most", [(0.0, 12_800), (AGREEING, 12_800), (math.nan, 12_800),
-                                          (0.05, 2429), (0.2, FEWEST)])
-def test_more_steps_than_the_photos_bear_are_not_taken(city, drift, monkeypatch, differ, most):
+@pytest.mark.parametrize("photos, differ, most", [
+    (32, 0.0, ENOUGH), (32, AGREEING, ENOUGH), (32, math.nan, ENOUGH), (32, 0.05, 1881),
+    (32, 0.2, FEWEST), (100, 0.0, 15_000), (100, 0.05, 4031)])
+def test_more_steps_than_the_photos_bear_are_not_taken(city, drift, monkeypatch, photos, differ,
+                                                       most):
     drift(0.0)
     monkeypatch.setattr(facts, "colour_disagreement", lambda *_: differ)
+    city = replace(city, views=(4 * city.views)[:photos])
     result = found(city, iterations=30_000)
     assert result.options.iterations == result.most_steps == most
-    assert result.reasons["steps"].startswith(f"{most:,}: at most ")
+    assert result.reasons["steps"].startswith(f"{most:,}: the most for {photos} ")
     assert result.reasons["steps"].endswith("; 30,000 would over-fit them")
     assert found(city, iterations=900).reasons["steps"] == "900: requested"
     tenth = found(city, iterations=30_000, steps_scale=0.1)
     assert tenth.options.iterations == tenth.most_steps == round(most / 10)
     budget = found(city, time_budget="1h")
-    assert budget.options.iterations == min(most, 9600) and budget.most_steps == most
-    assert found(city, iterations=30_000, visits=100.0).options.iterations == 3200
+    assert budget.options.iterations == budget.most_steps == most
+    assert found(city, iterations=30_000, visits=100.0).options.iterations == 100 * photos
     for every in ({"visits": 0.0}, {"coarse": True}, {"schedule": "constant"},
                   {"schedule": "mcmc"}):
         assert found(city, iterations=30_000, **every).options.iterations == 30_000
