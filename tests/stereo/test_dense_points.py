@@ -51,6 +51,15 @@ def test_points_lie_on_the_plane_and_have_its_colours(float_device, scene, photo
     assert np.array_equal(positions, again[0]) and np.array_equal(colours, again[1])
 
 
+def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, monkeypatch):
+    together = dense_points(item_device, scene, scene.views, photos, MANY)
+    done = []
+    monkeypatch.setattr(stereo_module, "BATCH", 2)
+    found = dense_points(item_device, scene, scene.views, photos, MANY, done.append)
+    assert np.array_equal(found[0], together[0]) and np.array_equal(found[1], together[1])
+    assert done == [1, 2, 3, 4, 5, 6]
+
+
 def test_a_plane_that_faces_an_axis_keeps_its_points(item_device, scene, photos):
     """Sparse points without any extent along one axis say little of what lies beside them."""
     turn = np.arctan(SLANT)
