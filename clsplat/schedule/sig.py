@@ -3,7 +3,7 @@
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
 than its pixels can determine: the more the photos disagree about the colour of a place, the more
-pixels a gaussian needs for its own, and the fewer steps the photos bear. The paper has no
+pixels a gaussian needs for its own, and the fewer steps are taken. The paper has no
 safeguards; ours: rounds of growth disturb the frequency, so it is tested only after them, several
 tests in a row must agree, and each coarser level has a deadline, a share of the run, so that the
 finest always gets its time. The tests `paper` and `release` have no safeguards, as published.

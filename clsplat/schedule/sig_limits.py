@@ -1,5 +1,5 @@
-"""What the photos of a scene determine in the SIG schedule: its levels, how many gaussians each of
-them bears, and how many steps are worth taking."""
+"""What the photos of a scene determine in the SIG schedule: its levels, the most gaussians
+of each, and how many steps are worth taking."""
 
 import math
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's 
 LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
 USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
 VISITS = 150  # steps for each training photo; after more, held-out photos get worse
-ENOUGH = 7000  # steps that photos which agree bear, however few they are
-AGREEING = 0.036  # of full brightness: photos of a place that differ by more bear fewer steps
+ENOUGH = 7000  # steps, however few the photos are, if they agree
+AGREEING = 0.036  # of full brightness: photos of a place that differ by more allow fewer steps
 POWER = 4  # of that ratio; from lund and boruszyn, see docs/notebook/judge.md
 FEWEST = 1000  # steps
 

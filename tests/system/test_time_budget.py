@@ -58,7 +58,7 @@ def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, 
     assert after == pytest.approx(before, abs=1e-3)
 
 
-def test_a_budget_takes_no_more_steps_than_the_photos_bear(item_device, city, tmp_path):
+def test_a_budget_takes_no_more_steps_than_the_photos_allow(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, time_budget="100s", iterations=30000,
                   schedule="sig", levels=(1.0,), visits=20 / 28, densify_until=0)
     assert records(run, "eval")[-1]["iteration"] == 20

@@ -61,7 +61,7 @@ def test_nothing_is_left_open(city, drift):
         assert options.vignetting in ("on", "off") and options.tone == "off"
         assert options.init == ("dense" if schedule == "sig" else "sfm")
         unchanged = {"exposure": "off", "vignetting": "off", "reproject": "off", "init": "sfm"}
-        # the city has 32 photos, which bear fewer steps in sig
+        # the city has 32 photos, which allow fewer steps in sig
         steps = ENOUGH if schedule == "sig" else 9600
         chosen = scaled_steps(resolve({}, {"schedule": schedule, "iterations": steps}))
         assert replace(options, **unchanged) == replace(chosen, **unchanged)
@@ -77,7 +77,7 @@ def test_the_number_of_steps_follows_the_photos(photos, steps):
 @pytest.mark.parametrize("photos, differ, most", [
     (32, 0.0, ENOUGH), (32, AGREEING, ENOUGH), (32, math.nan, ENOUGH), (32, 0.05, 1881),
     (32, 0.2, FEWEST), (100, 0.0, 15_000), (100, 0.05, 4031)])
-def test_more_steps_than_the_photos_bear_are_not_taken(city, drift, monkeypatch, photos, differ,
+def test_more_steps_than_the_photos_allow_are_not_taken(city, drift, monkeypatch, photos, differ,
                                                        most):
     drift(0.0)
     monkeypatch.setattr(facts, "colour_disagreement", lambda *_: differ)
