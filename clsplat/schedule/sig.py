@@ -3,10 +3,10 @@
 Training begins with small images. When the scene frequency has converged at a level, the next one
 begins (FARS). Each level grows for a number of rounds and then settles (DS), with no more gaussians
 than its pixels can determine: the more the photos disagree about the colour of a place, the more
-pixels a gaussian needs for its own, and the fewer steps are taken. The paper has no
-safeguards; ours: rounds of growth disturb the frequency, so it is tested only after them, several
-tests in a row must agree, and each coarser level has a deadline, a share of the run, so that the
-finest always gets its time. The tests `paper` and `release` have no safeguards, as published.
+pixels a gaussian needs for its own, and the fewer steps are taken. The paper has no safeguards;
+ours: rounds of growth disturb the frequency, so it is tested only after them, several tests in a
+row must agree, and each coarser level has a deadline, a share of the run, so that the finest always
+gets its time. The tests `paper` and `release` have no safeguards, as published.
 """
 
 import math
@@ -19,6 +19,7 @@ from clsplat.schedule.plan import Plan, SceneFacts, Schedule, listed, sizes_text
 from clsplat.schedule.sig_limits import (
     LEAST_STEPS,
     LEVELS_OF_BLOCK,
+    ROUND_STEPS,
     SMALLEST_SIDE,
     TILE,
     chosen_levels,
@@ -35,7 +36,6 @@ OBSERVE_STEPS = 100  # between samples of the frequency, fewer where levels are 
 SAMPLES_A_LEVEL = 8
 SETTLE_SHARE = 0.2  # of a level at most pass before its first round of growth (densify_from)
 GROWS_SHARE = 0.7  # of a level's time; in the rest the new gaussians are trained
-ROUND_STEPS = (100, 200)  # least and most between rounds of growth
 MOST_GROWTH = 5  # a round adds at most one gaussian for each so many (as in DashGaussian)
 REPROJECT_DECAY = 0.1  # of the reprojection weight, by the end of the run
 

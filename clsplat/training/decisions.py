@@ -139,8 +139,10 @@ def _steps(scene: Scene, photos: int, options: TrainOptions, facts: SceneFacts
     """(The number of steps before `steps_scale`, the most with it). Parts of a city take as many as
     they are told."""
     steps, reason = planned_steps(options, photos)
-    most, fewer = schedule_of(options.schedule).most_steps(options, facts, photos)
-    if not most or options.coarse or scene.region is not None:
+    most, fewer = 0, ""
+    if not (options.coarse or scene.region):  # their photos need not be compared
+        most, fewer = schedule_of(options.schedule).most_steps(options, facts, photos)
+    if not most:
         return Decision(steps, reason), MOST_STEPS
     scaled = min(MOST_STEPS, max(1, round(most * options.steps_scale)))
     if options.time_budget:

@@ -178,16 +178,21 @@ def test_a_line_of_pixels_matches_nothing(float_device, size):
     assert (run(float_device, photos, cameras)[1] <= 0).all()
 
 
+def poison(images, cameras, place, bad):
+    """Put a bad value into a pixel of an image, or into the pose of the source."""
+    if place in ("own", "source"):
+        images[int(place == "source")][8, 11] = POISON[bad]
+    else:
+        name = "rotation" if place == "turned" else "translation"
+        getattr(cameras[1], name)[..., 0] = POISON[bad]
+
+
 @pytest.mark.parametrize("bad", POISON)
 @pytest.mark.parametrize("place", ["own", "source", "turned", "shifted"])
 @pytest.mark.one_in(3)
 def test_poison_ends_where_it_is(float_device, place, bad):
     photos, cameras = an_input(3 * [(25, 20)])
-    if place in ("own", "source"):
-        photos[int(place == "source")][8, 11] = POISON[bad]
-    else:
-        name = "rotation" if place == "turned" else "translation"
-        getattr(cameras[1], name)[..., 0] = POISON[bad]
+    poison(photos, cameras, place, bad)
     with np.errstate(all="ignore"):
         depths, scores = run(float_device, photos, cameras)
     assert np.isfinite(depths).all() and np.isfinite(scores).all()
@@ -244,11 +249,7 @@ def test_poison_confirms_nothing(float_device, place, bad):
     cameras = cameras_of(2 * [(25, 20)])
     depths = [1 / photo_of(camera)[1] for camera in cameras]
     sound = confirmed(float_device, depths, cameras, [1])
-    if place in ("own", "source"):
-        depths[int(place == "source")][8, 11] = POISON[bad]
-    else:
-        name = "rotation" if place == "turned" else "translation"
-        getattr(cameras[1], name)[..., 0] = POISON[bad]
+    poison(depths, cameras, place, bad)
     with np.errstate(all="ignore"):
         counts = confirmed(float_device, depths, cameras, [1])
     if place == "own":

@@ -11,10 +11,9 @@ from clsplat.schedule import scaled_steps, schedule_of
 from clsplat.schedule.sig import (
     GROWS_SHARE,
     OBSERVE_STEPS,
-    ROUND_STEPS,
     Sig,
 )
-from clsplat.schedule.sig_limits import LEVELS
+from clsplat.schedule.sig_limits import LEVELS, ROUND_STEPS
 from tests.schedule.driven_sig import (
     FACTS,
     PRESETS,
