@@ -336,3 +336,9 @@ def test_too_little_is_refused_and_the_cure_is_one(evaluation, saved):
     assert made.reserve(saved) <= MOST_OVERHEAD * least
     with pytest.raises(InputError):
         TimeBudget(0.85 * least - 1, evaluation, 0.3, saved)
+
+
+def test_time_that_is_left_is_not_used_for_more_steps_than_are_worth_taking():
+    training = Simulated(240, Clock(by_level))
+    training.session.decisions.most_steps = 500
+    assert training.run() < 0.5 * 240 and training.session.iteration == 500
