@@ -1,13 +1,15 @@
 """Forecasts of the memory and time of a city's blocks."""
 
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from typing import Any
 
 from clsplat.city.cut import VISITS
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
-from clsplat.estimate.measured import MeasuredSteps
-from clsplat.estimate.step_time import fitted
+from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
+from clsplat.estimate.step_time import fitted, pixels
+from clsplat.evaluation.run import Run
 from clsplat.gaussians import LEARNED
 from clsplat.io.city import EXCHANGES, LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
@@ -110,8 +112,9 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
 def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) -> Table:
     """The start of each block of a city, and a forecast of its device memory and time.
 
-    The largest block is planned with real steps, the others in proportion to it: the time of a step
-    is taken as equal, since blocks see parts of photos of about the same size.
+    The largest block is planned with the steps of the coarse run, or if that ran on another device
+    with some real steps, the others in proportion to it: the time of a step is taken as equal,
+    since blocks see parts of photos of about the same size.
 
     Parameters
     ----------
@@ -139,7 +142,8 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     initial = [sum(record[key] for key in ("own", "margin", "surroundings"))
                for _, record in records]
     largest = records[initial.index(max(initial))][0]
-    forecast = Planned(read_scene(largest.path), block_options(largest), device).forecast()
+    known = coarse_steps(city, device)
+    forecast = Planned(read_scene(largest.path), block_options(largest), device).forecast(known)
     each = forecast.seconds / 60 / forecast.steps
     rows = [(*row, f"{forecast.gaussians * count / max(initial):,.0f}",
              f"{forecast.memory.total * count / max(initial) / MIB:,.0f}", f"{each * taken:.1f}")
@@ -147,9 +151,27 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     times = ", ".join(f"{each * end:.1f} on {workers}" for workers, end in ends.items())
     return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 10), (
         f"{note} The number at the end, MiB and minutes are forecasts for a block that has "
-        f"{device.name} to itself, from steps of block {largest.path.name}. All blocks take "
+        f"{device.name} to itself, from steps of "
+        f"{'the coarse run' if known else f'block {largest.path.name}'}. All blocks take "
         f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",
         *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
+
+
+def coarse_steps(city: CityFolder, device: Device) -> list[tuple[float, float, float]]:
+    """The (pixels, gaussians, seconds) of steps of a city's coarse run, each the mean of those
+    between two records; none where it ran on another device, or has too few records."""
+    run = Run.open(city.coarse)
+    if (run.record.get("opencl_device"), run.record.get("kernel_form")) != (device.name,
+                                                                           device.form):
+        return []
+    views = run.scene().views
+    records = [record for record in run.folder.past_records() if record["event"] == "step"]
+    steps = [(pixels(views, record["level"]), float(record["gaussians"]),
+              (record["train_seconds"] - before["train_seconds"])
+              / (record["iteration"] - before["iteration"]))
+             for before, record in pairwise(records) if before["level"] == record["level"]]
+    steps = [step for step in steps if step[2] > 0]
+    return steps if len(steps) >= LEAST_STEPS else []
 
 
 def exchange_notes(records: Iterable[Mapping[str, Any]], growth: float) -> tuple[str, ...]:

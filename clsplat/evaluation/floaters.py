@@ -1,6 +1,7 @@
 """Floaters: the gaussians of a model that are away from the true surfaces of a synthetic city."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -57,12 +58,17 @@ def floater_share(city: City, gaussians: Gaussians, cameras: Sequence[Camera],
     opacity = expit(gaussians.opacity_logits.astype(np.float64))
     floating = np.zeros(len(TOLERANCES))
     order = _neighbours_together(positions + offset)
-    for begin in range(0, len(order), CHUNK):
+
+    def floating_among(begin: int) -> list[float]:
         rows = order[begin:begin + CHUNK]
         world = positions[rows] + offset
         away = distance(_around(city, world), world)
         footprint = _footprint(positions[rows], cameras)
-        floating += [opacity[rows] @ (away > pixels * footprint) for pixels in TOLERANCES]
+        return [opacity[rows] @ (away > pixels * footprint) for pixels in TOLERANCES]
+
+    with ThreadPoolExecutor() as threads:
+        for part in threads.map(floating_among, range(0, len(order), CHUNK)):
+            floating += part
     shares = floating / max(opacity.sum(), np.finfo(float).tiny)
     return {"floaters" if pixels == 1 else f"floaters_{pixels}": float(share)
             for pixels, share in zip(TOLERANCES, shares)}

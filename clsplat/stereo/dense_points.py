@@ -102,7 +102,8 @@ def stereo_views(scene: Scene, views: Sequence[View]) -> list[list[int]]:
 
 def dense_points(device: Device, scene: Scene, views: Sequence[View],
                  photos: Sequence[NDArray[np.uint8]], most: int,
-                 progress: Callable[[int], object] = lambda done: None
+                 progress: Callable[[int], object] = lambda done: None,
+                 sources: Sequence[Sequence[int]] | None = None
                  ) -> tuple[Floats, NDArray[np.uint8]]:
     """Points of a scene with their colours, the sparse points among them.
 
@@ -114,21 +115,27 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
     photos : of the views, uint8[3, h, w], or uint8[4, h, w] with a mask.
     most : as many points are wanted; there are fewer where photos show fewer or are too small.
     progress : called with the number of views that are done.
+    sources : `stereo_views` of the views, if they are known.
 
     Returns
     -------
     float64[N, 3], world; uint8[N, 3].
     """
-    sources, seen = stereo_views(scene, views), visibility(scene, views)
+    sources = sources or stereo_views(scene, views)
+    seen = visibility(scene, views)
     maps = _depth_maps(device, sources, views, photos, _depth_ranges(views, *seen), progress)
     low, high = np.percentile(scene.points, (0.5, 99.5), axis=0)
     extent = high - low
     around = AROUND * np.maximum(extent, THINNEST * extent.max())
+
+    def points_of(view: View, photo: NDArray[np.uint8], inverse: NDArray[np.float32]) -> Points:
+        part = _points_of(view, photo, inverse)
+        return _chosen(part, ((part.positions > low - around)
+                              & (part.positions < high + around)).all(axis=1))
+
     with ThreadPoolExecutor() as threads:
-        parts = list(threads.map(_points_of, views, photos, _confirmed(device, sources, views,
-                                                                       maps)))
-    parts = [_chosen(part, ((part.positions > low - around)
-                            & (part.positions < high + around)).all(axis=1)) for part in parts]
+        parts = list(threads.map(points_of, views, photos, _confirmed(device, sources, views,
+                                                                      maps)))
     merged = merge(Points.joined([*parts, _sparse(scene, views, *seen)]), most)
     return merged.positions, merged.colours.round().astype(np.uint8)
 
@@ -288,12 +295,11 @@ def _in_cells(points: Points, pixels: float) -> Points:
     place = [octave, *(np.floor(column / side) for column in points.positions.T)]
     place = [column - column.min() for column in place]
     widths = [column.max() + 1 for column in place]
-    if np.prod(widths) < 2.0**62:
-        key = np.ravel_multi_index([column.astype(np.int64) for column in place],
-                                   [int(width) for width in widths])
+    if np.prod(widths) * len(octave) < 2.0**62:
+        of = _numbered(np.ravel_multi_index([column.astype(np.int64) for column in place],
+                                            [int(width) for width in widths]))
     else:  # far-off points
-        key = np.unique(np.stack(place, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
-    _, of = np.unique(key, return_inverse=True)
+        of = np.unique(np.stack(place, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     weights = points.merged.astype(np.float64)
     total = np.bincount(of, weights)
 
@@ -302,3 +308,16 @@ def _in_cells(points: Points, pixels: float) -> Points:
 
     return Points(mean(points.positions), mean(points.colours), mean(points.sizes[:, None])[:, 0],
                   total.astype(int))
+
+
+def _numbered(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """As np.unique(keys, return_inverse=True)[1], in less than half of the time.
+
+    Keys times their number are below 2^62: each is sorted together with its place, as sorting
+    numbers is several times as fast as finding their order.
+    """
+    count = len(keys)
+    keys, place = np.divmod(np.sort(keys * count + np.arange(count)), count)
+    number = np.empty(count, np.int64)
+    number[place] = np.cumsum(np.concatenate([[False], keys[1:] != keys[:-1]]))
+    return number

@@ -12,6 +12,7 @@ from clsplat.io.linked import DEPTH
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import EARLIER, TrainOptions, checked, resolve
+from clsplat.scene import Scene
 from clsplat.training.exchange import exchange, lacking_blocks, other_blocks, write_part
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
@@ -94,18 +95,19 @@ def train_block(block: BlockFolder, options: TrainOptions,
         device = device or _opened(options.device, options.form)
         exchanges = [] if alone else block.exchanges
         others = other_blocks(block) if exchanges else []
+        scene = read_scene(block.path)
         for number, step in enumerate(exchanges, 1):
             if run.checkpoint_iteration() < step:
-                _go_on(block, options, device, progress, step)
+                _go_on(block, scene, options, device, progress, step)
             if run.checkpoint_iteration() > step:
                 continue
-            write_part(block, number)
+            write_part(block, scene, number)
             if lacking := lacking_blocks(others, number):
                 return (f"waits at exchange {number} of {len(exchanges)}, after step {step}: train "
                         f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "
                         "too, then this block again")
-            exchange(block, others, options, number)
-        _go_on(block, options, device, progress)
+            exchange(block, scene, others, options, number)
+        _go_on(block, scene, options, device, progress)
     return "finished"
 
 
@@ -114,10 +116,10 @@ def _opened(name: str, form: str) -> Device:
     return choose_device(name, form=form)
 
 
-def _go_on(block: BlockFolder, options: TrainOptions, device: Device,
+def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Device,
            progress: SilentProgress | None, until: int = 0) -> None:
     """Train until a step, or to the end if that is 0; other arguments as for `train_block`."""
-    run, scene = RunFolder(block.run), read_scene(block.path)
+    run = RunFolder(block.run)
     noted = NotedProgress(run.path, progress or SilentProgress())
     if run.checkpoint_iteration() and block.around.is_file():
         scene = replace(scene, surroundings=block.around)

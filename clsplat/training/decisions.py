@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -19,6 +20,7 @@ from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
 from clsplat.schedule import SceneFacts, planned_steps, scaled_steps, schedule_of
 from clsplat.schedule.simulate import largest, simulate
+from clsplat.stereo.dense_points import stereo_views
 from clsplat.training.dense_start import chosen_start, planned_count
 from clsplat.training.facts import scene_facts
 from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM, model_bytes
@@ -59,6 +61,7 @@ class Decisions:
     facts : what the schedule knows about the scene, with the planned number of initial gaussians.
     most_steps : which a time budget may not exceed.
     parts : name of a part -> its decision.
+    compared : `stereo_views` of the training views, where training begins at dense points.
     """
 
     options: TrainOptions
@@ -66,6 +69,7 @@ class Decisions:
     facts: SceneFacts
     most_steps: int
     parts: dict[str, Decision]
+    compared: list[list[int]] | None = None
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -97,7 +101,8 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     neighbours, reproject = _neighbours(scene, views, options)
     spread = view_spread(scene, scene.views)  # held-out views must be served, too
     limit = Decision(*schedule.planned_limit(options, facts))
-    start = Decision(*chosen_start(scene, views, options))
+    compared = functools.cache(lambda: stereo_views(scene, views))
+    start = Decision(*chosen_start(scene, views, options, compared))
     if start.value == "dense":
         facts = dataclasses.replace(facts, count=planned_count(limit.value, facts.pixels, options))
     parts = {"steps": length, "init": start,
@@ -111,7 +116,8 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     if device is not None:
         parts["engine"] = _engine(facts, options, device)
         options = dataclasses.replace(options, engine=parts["engine"].value)
-    return Decisions(options, neighbours, facts, most, parts)
+    return Decisions(options, neighbours, facts, most, parts,
+                     compared() if start.value == "dense" else None)
 
 
 def needed_degree(cap: float) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.options import TrainOptions, seconds_of
 from clsplat.scene import Scene, View
 from clsplat.schedule import schedule_of
-from clsplat.stereo.dense_points import SIDE, dense_points, stereo_views, sweep_seconds
+from clsplat.stereo.dense_points import SIDE, dense_points, sweep_seconds
 from clsplat.training.initialise import initial_gaussians
 from clsplat.training.photos import decoded, with_side
 from clsplat.training.progress import SilentProgress
@@ -31,7 +31,8 @@ LEAST_OVERLAP = 0.5  # of the photos, that can be compared with others
 LEAST_STEPS, LEAST_SECONDS = 20, 2.0  # for each photo; the second of a time budget
 
 
-def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions) -> tuple[str, str]:
+def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
+                 compared: Callable[[], Sequence[Sequence[int]]]) -> tuple[str, str]:
     """(the value of `init` that is used, the reason); InputError where dense points were requested
     and cannot be had.
 
@@ -40,6 +41,7 @@ def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions) -> 
     scene : at the size of training.
     views : the training views of the scene.
     options : with scaled steps.
+    compared : returns their `stereo_views`; called only where these matter.
     """
     dense = options.init == "dense"
     if not dense and not is_auto(options.init):
@@ -57,7 +59,7 @@ def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions) -> 
         if options.iterations < LEAST_STEPS * len(views):
             return "sfm", (f"sfm: the sparse points; dense ones need {LEAST_STEPS} steps for each "
                            f"of {len(views)} photos")
-    overlap = sum(map(bool, stereo_views(scene, views)))
+    overlap = sum(map(bool, compared()))
     counted = f"{overlap} of {len(views)} photos can be compared with two others"
     if dense:
         if not overlap:
@@ -107,7 +109,8 @@ def _dense(device: Device, prepared: PreparedScene, progress: SilentProgress
     photos = list(decoded(small))
     return dense_points(
         device, prepared.scene, small, photos, prepared.decisions.facts.count,
-        lambda done: progress.phase(f"finding dense points: photo {done} of {len(small)}"))
+        lambda done: progress.phase(f"finding dense points: photo {done} of {len(small)}"),
+        prepared.decisions.compared)
 
 
 def start_seconds(device: Device, prepared: PreparedScene) -> float:

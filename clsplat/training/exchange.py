@@ -25,7 +25,6 @@ from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.ply import write_ply
 from clsplat.io.records import object_of
 from clsplat.io.run import STATE, RunFolder
-from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene
@@ -55,19 +54,20 @@ def most_exchanges(steps: int) -> int:
     return steps // (2 * LOG_EVERY)
 
 
-def write_part(block: BlockFolder, number: int) -> None:
+def write_part(block: BlockFolder, scene: Scene, number: int) -> None:
     """Write what a block owns, with Adam's moments, unless that was done before.
 
     Parameters
     ----------
     block : its run has a checkpoint at the exchange.
+    scene : in its folder, as it was read.
     number : of the exchange, from 1.
     """
     path = block.part(number)
     if path.exists():
         return
     arrays, _ = RunFolder(block.run).load_checkpoint()
-    scene = read_scene(block.path).normalised()
+    scene = scene.normalised()
     assert scene.region is not None
     owned = scene.region.owns(scene.offset + scene.unit * arrays["row.positions"].astype(float))
     with replacing(path) as file:
@@ -109,8 +109,8 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
     return [other.path.name for other in others if not other.part(number).is_file()]
 
 
-def exchange(block: BlockFolder, others: Iterable[BlockFolder], options: TrainOptions, number: int
-             ) -> None:
+def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
+             options: TrainOptions, number: int) -> None:
     """Replace a block's margin and surroundings by the parts of other blocks.
 
     Changes the checkpoint of its run, and what its views show as layers. Gaussians of the margin
@@ -119,13 +119,14 @@ def exchange(block: BlockFolder, others: Iterable[BlockFolder], options: TrainOp
     Parameters
     ----------
     block : its run has a checkpoint at the exchange, and no part lacks.
+    scene : in its folder, as it was read.
     others : its `other_blocks`.
     options : of its training.
     number : of the exchange, from 1.
     """
     run, record = RunFolder(block.run), block.read()
     arrays, state = run.load_checkpoint()
-    scene = read_scene(block.path).reduced(options.downscale, options.max_resolution).normalised()
+    scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     assert scene.region is not None
     own = _read_part(block.part(number), record)[0]
     degree = gaussians_of(own, _degree(own)).sh_degree

@@ -182,8 +182,6 @@ def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, views: S
         blended = renderer.render(rows, renderer.pack(view.camera), view.camera.width,
                                   view.camera.height, surroundings.sh_degree).blended
         image, clear = blended.image.download(), blended.transmittance.download()[None]
-        del blended
-        device.trim()  # the next frame has other sizes
         return image, clear
 
     for view in views:
@@ -195,6 +193,7 @@ def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, views: S
             if front[0].any() or front[1].min() < 255:
                 back = np.concatenate([back, *front])
         yield back
+    device.trim()  # frames of the training have other sizes
 
 
 def eight_bits(values: NDArray[np.floating]) -> NDArray[np.uint8]:

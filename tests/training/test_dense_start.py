@@ -8,6 +8,7 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
+from clsplat.stereo.dense_points import stereo_views
 from clsplat.training import session
 from clsplat.training.dense_start import (
     LEAST_SECONDS,
@@ -27,8 +28,12 @@ def city():
     return read_scene(CITY).reduced(4)
 
 
+def start(scene, options):
+    return chosen_start(scene, scene.views, options, lambda: stereo_views(scene, scene.views))
+
+
 def chosen(scene, **options):
-    return chosen_start(scene, scene.views, resolve({}, {"iterations": 7000, **options}))
+    return start(scene, resolve({}, {"iterations": 7000, **options}))
 
 
 @pytest.mark.parametrize("options, value", [
@@ -46,7 +51,7 @@ def test_sig_begins_at_dense_points_where_the_run_is_long_enough(city, options, 
                                             (32 * LEAST_SECONDS - 1, "sfm")])
 def test_a_short_time_budget_begins_at_the_sparse_points(city, seconds, value):
     options = resolve({}, {"time_budget": f"{seconds:g}s", "iterations": 30_000})
-    assert chosen_start(city, city.views, options)[0] == value
+    assert start(city, options)[0] == value
 
 
 def test_photos_that_do_not_overlap(city):

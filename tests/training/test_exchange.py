@@ -85,7 +85,7 @@ def in_world(scene, positions):
 def test_a_block_goes_on_from_what_others_own(city):
     block, run = city.block(0), RunFolder(city.block(0).run)
     before, _ = run.load_checkpoint()
-    exchange(block, other_blocks(block), block_options(block), 1)
+    exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1)
     after, state = run.load_checkpoint()
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
     other = read_scene(city.block(1).path).normalised()
@@ -144,7 +144,7 @@ def test_parts_that_cannot_be_used_are_named(city):
     content = other.part(1).read_bytes()
     other.part(1).write_bytes(content[:-300])
     with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
-        exchange(block, other_blocks(block), block_options(block), 1)
+        exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1)
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):
