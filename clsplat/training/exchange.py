@@ -12,6 +12,7 @@ killed during an exchange repeats it, and ends in the same bytes.
 """
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from clsplat.training.checkpoint import Arrays, gaussians_of
 from clsplat.training.recorder import LOG_EVERY
 
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
+PARTS_TOGETHER = 4  # that are read at the same time, so that not all of them are in memory
 CITY = "city"  # key of block.json, and of a part: the fingerprint of the whole scene
 
 
@@ -127,21 +129,26 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
     run, record = RunFolder(block.run), block.read()
     arrays, state = run.load_checkpoint()
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
-    assert scene.region is not None
+    region = scene.region
+    assert region is not None
     own = _read_part(block.part(number), record)[0]
     degree = gaussians_of(own, _degree(own)).sh_degree
-    parts, around = [own], []
-    for other in others:
+
+    def taken_from(other: BlockFolder) -> tuple[Arrays, Gaussians | None]:
+        """What the block holds of another one, and what it draws as layers."""
         part = _in_frame_of(scene, *_read_part(other.part(number), record))
-        start = block_start(gaussians_of(part, degree), scene, scene.region, scene.views,
+        start = block_start(gaussians_of(part, degree), scene, region, scene.views,
                             lambda _: LAYERS in record)
         kept = start.indices[:start.gaussians.count]
         taken = {name: values[kept] for name, values in part.items()}
         taken["row.log_scales"] = start.gaussians.log_scales.astype(part["row.log_scales"].dtype)
-        parts.append(taken)
-        if start.around is not None:
-            around.append(start.around)
+        return taken, start.around
+
+    with ThreadPoolExecutor(PARTS_TOGETHER) as threads:
+        found = list(threads.map(taken_from, others))
+    parts = [own, *(taken for taken, _ in found)]
     if LAYERS in record:
+        around = [each for _, each in found if each is not None]
         rows = {field.name: np.concatenate([each.rows[field.name] for each in around]
                                            or [own[f"row.{field.name}"][:0]]) for field in LEARNED}
         write_ply(block.around, Gaussians(rows, degree).scaled(scene.unit), scene.offset)
