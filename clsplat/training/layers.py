@@ -192,8 +192,8 @@ def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, views: S
             front = [eight_bits(colour - clear * background), eight_bits(clear)]
             if front[0].any() or front[1].min() < 255:
                 back = np.concatenate([back, *front])
+        device.trim()  # the frames of the next view have other sizes
         yield back
-    device.trim()  # frames of the training have other sizes
 
 
 def eight_bits(values: NDArray[np.floating]) -> NDArray[np.uint8]:
