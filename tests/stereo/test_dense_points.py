@@ -7,7 +7,14 @@ import pytest
 
 import clsplat.stereo.dense_points as stereo_module
 from clsplat.scene import Scene, View
-from clsplat.stereo.dense_points import SPARSE, Points, dense_points, merge, stereo_views
+from clsplat.stereo.dense_points import (
+    SPARSE,
+    Points,
+    _numbered,
+    dense_points,
+    merge,
+    stereo_views,
+)
 from tests.covisibility.test_source_views import circle
 from tests.kernels.test_sweep import DEPTH, cameras_of, photo_of
 
@@ -160,3 +167,9 @@ def test_near_places_get_small_cells():
     far = merged.positions[:, 2] > 5
     assert 0.8 < far.sum() / (~far).sum() < 1.25 and 350 < len(far) <= 500
     assert 4e12 > merge(points_at([[0, 0, 0], [1e12, 1, 1]]), 5).positions.max() > 9e11
+
+
+@pytest.mark.parametrize("most", [1, 3, 2**50])
+def test_cells_are_numbered_in_the_order_of_their_keys(most):
+    keys = np.random.default_rng(0).integers(0, most, 2000)
+    assert np.array_equal(_numbered(keys), np.unique(keys, return_inverse=True)[1])
