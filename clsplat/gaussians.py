@@ -272,34 +272,27 @@ def _distances(points: NDArray[np.floating], neighbours: int
                ) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
     """(float64[M, k] distances of the M distinct points to their nearest neighbours, ascending;
     int[N], which of them each point is; the distance below which two points are coincident)."""
-    distinct, inverse = points, np.arange(len(points))
-    distance = _to_nearest(points, neighbours)
-    if not distance[:, :1].all():
-        distinct, inverse = _distinct(points)
-        distance = _to_nearest(distinct, neighbours)
-    if not distance.size:
+    distinct, inverse = _distinct(points)
+    if len(distinct) < 2:
         raise InputError(
             f"the sparse model's {len(points)} points all lie at one place; "
             "reconstruct the scene again, or check the units of its points")
     # an outlier far away must not make the other points coincident
     typical = np.median(np.linalg.norm(distinct - np.median(distinct, axis=0), axis=1))
     size = min(np.linalg.norm(np.ptp(distinct, axis=0)), 10 * typical)
+    k = min(neighbours, len(distinct) - 1)
+    tree = cKDTree(distinct, balanced_tree=False)  # in half of the time, and as good for queries
+    distance = tree.query(distinct, k=k + 1, workers=-1)[0][:, 1:]
     return distance, inverse, MINIMUM_DISTANCE * size
-
-
-def _to_nearest(points: NDArray[np.floating], neighbours: int) -> NDArray[np.float64]:
-    """Distances [N, k] of each point to its nearest neighbours, ascending; k <= neighbours."""
-    if len(points) < 2:
-        return np.zeros((len(points), 0))
-    k = min(neighbours, len(points) - 1)
-    tree = cKDTree(points, balanced_tree=False)  # in half of the time, and as good for queries
-    distance: NDArray[np.float64] = tree.query(points, k=range(1, k + 2), workers=-1)[0][:, 1:]
-    return distance
 
 
 def _distinct(points: NDArray[np.floating]
               ) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
-    """As np.unique(points, axis=0, return_inverse=True), in half of the time."""
+    """As np.unique(points, axis=0, return_inverse=True), in half of the time or less; where all
+    points differ in their first coordinate, in the given order."""
+    first = np.sort(points[:, 0])
+    if (first[1:] != first[:-1]).all():
+        return points, np.arange(len(points))
     order = np.lexsort(points.T[::-1])
     ordered = points[order]
     is_new = np.ones(len(points), bool)

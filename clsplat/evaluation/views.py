@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -42,6 +45,8 @@ Image = NDArray[np.floating]  # [H, W, 3], 0 to 1
 Valid = NDArray[np.bool_] | None  # [H, W], the pixels that count; None: all
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 MOST_SAMPLED = 24  # training views from which to choose pictures, where no view is held out
+SCORING_BYTES = 640 << 20  # of host memory, for views that are scored at the same time
+SCORED_PIXEL_BYTES = 300  # of the double precision of SSIM, FLIP and the colour fit
 SAMPLED_SIDE = 1600  # pixels of their photos' longer sides at most; a page shows fewer
 Metric = Callable[[Image, Image, Valid], float]  # of an image and its photo
 METRICS: Mapping[str, Metric] = {"psnr": psnr, "ssim": ssim}  # of every evaluation
@@ -89,25 +94,47 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
     names = score_names(metrics)
     if align:
         names += [f"{name}_aligned" for name in names] + ["aligned_degrees", "aligned_shift"]
-    for view in views:
-        image = render_view(renderer, rows, degree, view.camera, responses.get(view.name))
-        photo, valid = photo_of(view), view.valid()
-        if valid is not None and not valid.any():
-            continue
-        fitted = fit_colour(image, photo, valid)
-        shown = [image, fitted]
-        if align:
-            correction = aligned(renderer, rows, degree, view, align)
-            moved = render_view(renderer, rows, degree, correction.applied(view.camera),
-                                responses.get(view.name))
-            shown += [moved, fit_colour(moved, photo, valid)]
+
+    def scored(view: View, renders: Sequence[Image], valid: Valid, sizes: Sequence[float]
+               ) -> tuple[dict[str, Any], tuple[Any, ...]]:
+        photo = photo_of(view)
+        shown = [each for image in renders for each in (image, fit_colour(image, photo, valid))]
         scores = [metric(each, photo, valid) for each in shown for metric in metrics.values()]
-        if align:
-            scores += [correction.degrees, float(np.linalg.norm(correction.shift)) / align]
-        per_view.append({"name": view.name, **dict(zip(names, scores))})
-        if keep:
-            keep(view, image, fitted, photo, valid)
+        return ({"name": view.name, **dict(zip(names, [*scores, *sizes]))},
+                (view, *shown[:2], photo, valid))
+
+    most = _scored_at_once(views)
+    with ThreadPoolExecutor(most) as threads:
+        ahead: deque[Future[tuple[dict[str, Any], tuple[Any, ...]]]] = deque()  # images are large
+
+        def settle() -> None:
+            scores, arguments = ahead.popleft().result()
+            per_view.append(scores)
+            if keep:
+                keep(*arguments)
+
+        for view in views:
+            valid, response = view.valid(), responses.get(view.name)
+            if valid is not None and not valid.any():
+                continue
+            renders, sizes = [render_view(renderer, rows, degree, view.camera, response)], []
+            if align:
+                correction = aligned(renderer, rows, degree, view, align)
+                renders.append(render_view(renderer, rows, degree,
+                                           correction.applied(view.camera), response))
+                sizes = [correction.degrees, float(np.linalg.norm(correction.shift)) / align]
+            ahead.append(threads.submit(scored, view, renders, valid, sizes))
+            if len(ahead) >= most:
+                settle()
+        while ahead:
+            settle()
     return mean_scores(per_view, names, predicted)
+
+
+def _scored_at_once(views: Sequence[View]) -> int:
+    """How many views are scored at the same time, each in a thread: as many as fit the memory."""
+    pixels = max((view.camera.width * view.camera.height for view in views), default=1)
+    return max(1, min(os.cpu_count() or 1, SCORING_BYTES // (SCORED_PIXEL_BYTES * pixels)))
 
 
 def mean_scores(per_view: list[dict[str, Any]], names: Iterable[str],
