@@ -29,6 +29,8 @@ PART_BYTES = 708  # the same with Adam's moments, in a file of an exchange
 # for each block, of a cluster's scheduler, client and workers: tools/studies/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
+TRIAL_WORTH = 60.0  # seconds of training, for which trial steps of some seconds are worth it
+COARSE_NOTE = "the coarse run, which tell it to a factor of two"
 DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
@@ -112,9 +114,9 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
 def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) -> Table:
     """The start of each block of a city, and a forecast of its device memory and time.
 
-    The largest block is planned with the steps of the coarse run, or if that ran on another device
-    with some real steps, the others in proportion to it: the time of a step is taken as equal,
-    since blocks see parts of photos of about the same size.
+    The largest block is planned with real steps, the others in proportion to it: the time of a step
+    is taken as equal, since blocks see parts of photos of about the same size. Where the steps of
+    the coarse run tell that the blocks take less than TRIAL_WORTH, these steps have to do.
 
     Parameters
     ----------
@@ -143,7 +145,10 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
                for _, record in records]
     largest = records[initial.index(max(initial))][0]
     known = coarse_steps(city, device)
-    forecast = Planned(read_scene(largest.path), block_options(largest), device).forecast(known)
+    planned = Planned(read_scene(largest.path), block_options(largest), device)
+    forecast = planned.forecast(known)
+    if known and forecast.seconds / forecast.steps * sum(steps) > TRIAL_WORTH:
+        known, forecast = [], planned.forecast()
     each = forecast.seconds / 60 / forecast.steps
     rows = [(*row, f"{forecast.gaussians * count / max(initial):,.0f}",
              f"{forecast.memory.total * count / max(initial) / MIB:,.0f}", f"{each * taken:.1f}")
@@ -152,7 +157,7 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 10), (
         f"{note} The number at the end, MiB and minutes are forecasts for a block that has "
         f"{device.name} to itself, from steps of "
-        f"{'the coarse run' if known else f'block {largest.path.name}'}. All blocks take "
+        f"{COARSE_NOTE if known else f'block {largest.path.name}'}. All blocks take "
         f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",
         *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
 

@@ -78,6 +78,31 @@ def test_steps_of_the_coarse_run_are_known_on_its_device(monkeypatch):
     assert known() == [], "two steps do not tell three numbers"
 
 
+@pytest.mark.parametrize("seconds, tried", [(0.01, False), (0.1, True)])
+def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, tried):
+    """Two blocks of 1000 steps: 20 seconds in all, and 200."""
+    record = {"own": 10, "margin": 4, "surroundings": 0, "views": 8,
+              "options": {"iterations": 1000}}
+    city = SimpleNamespace(blocks=lambda: [
+        SimpleNamespace(path=Path(f"{n:03d}"), read=lambda *_: record) for n in (1, 2)])
+    asked = []
+
+    def planned(known=()):
+        asked.append(list(known))
+        return SimpleNamespace(seconds=1000 * seconds, steps=1000, gaussians=28,
+                               memory=SimpleNamespace(total=2**20))
+
+    for name, value in (("Planned", lambda *_: SimpleNamespace(forecast=planned)),
+                        ("read_scene", lambda _: None), ("block_options", lambda _: None),
+                        ("coarse_steps", lambda *_: [(1.0, 1.0, seconds)])):
+        monkeypatch.setattr(forecast_module, name, value)
+    note = block_table(city, SimpleNamespace(name="a card"), [10, 10]).notes[0]
+    assert asked == [[(1.0, 1.0, seconds)], []][:1 + tried]
+    assert ("from steps of block 001" in note) == tried
+    assert ("from steps of the coarse run" in note) != tried
+    assert f"All blocks take {2000 * seconds / 60:.1f} minutes" in note
+
+
 def test_exchanges_leave_files():
     blocks = [{"own": 2**20, "exchanges": [100, 200]}, {"own": 2**19, "exchanges": [100, 200]}]
     (note,) = exchange_notes(blocks, 3.0)
