@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -28,6 +26,7 @@ from clsplat.evaluation.lpips import Lpips
 from clsplat.evaluation.metrics import psnr, ssim
 from clsplat.evaluation.pictures import Pictures, ShownView, chosen_views, shown_view
 from clsplat.gaussians import Gaussians
+from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import make_folder
 from clsplat.io.images import write_image
 from clsplat.io.regular import native
@@ -95,24 +94,7 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
     if align:
         names += [f"{name}_aligned" for name in names] + ["aligned_degrees", "aligned_shift"]
 
-    def scored(view: View, renders: Sequence[Image], valid: Valid, sizes: Sequence[float]
-               ) -> tuple[dict[str, Any], tuple[Any, ...]]:
-        photo = photo_of(view)
-        shown = [each for image in renders for each in (image, fit_colour(image, photo, valid))]
-        scores = [metric(each, photo, valid) for each in shown for metric in metrics.values()]
-        return ({"name": view.name, **dict(zip(names, [*scores, *sizes]))},
-                (view, *shown[:2], photo, valid))
-
-    most = _scored_at_once(views)
-    with ThreadPoolExecutor(most) as threads:
-        ahead: deque[Future[tuple[dict[str, Any], tuple[Any, ...]]]] = deque()  # images are large
-
-        def settle() -> None:
-            scores, arguments = ahead.popleft().result()
-            per_view.append(scores)
-            if keep:
-                keep(*arguments)
-
+    def rendered() -> Iterator[tuple[View, list[Image], Valid, list[float]]]:
         for view in views:
             valid, response = view.valid(), responses.get(view.name)
             if valid is not None and not valid.any():
@@ -123,11 +105,21 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
                 renders.append(render_view(renderer, rows, degree,
                                            correction.applied(view.camera), response))
                 sizes = [correction.degrees, float(np.linalg.norm(correction.shift)) / align]
-            ahead.append(threads.submit(scored, view, renders, valid, sizes))
-            if len(ahead) >= most:
-                settle()
-        while ahead:
-            settle()
+            yield view, renders, valid, sizes
+
+    def scored(view: View, renders: list[Image], valid: Valid, sizes: list[float]
+               ) -> tuple[dict[str, Any], tuple[Any, ...]]:
+        photo = photo_of(view)
+        shown = [each for image in renders for each in (image, fit_colour(image, photo, valid))]
+        scores = [metric(each, photo, valid) for each in shown for metric in metrics.values()]
+        return ({"name": view.name, **dict(zip(names, [*scores, *sizes]))},
+                (view, *shown[:2], photo, valid))
+
+    most = _scored_at_once(views)
+    for of_view, shown in called_ahead(scored, rendered(), most, most):
+        per_view.append(of_view)
+        if keep:
+            keep(*shown)
     return mean_scores(per_view, names, predicted)
 
 

@@ -6,9 +6,7 @@ those of the photo as it is stored.
 """
 
 import os
-from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
+from clsplat.io.ahead import called_ahead
 from clsplat.io.images import image_size, read_image
 from clsplat.io.masks import read_mask
 from clsplat.sfm.database import image_id
@@ -86,32 +85,17 @@ def _extracted(photos: Sequence[SourcePhoto], indices: Sequence[int], most: int
     options.use_gpu, options.num_threads = False, 1
     options.sift.max_num_features, options.sift.first_octave = most, 0
 
-    def one(index: int) -> Features:
+    def one(index: int) -> tuple[int, Features]:
         # an extractor keeps buffers, so each photo has its own
         extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
         try:
-            return _features(extractor, photos[index])
+            return index, _features(extractor, photos[index])
         except InputError as error:
             nothing = np.empty((0, 4), np.float32), np.empty((0, 128), np.uint8)
-            return Features(*nothing, failure=str(error))
+            return index, Features(*nothing, failure=str(error))
 
-    with ThreadPoolExecutor(threads()) as pool:
-        waiting: deque[tuple[int, Future[Features]]] = deque()
-        try:
-            for index in indices:
-                waiting.append((index, pool.submit(one, index)))
-                # few at once, since a photo's features take half a megabyte
-                if len(waiting) > 2 * threads():
-                    yield _finished(waiting)
-            while waiting:
-                yield _finished(waiting)
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _finished(waiting: deque[tuple[int, Future[Features]]]) -> tuple[int, Features]:
-    index, result = waiting.popleft()
-    return index, result.result()
+    # few at once, since a photo's features take half a megabyte
+    yield from called_ahead(one, zip(indices), threads(), 2 * threads() + 1)
 
 
 def threads() -> int:

@@ -3,7 +3,6 @@
 import math
 import os
 import time
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
+from clsplat.io.ahead import called_ahead
 from clsplat.io.resample import BAND_BYTES
 from clsplat.io.views import photo_bands
 from clsplat.options import TrainOptions
@@ -68,14 +68,7 @@ def decoded(views: Iterable[View]) -> Iterator[NDArray[np.uint8]]:
     """Yield `decode` of each view, from a few threads; InputError at a damaged photo."""
     views = list(views)
     most = at_once(views, 2 * THREADS + 1, HOST_BYTES)
-    with ThreadPoolExecutor(min(THREADS, most)) as threads:
-        ahead: deque[Future[NDArray[np.uint8]]] = deque()  # kept short: photos are large
-        for view in views:
-            ahead.append(threads.submit(decode, view))
-            if len(ahead) >= most:
-                yield ahead.popleft().result()
-        while ahead:
-            yield ahead.popleft().result()
+    yield from called_ahead(decode, zip(views), min(THREADS, most), most)
 
 
 def host_bytes(view: View) -> int:
