@@ -9,17 +9,19 @@ cells and distant ones large cells.
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import islice
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.covisibility.source_views import choose_source_views, visibility
 from clsplat.device import Device
+from clsplat.io.ahead import called_ahead
 from clsplat.stereo.sweep import confirm, device_images, sweep
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ SIDE = 256  # pixels: the longer side of the photos that are compared
 SOURCES = 4  # photos with which each is compared
 PLANES = 96
 BATCH = 32  # photos that are on the device together with their sources
+PHOTOS_TOGETHER = 8  # whose points are merged before those of all photos, in threads
 BEYOND = 0.85, 1.2  # the first and last plane, beyond the depths of the view's sparse points
 LEAST_SEEN = 20  # sparse points of a view, to tell its depths
 LEAST_SCORE = 0.5  # correlation of a pixel's window
@@ -44,6 +47,7 @@ SAME_SIZE = 1.01  # ratio of two sizes of cells that need not be told apart
 FILLED = 0.98  # of the cells that are wanted: a size that gives so many is good enough
 LARGEST_CELL = 2.0**20  # pixels
 Floats = NDArray[np.float64]
+Item = TypeVar("Item")
 DepthMap = tuple[NDArray[np.float32], NDArray[np.bool_]]  # see `_depth_maps`
 
 
@@ -128,16 +132,24 @@ def dense_points(device: Device, scene: Scene, views: Sequence[View],
     extent = high - low
     around = AROUND * np.maximum(extent, THINNEST * extent.max())
 
-    def points_of(view: View, photo: NDArray[np.uint8], inverse: NDArray[np.float32]) -> Points:
-        part = _points_of(view, photo, inverse)
-        return _chosen(part, ((part.positions > low - around)
-                              & (part.positions < high + around)).all(axis=1))
+    def points_of(*shown: tuple[View, NDArray[np.uint8], NDArray[np.float32]]) -> Points:
+        """The points of a few photos, merged."""
+        part = Points.joined([_points_of(*each) for each in shown])
+        return _in_cells(_chosen(part, ((part.positions > low - around)
+                                        & (part.positions < high + around)).all(axis=1)), 1.0)
 
-    with ThreadPoolExecutor() as threads:
-        parts = list(threads.map(points_of, views, photos, _confirmed(device, sources, views,
-                                                                      maps)))
+    threads = os.cpu_count() or 1
+    parts = called_ahead(points_of, _by(PHOTOS_TOGETHER, zip(views, photos, _confirmed(
+        device, sources, views, maps))), threads, threads)
     merged = merge(Points.joined([*parts, _sparse(scene, views, *seen)]), most)
     return merged.positions, merged.colours.round().astype(np.uint8)
+
+
+def _by(count: int, items: Iterable[Item]) -> Iterator[tuple[Item, ...]]:
+    """The items, so many at a time."""
+    items = iter(items)
+    while some := tuple(islice(items, count)):
+        yield some
 
 
 def _depth_ranges(views: Sequence[View], points: Floats, point: NDArray[np.integer],
@@ -288,10 +300,14 @@ def _chosen(points: Points, which: NDArray[np.bool_]) -> Points:
 
 
 def _in_cells(points: Points, pixels: float) -> Points:
-    """The means of the points in cells of so many pixels, whose sizes are rounded to steps of 2."""
-    middle = np.median(points.sizes)
-    octave = np.rint(np.log2(points.sizes / middle))
-    side = pixels * middle * 2.0**octave
+    """The means of the points in cells of so many pixels, whose sizes are rounded to powers of 2.
+
+    The means of means are the same, as a cell holds the mean of its points.
+    """
+    if not len(points.sizes):
+        return points
+    octave = np.rint(np.log2(points.sizes))
+    side = pixels * 2.0**octave
     place = [octave, *(np.floor(column / side) for column in points.positions.T)]
     place = [column - column.min() for column in place]
     widths = [column.max() + 1 for column in place]

@@ -67,6 +67,17 @@ def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, 
     assert done == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.parametrize("together", [1, 4])
+def test_points_of_a_few_photos_are_merged_before(item_device, scene, photos, monkeypatch,
+                                                  together):
+    """Then a cell still holds the mean of its points, each counted once."""
+    first = dense_points(item_device, scene, scene.views, photos, MANY)
+    monkeypatch.setattr(stereo_module, "PHOTOS_TOGETHER", together)
+    found = dense_points(item_device, scene, scene.views, photos, MANY)
+    assert np.allclose(found[0], first[0], atol=1e-9)
+    assert (np.abs(found[1] - first[1].astype(int)) <= 1).all()  # a mean is rounded
+
+
 def test_a_plane_that_faces_an_axis_keeps_its_points(item_device, scene, photos):
     """Sparse points without any extent along one axis say little of what lies beside them."""
     turn = np.arctan(SLANT)
