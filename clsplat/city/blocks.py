@@ -8,7 +8,7 @@ from clsplat.city.cut import cut_into_blocks
 from clsplat.city.split import split_blocks, too_large
 from clsplat.device import Device
 from clsplat.distribute import Outcome, Task, run
-from clsplat.io.city import BlockFolder, CityFolder
+from clsplat.io.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.run import RunFolder
 from clsplat.options import TrainOptions
 from clsplat.partition.input import world_of
@@ -130,7 +130,7 @@ def expected_work(block: BlockFolder) -> int:
     """
     record = block.read("own", "margin")
     steps = record["options"].get("iterations")  # checked when the block is trained
-    gaussians: int = record["own"] + record["margin"]
+    gaussians: int = record["own"] + record["margin"] + record.get(DENSE, 0)
     return gaussians * (steps if type(steps) is int else 1)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.city.dense import dense_gaussians
 from clsplat.city.visibility import DropTest
 from clsplat.config.option import differences, plain
 from clsplat.device import Device
@@ -16,11 +17,11 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.city import EXCHANGES, LAYERS, OTHERS, PARTITION, CityFolder
+from clsplat.io.city import DENSE, EXCHANGES, LAYERS, OTHERS, PARTITION, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions
-from clsplat.partition.blocks import block_start
+from clsplat.partition.blocks import block_start, filled
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
 from clsplat.partition.options import PartitionOptions
@@ -87,6 +88,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
     facts = scene_facts(scene, [scene.views[index] for index in views])
+    dense = dense_gaussians(city, scene, gaussians.sh_degree)
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
                                   observations=None)
@@ -96,6 +98,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         part = block_start(gaussians, scene, region, own.views, partial(
             takes_layers, surroundings, dataclasses.replace(own, region=region),
             decided, compared))
+        if dense:
+            part = filled(part, dense, scene, region, options.max_gaussians)
         given = block_steps(options, steps[number], smallest_size(own.views), facts)
         if not any(view.depth for view in own.views):
             given["depth"] = ""
@@ -105,6 +109,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             {**city.identity(), "views": len(chosen), "own": part.own, "margin": part.margin,
              "surroundings": part.surroundings, **compared,
              **({} if part.around is None else {LAYERS: part.around.count}),
+             **({DENSE: part.dense} if dense else {}),
              OTHERS: sorted(set(owner[part.indices].tolist()) - {-1, number}),
              **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
             part.around,

@@ -11,7 +11,7 @@ from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
 from clsplat.estimate.step_time import fitted, pixels
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import LEARNED
-from clsplat.io.city import EXCHANGES, LAYERS, CityFolder
+from clsplat.io.city import DENSE, EXCHANGES, LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition.grid import makespan
@@ -128,21 +128,23 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
     steps = [record["options"]["iterations"] for _, record in records]
     rows: list[tuple[str, ...]] = [
         (block.path.name, f"{count:,}", f"{record['margin']:,}", f"{record['surroundings']:,}",
-         f"{record.get(LAYERS, 0):,}", f"{record['views']}", f"{taken:,}")
+         f"{record.get(LAYERS, 0):,}", f"{record.get(DENSE, 0):,}", f"{record['views']}",
+         f"{taken:,}")
         for (block, record), count, taken in zip(records, counts, steps)]
-    head: tuple[str, ...] = ("block", "gaussians", "margin", "around", "in layers", "views",
-                             "steps")
+    head: tuple[str, ...] = ("block", "gaussians", "margin", "around", "in layers", "dense",
+                             "views", "steps")
     note = ("Gaussians: of the coarse run; around: those that the block holds without training "
             "them; in layers: those that it only draws, once for each view, where that takes less "
-            "memory (--surroundings).")
+            "memory (--surroundings); dense: those that begin at dense points, in gaps of the "
+            "coarse model (--init sfm leaves them out).")
     ends = {workers: makespan(steps, workers) for workers in DEVICES}
     if device is None:
         shares = ", ".join(f"{end / sum(steps):.0%} on {workers}" for workers, end in ends.items())
-        return Table("Blocks", head, rows, range(1, 7), (
+        return Table("Blocks", head, rows, range(1, 8), (
             f"{note} The last block ends after about this share of the time that all blocks take "
             f"on one device: {shares} (--workers).",))
     initial = [sum(record[key] for key in ("own", "margin", "surroundings"))
-               for _, record in records]
+               + record.get(DENSE, 0) for _, record in records]
     largest = records[initial.index(max(initial))][0]
     known = coarse_steps(city, device)
     planned = Planned(read_scene(largest.path), block_options(largest), device)
@@ -154,7 +156,7 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
              f"{forecast.memory.total * count / max(initial) / MIB:,.0f}", f"{each * taken:.1f}")
             for row, count, taken in zip(rows, initial, steps)]
     times = ", ".join(f"{each * end:.1f} on {workers}" for workers, end in ends.items())
-    return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 10), (
+    return Table("Blocks", (*head, "at the end", "MiB", "minutes"), rows, range(1, 11), (
         f"{note} The number at the end, MiB and minutes are forecasts for a block that has "
         f"{device.name} to itself, from steps of "
         f"{COARSE_NOTE if known else f'block {largest.path.name}'}. All blocks take "

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from clsplat.city.cut import whole_steps
-from clsplat.config.option import differences
+from clsplat.config.option import AUTO, differences
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
@@ -107,14 +107,15 @@ def train_coarse(city: CityFolder, scene: Scene, options: TrainOptions, device: 
 
 
 def coarse_options(options: TrainOptions, scene: Scene) -> TrainOptions:
-    """The options of the coarse run: photos half as large as the blocks', and half of the steps.
+    """The options of the coarse run: photos half as large as the blocks', and half of the steps;
+    it begins at the sparse points.
 
     Parameters
     ----------
     options, scene : the whole.
     """
     return dataclasses.replace(
-        options, coarse=True, downscale=COARSE_FACTOR * options.downscale,
+        options, coarse=True, init=AUTO, downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
         snapshots="levels" in schedule_of(options.schedule).parts,
         iterations=max(1, int(COARSE_SHARE * whole_steps(options, scene))), eval_at=(),

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from clsplat.options import TrainOptions
     from clsplat.scene import Scene
 
+STARTS = ("sfm", "dense")  # of a city's blocks: the coarse model, or dense points in its gaps too
 BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
 TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, which `render`, `film` "
              "and `view` read in parts, in place of point_cloud.ply: one block at a time is in "
@@ -59,6 +60,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     """
     from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks
+    from clsplat.city.dense import find_dense_gaussians
     from clsplat.city.forecast import block_table
     from clsplat.city.stages import begin, train_coarse
     from clsplat.device import choose_device
@@ -73,8 +75,9 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
     check_workers(workers)
     against = _reference(against, tree)
-    if not is_auto(options.init) or options.coarse:
-        raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out")
+    if options.coarse or not (is_auto(options.init) or options.init in STARTS):
+        raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out, "
+                         f"or give --init {' or '.join(STARTS)}")
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
     device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
@@ -105,6 +108,8 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     try:
         with shown("coarse run") as progress:
             train_coarse(folder, data, options, device, progress)
+        with shown("start of blocks") as progress:
+            find_dense_gaussians(folder, data, options, device, progress)
         _, counts = cut_into_blocks(folder, data, options, cutting, device)
         if not quiet:  # trial steps would keep the other devices waiting
             several = workers > 1 or scheduler
@@ -135,6 +140,7 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     partition.png, and a folder for each block.
     """
     from clsplat.city.cut import cut_into_blocks
+    from clsplat.city.dense import find_dense_gaussians
     from clsplat.city.forecast import block_table
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
@@ -146,6 +152,7 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     data, options = begin_from_coarse(city, scene)
     device = choose_device(options.device, form=options.form)
     cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device)
+    find_dense_gaussians(city, data, options, device)
     _, counts = cut_into_blocks(city, data, options, cutting, device)
     click.echo(block_table(city, device, counts).text())
     click.echo(f"{city.picture}")

@@ -39,6 +39,7 @@ WINDOWS, VISITS = "windows", "visits"  # keys of region.json
 LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
 REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
 EXCHANGES = "exchanges"  # key of block.json: after how many steps blocks exchange gaussians
+DENSE = "dense"  # key of block.json: how many gaussians begin at dense points
 OTHERS = "others"  # and: the numbers of the blocks with which it does so
 INITIAL, SURROUNDINGS = "initial.ply", "surroundings.ply"
 
@@ -51,13 +52,14 @@ class CityFolder:
     ----------
     coarse, lod : folders of the coarse run and of the levels of detail.
     undistorted : folder of the undistorted photos of a scene that needs them.
+    dense : the PLY of the gaussians at dense points, where the city has them.
     map, picture : the partition as GeoJSON and as an image.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.coarse, self.lod = self.path / "coarse", self.path / "lod"
-        self.undistorted = self.path / UNDISTORTED
+        self.undistorted, self.dense = self.path / UNDISTORTED, self.path / "dense.ply"
         self.map, self.picture = self.path / "partition.geojson", self.path / "partition.png"
 
     @property

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from clsplat.gaussians import Gaussians
 from clsplat.partition.surroundings import enters_reach
@@ -47,6 +48,7 @@ class BlockStart:
     around : those that are drawn as layers instead; None: the model holds all.
     unseen : left out because no view of the block shows them.
     thinned : left out because they are smaller than a pixel, and others were enlarged instead.
+    dense : added at dense points (`filled`); they are last in the model.
     """
 
     gaussians: Gaussians
@@ -57,6 +59,7 @@ class BlockStart:
     around: Gaussians | None
     unseen: int
     thinned: int
+    dense: int = 0
 
 
 def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Sequence[View],
@@ -103,6 +106,33 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
             indices = np.concatenate([indices[held], indices[~held]])
     return BlockStart(kept, indices, int(own.sum()), int((reached & ~own).sum()), surroundings,
                       around, unseen, int((~keeps).sum()) - unseen)
+
+
+def filled(start: BlockStart, dense: Gaussians, scene: Scene, region: Region, most: int = 0
+           ) -> BlockStart:
+    """A start with those dense gaussians that its region reaches and that stand in its gaps.
+
+    A gaussian stands in a gap where no other one of the start lies within its standard deviation.
+
+    Parameters
+    ----------
+    start : the result of `block_start`.
+    dense : at dense points of the whole scene, in its local frame.
+    scene, region : as for `block_start`.
+    most : gaussians of the result, if it begins with fewer; 0: any number.
+    """
+    positions = dense.positions.astype(np.float64)
+    added = np.flatnonzero(replace(scene, region=region).reached(positions))
+    if start.gaussians.count:
+        distance, _ = cKDTree(start.gaussians.positions, balanced_tree=False).query(
+            positions[added], workers=-1)
+        added = added[distance > np.exp(dense.log_scales[added, 0])]
+    if most:
+        room = max(0, most - start.gaussians.count)
+        added = np.sort(np.random.default_rng(0).permutation(added)[:room])
+    rows = {name: np.concatenate([values, dense.rows[name][added]])
+            for name, values in start.gaussians.rows.items()}
+    return replace(start, gaussians=Gaussians(rows, start.gaussians.sh_degree), dense=len(added))
 
 
 def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating],

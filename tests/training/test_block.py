@@ -16,7 +16,13 @@ from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import resolve
-from clsplat.partition.blocks import block_start, largest_sizes, seen_pixels, trainable
+from clsplat.partition.blocks import (
+    block_start,
+    filled,
+    largest_sizes,
+    seen_pixels,
+    trainable,
+)
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
 from clsplat.scene import Scene, View
@@ -201,7 +207,28 @@ def test_cut(offset):
     assert result.indices.tolist() == kept
     assert asdict(replace(result, gaussians=None, indices=None)) == {
         "gaussians": None, "indices": None, "own": 1, "margin": 1, "surroundings": 3,
-        "around": None, "unseen": 2, "thinned": 0}
+        "around": None, "unseen": 2, "thinned": 0, "dense": 0}
+
+
+@pytest.mark.parametrize("offset", [0.0, 3e6])
+def test_dense_gaussians_fill_the_gaps_of_what_a_block_reaches(offset):
+    scene, region = looking(offset)
+    start = block_start(gaussians_at(PLACES, DEVIATIONS), scene, region, scene.views)
+    # beside OWN, within the reach, at its end, beyond it
+    places = [(0, 0.4, 5), (0, 0.6, 5), (3, 0, 9), (1, 0, 14.9), (1, 0, 15.1)]
+    dense = gaussians_at(places, np.full(5, 0.5 * np.exp(3)))  # thinner along x: 0.5
+    result = filled(start, dense, scene, region)
+    assert result.dense == 3 and result.own == start.own
+    for name, values in result.gaussians.rows.items():
+        assert np.array_equal(values[:-3], start.gaussians.rows[name]), name
+        assert np.array_equal(values[-3:], dense.rows[name][[1, 2, 3]]), name
+    few = filled(start, dense, scene, region, start.gaussians.count + 2)
+    assert few.dense == 2 and np.array_equal(few.gaussians.positions[:-2],
+                                             start.gaussians.positions)
+    assert filled(start, dense, scene, region, 1).gaussians.count == start.gaussians.count
+    nothing = replace(start, gaussians=Gaussians(
+        {name: values[:0] for name, values in start.gaussians.rows.items()}, 0))
+    assert filled(nothing, dense, scene, region).dense == 4
 
 
 def test_sizes_in_the_view_that_shows_them_largest():
