@@ -29,7 +29,7 @@ PART_BYTES = 708  # the same with Adam's moments, in a file of an exchange
 # for each block, of a cluster's scheduler, client and workers: tools/studies/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
-TRIAL_WORTH = 60.0  # seconds of training, for which trial steps of some seconds are worth it
+TRIAL_WORTH = 600.0  # seconds of training, for which trial steps of half a minute are worth it
 COARSE_NOTE = "the coarse run, which tell it to a factor of two"
 DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit

@@ -1,4 +1,4 @@
-"""The gaussians at dense points of a city: when they are found, and that its blocks begin with them."""
+"""Dense points of a city: when they are found, and that its blocks begin with them."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
-from tests.city.test_city import DEVICE, city
+from tests.city.test_city import city
 from tests.data.tiny_training import CITY, records
 
 LONG = {"iterations": 700, "downscale": 4.0, "exposure": "off", "reproject": "off"}

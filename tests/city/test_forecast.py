@@ -78,9 +78,9 @@ def test_steps_of_the_coarse_run_are_known_on_its_device(monkeypatch):
     assert known() == [], "two steps do not tell three numbers"
 
 
-@pytest.mark.parametrize("seconds, tried", [(0.01, False), (0.1, True)])
+@pytest.mark.parametrize("seconds, tried", [(0.1, False), (1.0, True)])
 def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, tried):
-    """Two blocks of 1000 steps: 20 seconds in all, and 200."""
+    """Two blocks of 1000 steps: 200 seconds in all, and 2000."""
     record = {"own": 10, "margin": 4, "surroundings": 0, "views": 8,
               "options": {"iterations": 1000}}
     city = SimpleNamespace(blocks=lambda: [
