@@ -66,8 +66,10 @@ class RunOptions:
                               "place of -n; the schedule is fitted to it", main=True,
                               words={"none": ""}, check=seconds_of,
                               expects="a number of seconds, or one with s, m or h such as 10m")
-    checkpoint_every: int = option(1000, "Run", "steps between checkpoints; end: only at the end",
-                                   affects="nothing", words={"end": 0}, minimum=1)
+    checkpoint_every: int = option(AUTO, "Run", "steps between checkpoints; auto: half a minute, "
+                                   "or longer where writing them would take more than a twentieth "
+                                   "of the time; end: only at the end", affects="nothing",
+                                   words={AUTO: AUTO, "end": 0}, minimum=1)
     eval_at: tuple[int, ...] = option((), "Run", "also evaluate after these steps, such as "
                                       "500,2000", affects="time", words={"none": ()}, minimum=1,
                                       expects="a list of steps, each at least 1")

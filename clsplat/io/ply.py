@@ -16,7 +16,7 @@ from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular
 
-ROWS_AT_A_TIME = 1 << 16
+ROWS_AT_A_TIME = 1 << 13  # so few that they stay in the cache while columns are copied
 # positions are written as double if float would move one by more than this share of the median
 # scale
 TOLERANCE = 1e-3
@@ -139,20 +139,26 @@ def gaussians_of(path: str | Path, element: plyfile.PlyElement, comments: Iterab
     offset = _recorded_offset(path, comments) if offset is None else np.array(offset, np.float64)
     rows = {f.name: np.empty((len(element.data), *f.row_shape(degree)), np.float32)
             for f in fields}
-    for name, (field, index) in columns.items():
-        at: tuple[Any, ...] = (..., *index)
-        values, column = element.data[name], rows[field][at]
-        if values.dtype.kind not in "fiu":
-            raise InputError(f"{path}: column {name} is a list, not a number; "
-                             "give a PLY that a gaussian splatting program wrote")
-        with np.errstate(over="ignore", invalid="ignore"):  # the result is checked below
-            if field in PLACES:
-                values = values.astype(np.float64) - offset[index[0]]
-            column[...] = values
-        bad = np.count_nonzero(~np.isfinite(column))
-        if bad:
-            raise InputError(f"{path}: {bad} of {len(values)} values in column {name} are not "
-                             "finite; remove those gaussians, or export the model again")
+    lists = [name for name in columns if element.data.dtype[name].kind not in "fiu"]
+    if lists:
+        raise InputError(f"{path}: column {lists[0]} is a list, not a number; "
+                         "give a PLY that a gaussian splatting program wrote")
+    bad = dict.fromkeys(columns, 0)
+    for begin in range(0, len(element.data), ROWS_AT_A_TIME):
+        part = slice(begin, begin + ROWS_AT_A_TIME)
+        vertices = element.data[part]
+        for name, (field, index) in columns.items():
+            at: tuple[Any, ...] = (part, *index)
+            values, column = vertices[name], rows[field][at]
+            with np.errstate(over="ignore", invalid="ignore"):  # the result is checked
+                if field in PLACES:
+                    values = values.astype(np.float64) - offset[index[0]]
+                column[...] = values
+            bad[name] += len(column) - int(np.count_nonzero(np.isfinite(column)))
+    for name, count in bad.items():
+        if count:
+            raise InputError(f"{path}: {count} of {len(element.data)} values in column {name} are "
+                             "not finite; remove those gaussians, or export the model again")
     return Gaussians(rows, degree, offset)
 
 

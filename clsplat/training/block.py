@@ -13,6 +13,7 @@ from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import EARLIER, TrainOptions, checked, resolve
 from clsplat.scene import Scene
+from clsplat.training.checkpoint import Saved
 from clsplat.training.exchange import exchange, lacking_blocks, other_blocks, write_part
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
@@ -96,18 +97,20 @@ def train_block(block: BlockFolder, options: TrainOptions,
         exchanges = [] if alone else block.exchanges
         others = other_blocks(block) if exchanges else []
         scene = read_scene(block.path)
+        saved: Saved | None = None  # what the latest exchange has made of the checkpoint
         for number, step in enumerate(exchanges, 1):
-            if run.checkpoint_iteration() < step:
-                _go_on(block, scene, options, device, progress, step)
-            if run.checkpoint_iteration() > step:
+            if (taken := run.checkpoint_iteration()) < step:
+                _go_on(block, scene, options, device, progress, step, saved)
+            if taken > step:
                 continue
-            write_part(block, scene, number)
+            saved = run.load_checkpoint()
+            write_part(block, scene, number, saved[0])
             if lacking := lacking_blocks(others, number):
                 return (f"waits at exchange {number} of {len(exchanges)}, after step {step}: train "
                         f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "
                         "too, then this block again")
-            exchange(block, scene, others, options, number)
-        _go_on(block, scene, options, device, progress)
+            saved = exchange(block, scene, others, options, number, saved)
+        _go_on(block, scene, options, device, progress, 0, saved)
     return "finished"
 
 
@@ -117,17 +120,20 @@ def _opened(name: str, form: str) -> Device:
 
 
 def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Device,
-           progress: SilentProgress | None, until: int = 0) -> None:
-    """Train until a step, or to the end if that is 0; other arguments as for `train_block`."""
+           progress: SilentProgress | None, until: int, saved: Saved | None) -> None:
+    """Train until a step, or to the end if that is 0, from what is saved, or else from the run's
+    checkpoint or the start; other arguments as for `train_block`."""
     run = RunFolder(block.run)
     noted = NotedProgress(run.path, progress or SilentProgress())
     if run.checkpoint_iteration() and block.around.is_file():
         scene = replace(scene, surroundings=block.around)
-    start = resume if run.is_begun else train
     stop_at = min(filter(None, (until, options.stop_at)), default=0)
+    stopping = replace(options, stop_at=stop_at)
     try:
-        start(scene, replace(options, stop_at=stop_at), device,
-              run if run.is_begun else RunFolder.create(run.path), progress=noted)
+        if run.is_begun:
+            resume(scene, stopping, device, run, noted, saved=saved)
+        else:
+            train(scene, stopping, device, RunFolder.create(run.path), noted)
     except Interrupted as stopped:
         if not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at:
             raise

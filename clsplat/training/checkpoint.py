@@ -20,6 +20,7 @@ from clsplat.training.robust import packed, unpacked
 from clsplat.training.session import Session
 
 Arrays = dict[str, NDArray[Any]]
+Saved = tuple[Arrays, dict[str, Any]]  # the arrays and the state of a checkpoint
 
 REALS = (np.float32, np.float64)  # precisions of devices
 NUMBER = (int, float)

@@ -25,14 +25,18 @@ from clsplat.io.city import LAYERS, BlockFolder, CityFolder
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.ply import write_ply
 from clsplat.io.records import object_of
-from clsplat.io.run import STATE, RunFolder
+from clsplat.io.run import STATE
 from clsplat.options import TrainOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene
-from clsplat.training.checkpoint import Arrays, gaussians_of
+from clsplat.training.checkpoint import Arrays, Saved, gaussians_of
 from clsplat.training.recorder import LOG_EVERY
 
 STATISTICS = ("statistics.grad_norm_sum", "statistics.seen_count")
+SCALES = "row.log_scales"
+PLACED = ("row.positions", SCALES, "row.quaternions")  # where a gaussian is, and how large
+# arrays of a part -> power of a length; gradients by positions have one over a length
+LENGTHS = {"row.max_offsets": 1, "m.positions": -1, "v.positions": -2}
 PARTS_TOGETHER = 4  # that are read at the same time, so that not all of them are in memory
 CITY = "city"  # key of block.json, and of a part: the fingerprint of the whole scene
 
@@ -56,7 +60,7 @@ def most_exchanges(steps: int) -> int:
     return steps // (2 * LOG_EVERY)
 
 
-def write_part(block: BlockFolder, scene: Scene, number: int) -> None:
+def write_part(block: BlockFolder, scene: Scene, number: int, arrays: Arrays) -> None:
     """Write what a block owns, with Adam's moments, unless that was done before.
 
     Parameters
@@ -64,11 +68,11 @@ def write_part(block: BlockFolder, scene: Scene, number: int) -> None:
     block : its run has a checkpoint at the exchange.
     scene : in its folder, as it was read.
     number : of the exchange, from 1.
+    arrays : of the checkpoint.
     """
     path = block.part(number)
     if path.exists():
         return
-    arrays, _ = RunFolder(block.run).load_checkpoint()
     scene = scene.normalised()
     assert scene.region is not None
     owned = scene.region.owns(scene.offset + scene.unit * arrays["row.positions"].astype(float))
@@ -112,91 +116,98 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
 
 
 def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
-             options: TrainOptions, number: int) -> None:
+             options: TrainOptions, number: int, saved: Saved) -> Saved:
     """Replace a block's margin and surroundings by the parts of other blocks.
 
-    Changes the checkpoint of its run, and what its views show as layers. Gaussians of the margin
-    bring the moments of their owner.
+    Returns the checkpoint from which the block goes on; that of its run stays as it is. What its
+    views show as layers is written into its run. Gaussians of the margin bring the moments of their
+    owner.
 
     Parameters
     ----------
-    block : its run has a checkpoint at the exchange, and no part lacks.
+    block : no part of the exchange lacks.
     scene : in its folder, as it was read.
     others : its `other_blocks`.
     options : of its training.
     number : of the exchange, from 1.
+    saved : the checkpoint of its run, at the exchange.
     """
-    run, record = RunFolder(block.run), block.read()
-    arrays, state = run.load_checkpoint()
+    record, (arrays, state) = block.read(), saved
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     region = scene.region
     assert region is not None
-    own = _read_part(block.part(number), record)[0]
-    degree = gaussians_of(own, _degree(own)).sh_degree
+    own, degree, _ = _read_part(block.part(number), record)
 
-    def taken_from(other: BlockFolder) -> tuple[Arrays, Gaussians | None]:
+    def taken_from(other: BlockFolder) -> tuple[Arrays, Arrays]:
         """What the block holds of another one, and what it draws as layers."""
-        part = _in_frame_of(scene, *_read_part(other.part(number), record))
-        start = block_start(gaussians_of(part, degree), scene, region, scene.views,
-                            lambda _: LAYERS in record)
-        kept = start.indices[:start.gaussians.count]
-        taken = {name: values[kept] for name, values in part.items()}
-        taken["row.log_scales"] = start.gaussians.log_scales.astype(part["row.log_scales"].dtype)
-        return taken, start.around
+        part, _, frame = _read_part(other.part(number), record)
+        placed = _in_frame_of(scene, {name: part[name] for name in PLACED}, frame)
+        start = block_start(Gaussians({name.removeprefix("row."): values
+                                       for name, values in placed.items()}, degree),
+                            scene, region, scene.views, lambda _: LAYERS in record)
+        held = start.gaussians.count
+        taken, around = ({name: values[which] for name, values in part.items()}
+                         for which in (start.indices[:held], start.indices[held:]))
+        taken, around = _in_frame_of(scene, taken, frame), _in_frame_of(scene, around, frame)
+        for rows, gaussians in ((taken, start.gaussians), (around, start.around)):
+            if gaussians:  # which may be thinned
+                rows[SCALES] = gaussians.log_scales.astype(part[SCALES].dtype)
+        return taken, around
 
     with ThreadPoolExecutor(PARTS_TOGETHER) as threads:
         found = list(threads.map(taken_from, others))
-    parts = [own, *(taken for taken, _ in found)]
     if LAYERS in record:
-        around = [each for _, each in found if each is not None]
-        rows = {field.name: np.concatenate([each.rows[field.name] for each in around]
+        rows = {field.name: np.concatenate([around[f"row.{field.name}"] for _, around in found]
                                            or [own[f"row.{field.name}"][:0]]) for field in LEARNED}
         write_ply(block.around, Gaussians(rows, degree).scaled(scene.unit), scene.offset)
-    new = {name: np.concatenate([part[name] for part in parts]).astype(values.dtype)
+    new = {name: np.concatenate([values, *(taken[name] for taken, _ in found)])
            for name, values in own.items()}
-    trains = trainable(scene, new["row.positions"], new["row.log_scales"])
-    run.save_checkpoint({
-        **arrays, **new, "statistics.frozen": (~trains).astype(np.uint32),
-        "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state)
+    trains = trainable(scene, new["row.positions"], new[SCALES])
+    return {**arrays, **new, "statistics.frozen": (~trains).astype(np.uint32),
+            "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
 
-def _read_part(path: Path, record: dict[str, Any]) -> tuple[Arrays, dict[str, Any]]:
-    """The arrays of a part and its state; InputError if it is damaged or of another city."""
+def _read_part(path: Path, record: dict[str, Any]) -> tuple[Arrays, int, dict[str, Any]]:
+    """The arrays of a part, the degree of its harmonics and its state; InputError if it is damaged
+    or of another city."""
     complaint, cure = "damaged", f"remove {path.parent}, and train that block again"
     arrays = read_npz(path, complaint, cure)
     try:
         state = object_of(arrays.pop(STATE).tobytes())
-        gaussians_of(arrays, _degree(arrays))
+        degree = int(np.sqrt(arrays["row.sh_rest"].shape[1] + 1)) - 1
+        gaussians_of(arrays, degree)
         if not (state["unit"] > 0 and np.shape(state["offset"]) == (3,)):
             raise ValueError("its frame")
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: {complaint} ({error}); {cure}") from None
     if state.get(CITY) != record[CITY]:
         raise InputError(f"{path}: of another city; {cure}")
-    return arrays, state
+    return arrays, degree, state
 
 
-def _in_frame_of(scene: Scene, part: Arrays, state: dict[str, Any]) -> Arrays:
-    """A part in the frame of another block, with the moments that its gradients have there."""
-    factor = state["unit"] / scene.unit
+def _in_frame_of(scene: Scene, part: Arrays, frame: dict[str, Any]) -> Arrays:
+    """Rows of a part, and their moments, in the frame of another block.
+
+    Parameters
+    ----------
+    scene : of that block.
+    part : some or all arrays of a part.
+    frame : the state of the part.
+    """
+    factor = frame["unit"] / scene.unit
     moved = dict(part)
-    for name in ("positions", "anchors"):
-        if f"row.{name}" in part:
-            world = np.asarray(state["offset"]) + state["unit"] * part[f"row.{name}"].astype(float)
-            moved[f"row.{name}"] = (world - scene.offset) / scene.unit
-    moved["row.log_scales"] = part["row.log_scales"] + np.log(factor)
-    if "row.max_offsets" in part:
-        moved["row.max_offsets"] = part["row.max_offsets"] * factor
-    moved["m.positions"] = part["m.positions"] / factor
-    moved["v.positions"] = part["v.positions"] / factor**2
-    return {name: values.astype(part[name].dtype) for name, values in moved.items()}
+    for name in ("row.positions", "row.anchors"):
+        if name in part:
+            world = np.asarray(frame["offset"]) + frame["unit"] * part[name].astype(float)
+            moved[name] = ((world - scene.offset) / scene.unit).astype(part[name].dtype)
+    for name, power in LENGTHS.items():
+        if name in part:
+            moved[name] = (part[name] * factor**power).astype(part[name].dtype)
+    if SCALES in part:
+        moved[SCALES] = (part[SCALES] + np.log(factor)).astype(part[SCALES].dtype)
+    return moved
 
 
 def _is_by_gaussian(name: str) -> bool:
     """Whether an array of a checkpoint that a part has too has a row a gaussian."""
     return name.partition(".")[0] in ("row", "m", "v") or name in STATISTICS
-
-
-def _degree(arrays: Arrays) -> int:
-    """The degree of the harmonics in the arrays of a part."""
-    return int(np.sqrt(arrays["row.sh_rest"].shape[1] + 1)) - 1

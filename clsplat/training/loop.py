@@ -25,7 +25,7 @@ from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
 from clsplat.schedule import Plan
-from clsplat.training.checkpoint import Checkpoint, saved_gaussians
+from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
 from clsplat.training.evaluator import Evaluator
@@ -39,6 +39,9 @@ from clsplat.training.scene_checks import find_warnings
 from clsplat.training.session import Session
 from clsplat.training.step import Measured
 from clsplat.training.watcher import Watcher
+
+SAVE_SECONDS = 30.0  # between checkpoints: so much work a kill may cost
+SAVE_SHARE = 1 / 20  # of the time, at most, that checkpoints take
 
 
 def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -88,8 +91,15 @@ def is_part_of_city(scene: Scene, options: TrainOptions) -> bool:
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
            progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
-           watcher: Watcher | None = None) -> None:
-    """Resume a run from its checkpoint, as if it had never stopped; arguments as for `train`."""
+           watcher: Watcher | None = None, saved: Saved | None = None) -> None:
+    """Resume a run from its checkpoint, as if it had never stopped.
+
+    Parameters
+    ----------
+    scene, options, device, run, progress, callbacks, watcher : as for `train`.
+    saved : from which it goes on in place of the run's checkpoint, which is of the same step; its
+        arrays are dropped once they are on the device.
+    """
     record, scene = run.read_options(), run.placed(scene)
     if record.get("fingerprint") != fingerprint(scene):
         raise InputError(f"{run.path}: this run was trained on another scene, "
@@ -99,7 +109,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         run.rewind(-1)
         train(scene, options, device, run, progress, callbacks, watcher)
         return
-    arrays, state = run.load_checkpoint()
+    arrays, state = saved or run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
         raise InputError(f"{run.path}: its checkpoint is of another scene; put back the run's own, "
                          "or start again with --overwrite")
@@ -108,6 +118,8 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
         training = Training(scene, options, device, run, progress, gaussians, callbacks,
                             watcher, state["level"])
         training.checkpoint.load(arrays, state)
+        arrays.clear()
+        del gaussians
     except KeyError as error:
         raise InputError(f"{run.path}: its checkpoint lacks {error}; "
                          "start again with --overwrite") from None
@@ -182,12 +194,13 @@ class Training:
         evaluation, and last the report, whose failure does no harm. Parts of a city have none.
         """
         self.clock.restart()
+        self._saved_at, self._save_seconds = self.clock.elapsed(), 0.0
         if self.deadline:
             self.deadline.begin()
         with deferred_interrupt() as interrupted:
             while not (self.finished() or self.stops() or interrupted()):
                 self.take_step()
-                if self._due(self.session.options.checkpoint_every) and not self.finished():
+                if self._saves() and not self.finished():
                     self.save()
             self.save()
             if self.finished():
@@ -328,6 +341,14 @@ class Training:
                 f"the time ended {self.session.iteration - since} steps after opacities were "
                 "lowered or a level began: the model from before that is kept, it was better")
 
+    def _saves(self) -> bool:
+        """Whether a checkpoint follows the latest step, other than the last."""
+        every = self.session.options.checkpoint_every
+        if not is_auto(every):
+            return self._due(every)
+        return (self.clock.elapsed() - self._saved_at
+                >= max(SAVE_SECONDS, self._save_seconds / SAVE_SHARE))
+
     def _due(self, every: int) -> bool:
         return every > 0 and self.session.iteration % every == 0
 
@@ -339,5 +360,6 @@ class Training:
                 self.recorder.check(self._measured)
             begin = time.perf_counter()
             self.checkpoint.save()
+            self._save_seconds, self._saved_at = time.perf_counter() - begin, self.clock.elapsed()
             if self.deadline:
-                self.deadline.note_saved(time.perf_counter() - begin)
+                self.deadline.note_saved(self._save_seconds)

@@ -22,6 +22,7 @@ from clsplat.partition.blocks import block_start, trainable
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from clsplat.training import block as training_block
+from clsplat.training import exchange as exchange_module
 from clsplat.training.block import block_options, train_block
 from clsplat.training.exchange import (
     exchange,
@@ -84,9 +85,9 @@ def in_world(scene, positions):
 @pytest.mark.slow
 def test_a_block_goes_on_from_what_others_own(city):
     block, run = city.block(0), RunFolder(city.block(0).run)
-    before, _ = run.load_checkpoint()
-    exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1)
-    after, state = run.load_checkpoint()
+    before, _ = saved = run.load_checkpoint()
+    after, state = exchange(block, read_scene(block.path), other_blocks(block),
+                            block_options(block), 1, saved)
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
     other = read_scene(city.block(1).path).normalised()
     part = read_npz(city.block(1).part(1), "", "")
@@ -123,13 +124,20 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
     assert around == [block.around]
     killed, save = copy.block(0), RunFolder.save_checkpoint
 
-    def save_and_die(self, arrays, state):
-        save(self, arrays, state)
+    def dies(*_, **__):
         raise SystemExit(9)
 
-    for dies in (lambda *_: (_ for _ in ()).throw(SystemExit(9)), save_and_die):
+    def saves_and_dies(self, arrays, state):
+        save(self, arrays, state)
+        dies()
+
+    # in the exchange, after it, and where the training ends that follows it
+    for owner, name, instead in ((exchange_module, "trainable", dies),
+                                 (training_block, "resume", dies),
+                                 (RunFolder, "save_checkpoint", dies),
+                                 (RunFolder, "save_checkpoint", saves_and_dies)):
         with monkeypatch.context() as patch:
-            patch.setattr(RunFolder, "save_checkpoint", dies)
+            patch.setattr(owner, name, instead)
             with pytest.raises(SystemExit):
                 train_block(killed, block_options(killed))
         assert killed.around.is_file()
@@ -144,7 +152,8 @@ def test_parts_that_cannot_be_used_are_named(city):
     content = other.part(1).read_bytes()
     other.part(1).write_bytes(content[:-300])
     with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
-        exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1)
+        exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1,
+                 RunFolder(block.run).load_checkpoint())
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):
