@@ -1,5 +1,8 @@
 """Which views change without a block's gaussians (Liu et al. 2024, CityGaussian, section 3.2)."""
 
+import os
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,6 +10,7 @@ from clsplat.device import Device
 from clsplat.evaluation.metrics import ssim
 from clsplat.evaluation.views import Image, render_view
 from clsplat.gaussians import Gaussians
+from clsplat.io.ahead import called_ahead
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import Scene
 
@@ -27,15 +31,27 @@ class DropTest:
         self.degree = gaussians.sh_degree
         self.renderer = Renderer(device, self.degree, scene.near_plane)
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
-        self._index = -1  # of the latest view, whose full render is kept
-        self._full: Image = np.empty((0, 0, 3))
 
-    def __call__(self, index: int, keep: NDArray[np.bool_]) -> float:
-        """The change of view `index` without the gaussians where `keep` [N] is false."""
-        camera = self.scene.views[index].camera
-        if self._index != index:
-            self._index = index
-            self._full = render_view(self.renderer, self.rows, self.degree, camera)
-        logits = np.where(keep, self.logits, INVISIBLE).astype(self.logits.dtype)
-        rows = {**self.rows, "opacity_logits": self.device.upload(logits)}
-        return 1 - ssim(render_view(self.renderer, rows, self.degree, camera), self._full)
+    def __call__(self, tests: Iterable[tuple[int, NDArray[np.bool_]]]) -> Iterator[float]:
+        """The change of each view without the gaussians where `keep` [N] is false.
+
+        Parameters
+        ----------
+        tests : (the index of a view, keep), all of a view in turn, as it is rendered once in full.
+        """
+        def rendered() -> Iterator[tuple[Image, Image]]:
+            latest, full = -1, np.empty((0, 0, 3))
+            for index, keep in tests:
+                camera = self.scene.views[index].camera
+                if latest != index:
+                    latest = index
+                    full = render_view(self.renderer, self.rows, self.degree, camera)
+                logits = np.where(keep, self.logits, INVISIBLE).astype(self.logits.dtype)
+                rows = {**self.rows, "opacity_logits": self.device.upload(logits)}
+                yield render_view(self.renderer, rows, self.degree, camera), full
+
+        def change(without: Image, full: Image) -> float:
+            return 1 - ssim(without, full)
+
+        threads = os.cpu_count() or 1
+        return called_ahead(change, rendered(), threads, threads)

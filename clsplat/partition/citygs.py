@@ -31,8 +31,8 @@ def citygs(data: PartitionInput, grid: tuple[int, int], options: PartitionOption
     """Cut the scene into the cells of a uniform N x M grid along u and v, row by row.
 
     A view is assigned to the cell that contains its camera, and to those without whose gaussians
-    `drop` is more than `options.threshold`. `drop` is called for all cells of a view in turn, so
-    that a view's full render is needed once. Where it is None, the tracks of the view decide
+    `drop` is more than `options.threshold`. `drop` receives all cells of a view in turn, so that a
+    view's full render is needed once. Where it is None, the tracks of the view decide
     (`seen_by_tracks`).
 
     Returns
@@ -53,11 +53,14 @@ def citygs(data: PartitionInput, grid: tuple[int, int], options: PartitionOption
     content = space.to(data.content)
     tested = _tested(regions, content)
     owner = Cells(regions).at(content)
+    pairs: list[tuple[int, int]] = []  # block, view
     for view, index in enumerate(data.views):
         visible = np.unique(owner[_visible(data, data.scene.views[index].camera)])
-        for block in visible[~assigned[visible, view]]:
-            keep = ~tested[block].holds(content)
-            assigned[block, view] = drop(int(index), keep) > options.threshold
+        pairs += [(block, view) for block in visible[~assigned[visible, view]].tolist()]
+    changes = drop((int(data.views[view]), ~tested[block].holds(content))
+                   for block, view in pairs)
+    for (block, view), change in zip(pairs, changes):
+        assigned[block, view] = change > options.threshold
     return regions, assigned
 
 

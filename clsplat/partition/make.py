@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +32,7 @@ WORTH = 1.1  # a finer grid must end earlier by this
 
 # 1 - SSIM between the render of all gaussians and that of those where the mask bool[M] is true, in
 # the view with this index in scene.views
-DropTest = Callable[[int, NDArray[np.bool_]], float]
+DropTest = Callable[[Iterable[tuple[int, NDArray[np.bool_]]]], Iterable[float]]
 
 
 def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians | None = None,

@@ -96,9 +96,10 @@ def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows()
     gaussians = Gaussians({"positions": scene.points.astype(np.float32)}, 0)
     calls = []
 
-    def drop(view, keep):
-        calls.append((view, keep))
-        return 0.3 if view % 3 == 0 else 0.001
+    def drop(tests):
+        for view, keep in tests:
+            calls.append((view, keep))
+            yield 0.3 if view % 3 == 0 else 0.001
 
     training = np.arange(1, 60)
     partition = cut(scene, "citygs", gaussians=gaussians, drop=drop, views=training)
@@ -123,9 +124,10 @@ def test_citygs_enlarges_cells_with_little_content_for_the_test_only():
     gaussians = Gaussians({"positions": points.astype(np.float32)}, 0)
     scene, smallest = replace(field(), points=points, observations=None), []
 
-    def drop(view, keep):
-        smallest.append((~keep).sum())
-        return 1.0
+    def drop(tests):
+        for _, keep in tests:
+            smallest.append((~keep).sum())
+            yield 1.0
 
     partition = cut(scene, "citygs", (4, 4), gaussians=gaussians, drop=drop)
     owned = np.bincount(partition.owner(points), minlength=16)
@@ -138,7 +140,7 @@ def test_citygs_does_not_render_what_is_out_of_sight():
         gaussians = Gaussians({"positions": where.points.astype(np.float32)}, 0)
         rendered = calls[where.unit] = []
         cut(where, "citygs", (5, 3), gaussians=gaussians,
-            drop=lambda view, keep, rendered=rendered: rendered.append(view) or 0)
+            drop=lambda tests, rendered=rendered: [rendered.append(view) or 0 for view, _ in tests])
     assert 0 < len(calls[1.0]) < 0.6 * 20 * 14
     assert calls[1.0] == calls[2.5]
 
