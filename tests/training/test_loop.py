@@ -1,0 +1,35 @@
+"""When the training loop writes checkpoints."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from clsplat.io.scenes import read_scene
+from clsplat.training import loop
+from clsplat.training.checkpoint import Checkpoint
+from clsplat.training.loop import SAVE_SECONDS, SAVE_SHARE, Training
+from tests.data.tiny_training import CITY, trained
+
+
+@pytest.mark.parametrize("elapsed, took, saves", [
+    (SAVE_SECONDS - 0.1, 0.0, False), (SAVE_SECONDS, 0.0, True), (SAVE_SECONDS, 1.0, True),
+    (SAVE_SECONDS + 9, 2.0, False), (2 / SAVE_SHARE, 2.0, True)])
+def test_every_half_minute_but_not_for_most_of_the_time(elapsed, took, saves):
+    training = SimpleNamespace(
+        session=SimpleNamespace(options=SimpleNamespace(checkpoint_every="auto")),
+        clock=SimpleNamespace(elapsed=lambda: 100.0 + elapsed), _saved_at=100.0,
+        _save_seconds=took)
+    assert Training._saves(training) == saves
+
+
+@pytest.mark.parametrize("every, seconds, steps", [
+    ("auto", 1e9, [12]), ("auto", 0.0, list(range(1, 13))), (5, 0.0, [5, 10, 12]), (0, 0.0, [12])])
+def test_after_which_steps(item_device, tmp_path, monkeypatch, every, seconds, steps):
+    written, save = [], Checkpoint.save
+    monkeypatch.setattr(Checkpoint, "save", lambda self: (
+        written.append(self.session.iteration), save(self)))
+    monkeypatch.setattr(loop, "SAVE_SECONDS", seconds)
+    monkeypatch.setattr(loop, "SAVE_SHARE", 1e9)
+    trained(tmp_path / "run", read_scene(CITY).part(range(6)), item_device, iterations=12,
+            checkpoint_every=every, eval_every=0, exposure="off")
+    assert written == steps
