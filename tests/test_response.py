@@ -14,7 +14,7 @@ LENS = np.array([-0.3, 0.2, -0.1, 1 / corner_radius(CAMERA)])
 def test_gain_is_one_on_the_axis_and_ends_in_the_farthest_corner():
     gain = Response(vignetting=LENS).gain(CAMERA)
     assert gain[27, 42] == pytest.approx(1, abs=1e-4)  # half a pixel off the axis
-    wide = Response(vignetting=LENS).gain(CAMERA.resized(8000, 6000))
+    wide = Response(vignetting=LENS).gain(CAMERA.resized(4000, 3000))
     assert wide[-1, 0] == pytest.approx(1 + LENS[:3].sum(), abs=1e-3)  # the axis is right and up
 
 

@@ -163,7 +163,7 @@ def with_another_lens(scene):
 
 
 @pytest.mark.parametrize("options", PARTS, ids=str)
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(8)
 def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
     """What lasts to the byte, at two levels and after growth; of what the pool keeps for steps
     all but the last numbers of the loss."""

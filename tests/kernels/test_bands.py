@@ -66,6 +66,7 @@ def test_however_a_frame_is_cut_its_bytes_are_the_same(device, monkeypatch, name
         assert_same(expected, actual)
 
 
+@pytest.mark.one_in(2)
 def test_gaussians_have_gradients_from_every_band(device):
     """The test above would compare little if each gaussian lay in one band."""
     frame, _ = results(device, cases.gaussians(SPREAD))
@@ -74,6 +75,7 @@ def test_gaussians_have_gradients_from_every_band(device):
 
 
 @pytest.mark.parametrize("share", [0.6, 0.3, 0.15])
+@pytest.mark.one_in(5)
 def test_a_frame_above_the_limit_is_rendered_in_bands_below_it(device, share):
     case = cases.gaussians("many", count=300)
     whole, expected = results(device, case)
@@ -102,6 +104,7 @@ def test_bands_without_splats_show_the_background(device):
     assert np.allclose(actual[0][:, :32].T, case["background"])
 
 
+@pytest.mark.one_in(2)
 def test_pairs_that_do_not_fit_a_buffer_come_in_bands(device, monkeypatch):
     """Without a limit, it follows from the device's largest buffer."""
     case = cases.gaussians(SPREAD, count=400)

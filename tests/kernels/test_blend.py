@@ -242,7 +242,7 @@ SIZES = [(32, 32, 32), (32, 128, 64), (64, 64, 64)]
 
 @pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
 @pytest.mark.parametrize("count", [31, 64, 65, 129])
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(12)
 def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, bucket, adjoint_group,
                                            count):
     """The last bucket and the last three splats that are summed together are full or not."""
@@ -254,7 +254,7 @@ def test_sizes_of_waves_buckets_and_groups(group_device, monkeypatch, wave, buck
 
 @pytest.mark.parametrize("tile", [8, pytest.param(16, marks=pytest.mark.oclgrind)])
 @pytest.mark.parametrize("wave, bucket, adjoint_group", SIZES)
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(6)
 def test_sizes_give_the_same_image(group_device, monkeypatch, wave, bucket, adjoint_group, tile):
     splats, order = cases.splats(150, 37, 29, seed=11, opacity=(0.05, 0.95))
     rows = pack_splats(splats, order)

@@ -130,7 +130,7 @@ class Lazy:
 
 
 @pytest.mark.parametrize("by_colour", [True, False])
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(4)
 def test_lazy_rows_come_to_what_dense_adam_does_in_every_step(device, by_colour):
     """Over rounds of catching up, a growing degree and a position rate that falls; the rows may be
     looked at in between, which changes nothing."""
@@ -301,7 +301,7 @@ def test_halves_come_back_as_they_are(device):
 
 
 @pytest.mark.parametrize("lazy", [False, True])
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(4)
 def test_halves_decay_as_they_should(device, lazy):
     """Each step takes less than the last digit, and is right in the mean; lazily or not."""
     engine, rows = half_engine(device, 200, dense=True)

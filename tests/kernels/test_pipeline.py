@@ -47,7 +47,7 @@ def back(device, renderer, rows, frame, case):
 @pytest.mark.parametrize("antialiased, seeds", [
     (False, range(4)), (True, range(20, 22)),
     pytest.param(False, range(4, 20), marks=pytest.mark.slow)])
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(4)
 def test_adjoint_is_the_transposed_derivative(double_device, antialiased, seeds):
     """<J v, w> = <v, J^T w>, with J v by central differences of fourth order."""
     for seed in seeds:

@@ -110,6 +110,7 @@ def stepped(device, monkeypatch, *listed):
     return grads, frame, step.model.download().rows
 
 
+@pytest.mark.one_in(2)
 def test_gradients_of_terms_are_added(device, monkeypatch):
     (alone, *nothing), frame, rows = stepped(device, monkeypatch, ImageLoss)
     (both, *none), _, moved = stepped(device, monkeypatch, ImageLoss, Darkness)

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
@@ -31,6 +32,7 @@ def test_they_fall():
     assert all(last < 0.97 * first for first, *_, last in by_view)
 
 
+@pytest.mark.one_in(2)
 def test_kernels_give_them(device):
     rows, cameras, photos = golden.scene()
     renderer = Renderer(device, golden.DEGREE, golden.NEAR, background=golden.BACKGROUND)

@@ -9,7 +9,7 @@ from tests.adversarial.extreme.measure import bound_of, measure
 
 @pytest.mark.parametrize("case", [
     pytest.param(case, id=case.name, marks=[pytest.mark.slow] * case.slow) for case in CASES])
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(10)
 def test_case(device, case):
     found, scene = measure(device, case), case.scene()
     assert np.array_equal(found.drawn, scene["drawn"]), (

@@ -71,6 +71,7 @@ def utm(tmp_path_factory):
     return read_scene(folder), far, cameras
 
 
+@pytest.mark.one_in(2)
 def test_utm_coordinates_render_as_at_the_origin(float_device, utm):
     """In float32 a coordinate there is rounded to half a metre; the scene is ten wide."""
     scene, far, cameras = utm
