@@ -40,7 +40,8 @@ class DropTest:
         tests : (the index of a view, keep), all of a view in turn, as it is rendered once in full.
         """
         def rendered() -> Iterator[tuple[Image, Image]]:
-            latest, full = -1, np.empty((0, 0, 3))
+            latest = -1
+            full: Image = np.empty((0, 0, 3))
             for index, keep in tests:
                 camera = self.scene.views[index].camera
                 if latest != index:
