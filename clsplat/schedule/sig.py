@@ -24,6 +24,7 @@ from clsplat.schedule.sig_limits import (
     TILE,
     chosen_levels,
     level_shares,
+    may_grow,
     most_gaussians,
     most_steps,
     pixels_per_gaussian,
@@ -142,8 +143,14 @@ class Sig(Schedule):
         limit = int(most_gaussians(options, facts, 1.0))
         if isinstance(options.pixels_per_gaussian, float):
             return limit, f"{limit:,}: one for each {each:g} training pixels, as requested"
-        shown = differing(facts)
-        return limit, f"{limit:,}: one for each {each:.1f} training pixels, {shown}"
+        grown = "" if may_grow(options, facts) else "; from dense points, none are added"
+        return limit, (f"{limit:,}: one for each {each:.1f} training pixels, {differing(facts)}"
+                       f"{grown}")
+
+    @classmethod
+    def dense_share(cls, options: "TrainOptions", facts: SceneFacts) -> float:
+        """See `Schedule.dense_share`: all of them where none are to be added."""
+        return super().dense_share(options, facts) if may_grow(options, facts) else 1.0
 
     @classmethod
     def most_steps(cls, options: "TrainOptions", facts: SceneFacts, photos: int
@@ -175,7 +182,8 @@ class Sig(Schedule):
         self.began = 0  # steps taken before this level
         self.rounds_taken = self.carried = 0
         self.grown_at = 0  # step of the last round
-        self.full = facts.count >= self.ceiling
+        self.grows = options.init != "dense" or may_grow(options, facts)
+        self.full = not self.grows or facts.count >= self.ceiling
         self.samples: list[tuple[int, float]] = []
         self.hits = 0
 
@@ -265,7 +273,9 @@ class Sig(Schedule):
         """See `Schedule.target`: up to `ceiling`, a fifth more in each round."""
         self.rounds_taken += 1
         self.grown_at = iteration
-        self.full = count >= self.ceiling
+        self.full = not self.grows or count >= self.ceiling
+        if not self.grows:
+            return count
         if self.ceiling == math.inf:
             return None
         return max(count, min(int(self.ceiling), count + count // MOST_GROWTH))
@@ -320,7 +330,7 @@ class Sig(Schedule):
         self.index += 1
         self.began = iteration
         self.rounds_taken = self.hits = 0
-        self.full = False
+        self.full = not self.grows
         self.samples = []
 
     def state(self) -> dict[str, Any]:

@@ -25,6 +25,7 @@ ENOUGH = 7000  # steps, however few the photos are, if they agree
 AGREEING = 0.036  # of full brightness: photos of a place that differ by more allow fewer steps
 POWER = 4  # of that ratio; from lund and boruszyn, see docs/notebook/judge.md
 FEWEST = 1000  # steps
+GROWING = 0.043  # of full brightness: where photos of a place differ by more, dense points suffice
 
 
 def level_shares(levels: Sequence[float], together: float | str) -> tuple[float, ...]:
@@ -60,6 +61,15 @@ def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> 
     """Number of gaussians that the training pixels of a level can determine; may be inf."""
     each = pixels_per_gaussian(options, facts)
     return math.floor(facts.pixels / level**2 / each) if each else math.inf
+
+
+def may_grow(options: "TrainOptions", facts: SceneFacts) -> bool:
+    """Whether gaussians are added to those at dense points; not where photos disagree.
+
+    Growth adds them where the pictures are worst, so there they would learn what photos disagree
+    about. A requested number is reached by growth.
+    """
+    return isinstance(options.pixels_per_gaussian, float) or not facts.disagreement() > GROWING
 
 
 def chosen_levels(options: "TrainOptions", size: tuple[int, int],
