@@ -20,7 +20,7 @@ LEAST_STEPS = 2 * ROUND_STEPS[0]  # of a level: in fewer, what it begins has no 
 COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's colour
 LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
 USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
-VISITS = 150  # steps for each training photo; after more, held-out photos get worse
+MOST_A_PHOTO = 150  # steps for each training photo; after more, held-out photos get worse
 ENOUGH = 7000  # steps, however few the photos are, if they agree
 AGREEING = 0.036  # of full brightness: photos of a place that differ by more allow fewer steps
 POWER = 4  # of that ratio; from lund and boruszyn, see docs/notebook/judge.md
@@ -116,4 +116,4 @@ def most_steps(options: "TrainOptions", facts: SceneFacts, photos: int) -> int:
         return max(1, round(requested * photos)) if requested else 0
     scatter = facts.disagreement()
     share = (AGREEING / scatter) ** POWER if scatter > AGREEING else 1.0  # 1 for a nan
-    return max(FEWEST, round(share * max(ENOUGH, VISITS * photos)))
+    return max(FEWEST, round(share * max(ENOUGH, MOST_A_PHOTO * photos)))

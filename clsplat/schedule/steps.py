@@ -15,7 +15,7 @@ STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densi
                "reset_every")
 FULL_LENGTH = 7000  # steps; a shorter run has smaller step counts
 PUBLISHED_LENGTH = 30_000  # steps, of 3DGS (Kerbl et al. 2023)
-VISITS = 300  # steps a photo, after which held-out photos of small sets get worse: judge.md
+STEPS_A_PHOTO = 300  # steps a photo, after which held-out photos of small sets get worse: judge.md
 
 
 def chooses_steps(options: TrainOptions) -> bool:
@@ -35,10 +35,10 @@ def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:
     """
     if chooses_steps(options):
         return options.iterations, f"{options.iterations:,}: requested"
-    steps = min(max(VISITS * photos, FULL_LENGTH), PUBLISHED_LENGTH)
+    steps = min(max(STEPS_A_PHOTO * photos, FULL_LENGTH), PUBLISHED_LENGTH)
     if options.time_budget:
         return steps, f"as many as fit --time-budget {options.time_budget}"
-    return steps, (f"{steps:,}: {VISITS} for each of {photos:,} training photos, but at least "
+    return steps, (f"{steps:,}: {STEPS_A_PHOTO} for each of {photos:,} training photos, but at least "
                    f"{FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
 
 
