@@ -38,8 +38,8 @@ def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:
     steps = min(max(STEPS_A_PHOTO * photos, FULL_LENGTH), PUBLISHED_LENGTH)
     if options.time_budget:
         return steps, f"as many as fit --time-budget {options.time_budget}"
-    return steps, (f"{steps:,}: {STEPS_A_PHOTO} for each of {photos:,} training photos, but at least "
-                   f"{FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
+    return steps, (f"{steps:,}: {STEPS_A_PHOTO} for each of {photos:,} training photos, but at "
+                   f"least {FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
 
 
 def scaled_steps(options: TrainOptions) -> TrainOptions:
