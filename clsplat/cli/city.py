@@ -82,7 +82,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     folder = CityFolder(output or _beside(scene))
     device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
     cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device,
-                                workers)
+                                workers, workers if scheduler else max(1, len(devices)))
     if scheduler and not RunFolder(folder.coarse).has_model:
         check_scheduler(scheduler)
     if not folder.has_record:
@@ -227,14 +227,15 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
 
 
 def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions, device: Device,
-                      workers: int = 1) -> PartitionOptions:
-    """The PartitionOptions from the result of `given_options`; by default blocks fit the device."""
+                      workers: int = 1, devices: int = 1) -> PartitionOptions:
+    """The PartitionOptions from the result of `given_options`; by default the blocks of the workers
+    that share a device fit it together."""
     from clsplat.city.forecast import expected_gaussians, gaussians_that_fit
-    expected = expected_gaussians(scene, options)
+    expected, together = expected_gaussians(scene, options), max(1, workers / devices)
     return PartitionOptions(**{
         **given, "expected": expected,
         "block_gaussians": given.get("block_gaussians") or max(
-            LEAST_GAUSSIANS, gaussians_that_fit(device, options)),
+            LEAST_GAUSSIANS, int(gaussians_that_fit(device, options) / together)),
         "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS)), "workers": workers})
 
 

@@ -157,6 +157,7 @@ def test_a_chosen_grid_has_a_block_a_worker():
     assert partition_options(given, scene, options, None).least_blocks == 1
 
 
+
 def test_again_changes_nothing(copy, monkeypatch):
     before = model(copy)
     times = {path: path.stat().st_mtime_ns for path in copy.path.glob("blocks/*/run/*")}

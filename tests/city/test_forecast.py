@@ -17,11 +17,13 @@ from clsplat.city.forecast import (
     gaussians_that_fit,
     scale_table,
 )
+from clsplat.cli.city import partition_options
 from clsplat.errors import InputError
 from clsplat.estimate.measured import MeasuredSteps
 from clsplat.estimate.step_time import fitted, predicted_seconds
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
+from clsplat.partition.options import LEAST_GAUSSIANS
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
 from tests.data.tiny_training import CITY
@@ -40,6 +42,20 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
     assert expected(schedule="constant") == pixels // PIXELS_PER_GAUSSIAN
     assert expected(pixels_per_gaussian=20.0) == pixels // 20
     assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)
+
+
+def test_blocks_that_share_a_device_fit_it_together():
+    scene, options = read_scene(CITY), resolve({}, {})
+    device = SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespace(
+        global_mem_size=2**36))
+
+    def largest(*given):
+        return partition_options({}, scene, options, device, *given).block_gaussians
+
+    assert largest() == largest(2, 2) == largest(1, 4) == gaussians_that_fit(device, options)
+    assert largest(8, 2) == largest() // 4
+    device.handle.global_mem_size = 1
+    assert largest(8) == LEAST_GAUSSIANS
 
 
 def test_the_end_of_the_blocks_on_several_devices_follows_from_their_steps():
