@@ -38,8 +38,6 @@ from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import THREADS
 
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
-# of a view that shows nothing but a block, which trains its margin too: docs/notebook/city.md
-VISITS = 2.0
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
 
 
@@ -83,7 +81,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     counts = np.bincount(owner, minlength=len(partition.regions))
     draw(city, partition, scene, counts)
     exposures = coarse.folder.load_exposures()
-    visits = visits_of_blocks(partition, scene, gaussians, owner)
+    visits = visits_of_blocks(partition, scene, gaussians, owner, requested_of(city).get(
+        "block_steps", PartitionOptions.block_steps))
     steps = [whole_steps(options, scene) / len(views) * each.sum() for each in visits]
     surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
@@ -118,7 +117,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
 
 
 def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
-                     owner: NDArray[np.integer]) -> list[NDArray[np.float64]]:
+                     owner: NDArray[np.integer], together: float) -> list[NDArray[np.float64]]:
     """How often each block visits each of its views, where a run of the whole scene does so once.
 
     In proportion to the share of a view's gaussians that the block owns. So a block learns from
@@ -129,12 +128,13 @@ def visits_of_blocks(partition: Partition, scene: Scene, gaussians: Gaussians,
     ----------
     partition, scene : the whole.
     gaussians, owner : of the coarse run, and the block of each, int[N].
+    together : the visits of all blocks, if none takes more steps than one run.
     """
     shares = owned_shares(owner, gaussians.positions.astype(np.float64), scene.views,
                           scene.near_plane, len(partition.regions))
     found = []
     for number, chosen in enumerate(partition.views):
-        visits = np.maximum(VISITS * shares[chosen, number], LEAST_VISITS)
+        visits = np.maximum(together * shares[chosen, number], LEAST_VISITS)
         found.append(visits * min(1.0, len(chosen) / visits.sum()))
     return found
 
@@ -148,7 +148,7 @@ def planned_exchanges(city: CityFolder, options: TrainOptions, steps: Sequence[f
     ----------
     steps : of the blocks.
     """
-    requested = (city.read_partition().get(REQUESTED) or {}).get("exchanges") or 0
+    requested = requested_of(city).get("exchanges") or 0
     if options.time_budget or len(steps) < 2:
         return 0
     return min(requested, *(most_exchanges(round(number)) for number in steps))
@@ -160,10 +160,9 @@ def surroundings_of(city: CityFolder, options: TrainOptions) -> str:
     Layers have no depth, so blocks that need it hold all gaussians. A partition that does not
     record the choice is of a version without layers.
     """
-    requested = city.read_partition().get(REQUESTED) or {}
     if options.depth or options.reproject != "off":
         return "gaussians"
-    return str(requested.get("surroundings", "gaussians"))
+    return str(requested_of(city).get("surroundings", "gaussians"))
 
 
 def takes_layers(surroundings: str, scene: Scene, decided: dict[str, Any],
@@ -223,13 +222,23 @@ def whole_steps(options: TrainOptions, scene: Scene) -> int:
     return planned_steps(options, len(training))[0]
 
 
-def _check_same(city: CityFolder, options: PartitionOptions) -> None:
-    """InputError where the existing blocks were cut with other options."""
+def requested_of(city: CityFolder) -> dict[str, Any]:
+    """The PartitionOptions, by name, with which a city was cut, without those of later versions.
+
+    Raises
+    ------
+    InputError : the record is damaged.
+    """
     recorded = city.read_partition().get(REQUESTED) or {}
     if not isinstance(recorded, dict):
         raise InputError(f"{city.path / PARTITION}: damaged ({REQUESTED} is "
                          f"{str(recorded)[:20]!r}); remove it, and make it with `clsplat partition "
                          f"{city.path}`")
-    for name, old, new in differences({**plain(options), **recorded}, options):
+    return recorded
+
+
+def _check_same(city: CityFolder, options: PartitionOptions) -> None:
+    """InputError where the existing blocks were cut with other options."""
+    for name, old, new in differences({**plain(options), **requested_of(city)}, options):
         raise InputError(f"{city.path}: was cut with {name.replace('_', '-')} {old}, not {new}; "
                          "remove its partition.json and blocks/, or choose another --output")

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import Any
 
-from clsplat.city.cut import VISITS
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
@@ -15,6 +14,7 @@ from clsplat.io.city import DENSE, EXCHANGES, LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition.grid import makespan
+from clsplat.partition.options import PartitionOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import schedule_of
@@ -89,7 +89,7 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
         gaussians = int(forecast.gaussians * share * larger)
         whole = gaussians <= limit and workers == 1
         times = 1 if whole else shared  # blocks that train a gaussian, on average
-        visits = 1 if whole else VISITS
+        visits = 1 if whole else PartitionOptions.block_steps
         blocks = max(-(-int(gaussians * times) // limit), workers)
         coarse = 0.0 if whole else COARSE_COST * once * share
         trained = once * share * visits
@@ -106,7 +106,7 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
     of_size = f" of {size[0]}x{size[1]}" if size else ""
     return Table("At scale", head, rows, range(11), (
         f"For photos like these{of_size}, on {name}, in as few blocks as fit it and at least one a "
-        f"device, which take {VISITS:g} times the steps of one run together. "
+        f"device, which take {PartitionOptions.block_steps:g} times the steps of one run together. "
         "The coarse run is on one device. Scheduler: total CPU time and bytes of a Dask cluster.",
     ))
 

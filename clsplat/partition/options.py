@@ -74,6 +74,9 @@ class PartitionOptions:
                             "while they train, so that both sides of a border agree; blocks with "
                             "few steps do it less often, and with --time-budget never",
                             minimum=0, maximum=20)
+    block_steps: float = option(2.0, "Blocks", "steps of all blocks together, as a multiple of "
+                                "those of one run; with more, each gaussian is seen more often, "
+                                "which is better and takes longer", minimum=0.1, maximum=100.0)
     least_views: int = option(8, "Blocks", "number of views below which a block has too few",
                               minimum=0)
     expected: int = 0

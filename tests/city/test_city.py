@@ -157,6 +157,17 @@ def test_a_chosen_grid_has_a_block_a_worker():
     assert partition_options(given, scene, options, None).least_blocks == 1
 
 
+def test_the_steps_of_all_blocks_are_an_option(copy):
+    def steps():
+        return sum(block.read()["options"]["iterations"] for block in copy.blocks())
+
+    before = steps()
+    shutil.rmtree(copy.path / "blocks")
+    (copy.path / "partition.json").unlink()
+    command("partition", copy.path, "--grid", "2x1", "--least-views", 3, "--block-steps", 0.5)
+    assert 0.2 * before < steps() < 0.3 * before
+    command("partition", copy.path, "--grid", "2x1", "--least-views", 3, code=2)
+
 
 def test_again_changes_nothing(copy, monkeypatch):
     before = model(copy)

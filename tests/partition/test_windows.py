@@ -77,6 +77,8 @@ def test_blocks_visit_views_by_their_shares_but_not_more_often_in_all_than_one_r
     gaussians = Gaussians.from_points(POSITIONS, np.zeros((5, 3)), 0)
     both = np.array([0, 1])
     partition = SimpleNamespace(regions=[None] * 3, views=(both, both, both[1:]))
-    visits = visits_of_blocks(partition, scene, gaussians, OWNER)
+    visits = visits_of_blocks(partition, scene, gaussians, OWNER, 2.0)
+    fewer = visits_of_blocks(partition, scene, gaussians, OWNER, 1.2)
+    assert np.allclose(fewer[0], [0.8, 0.6]) and np.allclose(fewer[1], 0.6 * visits[1])
     assert np.allclose(visits[0], [8 / 7, 6 / 7]) and np.allclose(visits[1], [2 / 3, 1 / 2])
     assert visits[2] == 0.01
