@@ -183,7 +183,7 @@ class Sig(Schedule):
         self.rounds_taken = self.carried = 0
         self.grown_at = 0  # step of the last round
         self.grows = options.init != "dense" or may_grow(options, facts)
-        self.full = not self.grows or facts.count >= self.ceiling
+        self.full = facts.count >= self.ceiling
         self.samples: list[tuple[int, float]] = []
         self.hits = 0
 
@@ -205,7 +205,9 @@ class Sig(Schedule):
 
     @property
     def ceiling(self) -> float:
-        """Number of gaussians that this level's pixels can determine."""
+        """Up to how many gaussians this level grows: as many as its pixels can determine."""
+        if not self.grows:
+            return 0
         return most_gaussians(self.options, self.facts, self.levels[self.index])
 
     @property
@@ -273,9 +275,7 @@ class Sig(Schedule):
         """See `Schedule.target`: up to `ceiling`, a fifth more in each round."""
         self.rounds_taken += 1
         self.grown_at = iteration
-        self.full = not self.grows or count >= self.ceiling
-        if not self.grows:
-            return count
+        self.full = count >= self.ceiling
         if self.ceiling == math.inf:
             return None
         return max(count, min(int(self.ceiling), count + count // MOST_GROWTH))
