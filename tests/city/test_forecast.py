@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import clsplat.city.forecast as forecast_module
+import clsplat.cli.city as city_module
 from clsplat.camera import Camera
 from clsplat.city.forecast import (
     PIXELS_PER_GAUSSIAN,
@@ -18,6 +19,7 @@ from clsplat.city.forecast import (
     scale_table,
 )
 from clsplat.cli.city import partition_options
+from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.estimate.measured import MeasuredSteps
 from clsplat.estimate.step_time import fitted, predicted_seconds
@@ -56,6 +58,21 @@ def test_blocks_that_share_a_device_fit_it_together():
     assert largest(8, 2) == largest() // 4
     device.handle.global_mem_size = 1
     assert largest(8) == LEAST_GAUSSIANS
+
+
+@pytest.mark.parametrize("flags, devices", [
+    ((), 1), (("--workers", "4"), 1), (("--workers", "4", "--device", "cpu,cpu"), 2),
+    (("--workers", "4", "--scheduler", "tcp://127.0.0.1:1"), 4)])
+def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, devices):
+    """On a cluster each has its own."""
+    def noted(*given):
+        assert (*given[4:], 1)[:2] == (4 if flags else 1, devices)
+        raise InputError("noted")
+
+    monkeypatch.setattr(city_module, "partition_options", noted)
+    with pytest.raises(SystemExit) as ended:
+        main(["city", str(CITY), "-o", str(tmp_path / "city"), "-q", *flags])
+    assert ended.value.code == 2 and not (tmp_path / "city").exists()
 
 
 def test_the_end_of_the_blocks_on_several_devices_follows_from_their_steps():
