@@ -83,10 +83,11 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     exposures = coarse.folder.load_exposures()
     visits = visits_of_blocks(partition, scene, gaussians, owner, requested_of(city).get(
         "block_steps", PartitionOptions.block_steps))
-    steps = [whole_steps(options, scene) / len(views) * each.sum() for each in visits]
+    facts = scene_facts(scene, [scene.views[index] for index in views])
+    one_run = worthwhile_steps(options, facts, len(views))
+    steps = [one_run / len(views) * each.sum() for each in visits]
     surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
-    facts = scene_facts(scene, [scene.views[index] for index in views])
     dense = dense_gaussians(city, scene, gaussians.sh_degree)
     for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
@@ -217,9 +218,23 @@ def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[n
 
 
 def whole_steps(options: TrainOptions, scene: Scene) -> int:
-    """The steps of one run of the whole scene with these options."""
+    """The steps of one run of the whole scene with these options, before its photos limit them."""
     training, _ = scene.split(options.test_every, options.test_offset)
     return planned_steps(options, len(training))[0]
+
+
+def worthwhile_steps(options: TrainOptions, facts: SceneFacts, photos: int) -> int:
+    """The steps that one run of the whole scene takes: no more than its photos allow.
+
+    Parameters
+    ----------
+    options : of the whole.
+    facts : about its scene.
+    photos : number of training photos.
+    """
+    steps, _ = planned_steps(options, photos)
+    most, _ = schedule_of(options.schedule).most_steps(options, facts, photos)
+    return min(steps, most) if most else steps
 
 
 def requested_of(city: CityFolder) -> dict[str, Any]:

@@ -104,6 +104,28 @@ def test_a_block_takes_as_many_steps_as_its_visits_say(made):
     assert cut.block_steps(resolve({}, {}), 299.6, (640, 480), FACTS)["iterations"] == 300
 
 
+def test_blocks_take_no_more_steps_than_photos_allow():
+    def steps(**given):
+        return cut.worthwhile_steps(resolve({}, {"iterations": 30_000, **given}), FACTS, 60)
+
+    assert steps() == 9000 and steps(visits=10.0) == 600 and steps(visits=0.0) == 30_000
+    assert steps(iterations=500) == 500 and steps(schedule="constant") == 30_000
+
+
+def test_the_blocks_of_a_city_take_no_more_steps_than_photos_allow(copy):
+    def steps():
+        return sum(block.read()["options"]["iterations"] for block in copy.blocks())
+
+    before = steps()
+    record = copy.read()
+    record["options"]["visits"] = 1.0
+    copy.write(record)
+    shutil.rmtree(copy.path / "blocks")
+    (copy.path / "partition.json").unlink()
+    command("partition", copy.path, "--grid", "2x1", "--least-views", 3)
+    assert abs(steps() - before * 28 / 60) <= 1  # 28 training photos, in place of 60 steps
+
+
 def pictures(folder, out, *words):
     """float[K, H, W, 3], 0 to 1: the held-out views, as `clsplat render` draws them."""
     command("render", folder.path, "--views", "test", "-o", out, "--device", DEVICE, *words)
