@@ -30,7 +30,7 @@ from clsplat.partition.partition import Partition
 from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
-from clsplat.schedule import SceneFacts, planned_steps, schedule_of
+from clsplat.schedule import SceneFacts, planned_steps, schedule_of, worthwhile_steps
 from clsplat.training.block import decided_by, options_of_blocks
 from clsplat.training.exchange import exchange_steps, most_exchanges
 from clsplat.training.facts import scene_facts, smallest_size
@@ -84,7 +84,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     visits = visits_of_blocks(partition, scene, gaussians, owner, requested_of(city).get(
         "block_steps", PartitionOptions.block_steps))
     facts = scene_facts(scene, [scene.views[index] for index in views])
-    one_run = worthwhile_steps(options, facts, len(views))
+    one_run, _, _ = worthwhile_steps(options, facts, len(views))
     steps = [one_run / len(views) * each.sum() for each in visits]
     surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
@@ -221,20 +221,6 @@ def whole_steps(options: TrainOptions, scene: Scene) -> int:
     """The steps of one run of the whole scene with these options, before its photos limit them."""
     training, _ = scene.split(options.test_every, options.test_offset)
     return planned_steps(options, len(training))[0]
-
-
-def worthwhile_steps(options: TrainOptions, facts: SceneFacts, photos: int) -> int:
-    """The steps that one run of the whole scene takes: no more than its photos allow.
-
-    Parameters
-    ----------
-    options : of the whole.
-    facts : about its scene.
-    photos : number of training photos.
-    """
-    steps, _ = planned_steps(options, photos)
-    most, _ = schedule_of(options.schedule).most_steps(options, facts, photos)
-    return min(steps, most) if most else steps
 
 
 def requested_of(city: CityFolder) -> dict[str, Any]:

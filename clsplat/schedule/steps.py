@@ -10,6 +10,7 @@ from clsplat.schedule.registry import schedule_of
 
 if TYPE_CHECKING:
     from clsplat.options import TrainOptions
+    from clsplat.schedule.plan import SceneFacts
 
 STEP_COUNTS = ("iterations", "sh_every", "densify_from", "densify_until", "densify_every",
                "reset_every")
@@ -40,6 +41,30 @@ def planned_steps(options: TrainOptions, photos: int) -> tuple[int, str]:
         return steps, f"as many as fit --time-budget {options.time_budget}"
     return steps, (f"{steps:,}: {STEPS_A_PHOTO} for each of {photos:,} training photos, but at "
                    f"least {FULL_LENGTH:,} and at most {PUBLISHED_LENGTH:,}")
+
+
+def worthwhile_steps(options: TrainOptions, facts: SceneFacts, photos: int) -> tuple[int, int, str]:
+    """The length of a run that takes no more steps than its photos allow, before `steps_scale`.
+
+    Parameters
+    ----------
+    options : those of the run.
+    facts : about its scene.
+    photos : number of training photos.
+
+    Returns
+    -------
+    The length, the most that they allow (0: any number), and a sentence with the reason.
+    """
+    steps, reason = planned_steps(options, photos)
+    most, fewer = schedule_of(options.schedule).most_steps(options, facts, photos)
+    if not most:
+        return steps, 0, reason
+    if options.time_budget:
+        reason = f"{reason}, and at most {most:,} {fewer}"
+    elif most < steps:
+        reason = f"{most:,}: the most {fewer}; {steps:,} would over-fit them"
+    return min(steps, most), most, reason
 
 
 def scaled_steps(options: TrainOptions) -> TrainOptions:

@@ -18,7 +18,13 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
-from clsplat.schedule import SceneFacts, planned_steps, scaled_steps, schedule_of
+from clsplat.schedule import (
+    SceneFacts,
+    planned_steps,
+    scaled_steps,
+    schedule_of,
+    worthwhile_steps,
+)
 from clsplat.schedule.simulate import largest, simulate
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training.dense_start import chosen_start, planned_count
@@ -145,18 +151,11 @@ def _steps(scene: Scene, photos: int, options: TrainOptions, facts: SceneFacts
            ) -> tuple[Decision, int]:
     """(The number of steps before `steps_scale`, the most with it). Parts of a city take as many as
     they are told."""
-    steps, reason = planned_steps(options, photos)
-    most, fewer = 0, ""
-    if not (options.coarse or scene.region):  # their photos need not be compared
-        most, fewer = schedule_of(options.schedule).most_steps(options, facts, photos)
-    if not most:
-        return Decision(steps, reason), MOST_STEPS
-    scaled = min(MOST_STEPS, max(1, round(most * options.steps_scale)))
-    if options.time_budget:
-        return Decision(min(steps, most), f"{reason}, and at most {most:,} {fewer}"), scaled
-    if steps <= most:
-        return Decision(steps, reason), scaled
-    return Decision(most, f"{most:,}: the most {fewer}; {steps:,} would over-fit them"), scaled
+    if options.coarse or scene.region:  # their photos need not be compared
+        return Decision(*planned_steps(options, photos)), MOST_STEPS
+    steps, most, reason = worthwhile_steps(options, facts, photos)
+    scaled = max(1, round(most * options.steps_scale)) if most else MOST_STEPS
+    return Decision(steps, reason), min(MOST_STEPS, scaled)
 
 
 def _requested(value: Any) -> Decision:

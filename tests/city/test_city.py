@@ -104,26 +104,24 @@ def test_a_block_takes_as_many_steps_as_its_visits_say(made):
     assert cut.block_steps(resolve({}, {}), 299.6, (640, 480), FACTS)["iterations"] == 300
 
 
-def test_blocks_take_no_more_steps_than_photos_allow():
-    def steps(**given):
-        return cut.worthwhile_steps(resolve({}, {"iterations": 30_000, **given}), FACTS, 60)
+def steps_of_blocks(folder):
+    return sum(block.read()["options"]["iterations"] for block in folder.blocks())
 
-    assert steps() == 9000 and steps(visits=10.0) == 600 and steps(visits=0.0) == 30_000
-    assert steps(iterations=500) == 500 and steps(schedule="constant") == 30_000
+
+def cut_again(folder, *flags):
+    shutil.rmtree(folder.path / "blocks")
+    (folder.path / "partition.json").unlink()
+    command("partition", folder.path, "--grid", "2x1", "--least-views", 3, *flags)
 
 
 def test_the_blocks_of_a_city_take_no_more_steps_than_photos_allow(copy):
-    def steps():
-        return sum(block.read()["options"]["iterations"] for block in copy.blocks())
-
-    before = steps()
+    before = steps_of_blocks(copy)
     record = copy.read()
     record["options"]["visits"] = 1.0
     copy.write(record)
-    shutil.rmtree(copy.path / "blocks")
-    (copy.path / "partition.json").unlink()
-    command("partition", copy.path, "--grid", "2x1", "--least-views", 3)
-    assert abs(steps() - before * 28 / 60) <= 1  # 28 training photos, in place of 60 steps
+    cut_again(copy)
+    # 28 training photos, in place of 60 steps
+    assert abs(steps_of_blocks(copy) - before * 28 / 60) <= 1
 
 
 def pictures(folder, out, *words):
@@ -180,14 +178,9 @@ def test_a_chosen_grid_has_a_block_a_worker():
 
 
 def test_the_steps_of_all_blocks_are_an_option(copy):
-    def steps():
-        return sum(block.read()["options"]["iterations"] for block in copy.blocks())
-
-    before = steps()
-    shutil.rmtree(copy.path / "blocks")
-    (copy.path / "partition.json").unlink()
-    command("partition", copy.path, "--grid", "2x1", "--least-views", 3, "--block-steps", 0.5)
-    assert 0.2 * before < steps() < 0.3 * before
+    before = steps_of_blocks(copy)
+    cut_again(copy, "--block-steps", 0.5)
+    assert 0.2 * before < steps_of_blocks(copy) < 0.3 * before
     command("partition", copy.path, "--grid", "2x1", "--least-views", 3, code=2)
 
 

@@ -6,6 +6,8 @@ import math
 import pytest
 
 from clsplat.errors import InputError
+from clsplat.options import resolve
+from clsplat.schedule import worthwhile_steps
 from clsplat.schedule.sig import Sig
 from clsplat.schedule.sig_limits import LEVELS, SMALLEST_SIDE, TILE, chosen_levels, level_shares
 from tests.schedule.driven_sig import FACTS, drive, lengths, options_of, rising, sig
@@ -94,3 +96,11 @@ def test_each_level_may_take_what_its_resolution_is_of_all():
     steps = lengths(drive(schedule, rising))
     for level, share in ((4.0, 1 / 7), (2.0, 2 / 7), (1.0, 4 / 7)):
         assert steps[level] == pytest.approx(share * 6000, abs=2 * schedule.observe_every)
+
+
+def test_a_run_takes_no_more_steps_than_photos_allow():
+    def steps(**given):
+        return worthwhile_steps(resolve({}, {"iterations": 30_000, **given}), FACTS, 60)[0]
+
+    assert steps() == 9000 and steps(visits=10.0) == 600 and steps(visits=0.0) == 30_000
+    assert steps(iterations=500) == 500 and steps(schedule="constant") == 30_000
