@@ -164,11 +164,12 @@ class Camera:
         -------
         Pixel coordinates float64[N, 2], and depths float64[N] along the camera's axis.
         """
-        p = np.asarray(points, np.float64) @ self.rotation.T + self.translation
+        p = turned(self.rotation, points) + self.translation[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
-            divisor = 1.0 if self.orthographic else p[:, 2:]
-            pixel = p[:, :2] / divisor * self.focal + self.centre
-        return pixel, p[:, 2]
+            pixel = p[:2] / (1.0 if self.orthographic else p[2])
+            pixel *= np.array(self.focal)[:, None]
+            pixel += np.array(self.centre)[:, None]
+        return pixel.T, p[2]
 
     def contains(self, pixels: NDArray[np.floating], beyond: ArrayLike = 0.0) -> NDArray[np.bool_]:
         """Which pixels lie within the image, as bool[N].
@@ -182,6 +183,26 @@ class Camera:
         inside: NDArray[np.bool_] = ((x > -beyond) & (x < self.width + beyond)
                                      & (y > -beyond) & (y < self.height + beyond))
         return inside
+
+
+def turned(rotation: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float64]:
+    """Rotated points, one coordinate after the other.
+
+    Operations on long rows are several times as fast as on rows of three numbers, and no BLAS is
+    used, whose threads would wait busily for the next product.
+
+    Parameters
+    ----------
+    rotation : float64[3, 3].
+    points : float64[N, 3].
+
+    Returns
+    -------
+    float64[3, N].
+    """
+    columns = np.ascontiguousarray(np.asarray(points, np.float64).T)
+    result: NDArray[np.float64] = np.einsum("ij,jn->in", rotation, columns)
+    return result
 
 
 @dataclass(frozen=True, eq=False)

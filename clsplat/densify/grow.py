@@ -47,6 +47,11 @@ class Growth:
     pruned: int
     changes: dict[str, tuple[int, NDArray[np.float32]]]
 
+    @property
+    def unchanged(self) -> int:
+        """How many new rows, from the first one on, are equal to their source."""
+        return min((first for first, _ in self.changes.values()), default=len(self.source))
+
 
 class Candidates:
     """What growth knows of N gaussians.

@@ -5,6 +5,7 @@ thousandths of the scene's unit (millimetres of a metre), or EXR, TIFF or NPY wi
 scene's units. Values that are zero, negative or not finite are no depths.
 """
 
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from clsplat.errors import InputError
 from clsplat.io.beside import check_shape, file_beside, photo_size
 from clsplat.io.images import window_of
 from clsplat.io.lenses import pixel_map, rays_of
-from clsplat.io.npz import array_of
+from clsplat.io.npz import read_array
 from clsplat.io.photo import first_channel
 from clsplat.io.reason import reason
 from clsplat.io.regular import read_regular
@@ -106,7 +107,8 @@ def _stored(view: View) -> NDArray[np.float32]:
 
 def _read_npy(path: Path) -> NDArray[Any]:
     try:
-        values = array_of(path.name, read_regular(path))
+        content = read_regular(path)
+        values = read_array(path.name, io.BytesIO(content), len(content))
     except Exception as error:  # numpy raises many kinds
         raise InputError(f"{path}: not a NumPy array, or damaged ({reason(error)}); save it again"
                          ) from None

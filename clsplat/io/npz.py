@@ -8,9 +8,9 @@ import io
 import json
 import math
 import zipfile
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,29 +22,30 @@ from clsplat.io.regular import open_regular
 # the members may have this many times the size of the file, plus a share for small files; a zip
 # bomb has more
 LARGEST_EXPANSION, FREE_BYTES = 100, 1 << 26
+CHUNK = 1 << 21  # bytes that are copied while the processor's cache holds them
 READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0,
                (2, 0): np.lib.format.read_array_header_2_0}
 
 
-def read_npz(path: Path, complaint: str, cure: str, names: Collection[str] | None = None
-             ) -> dict[str, NDArray[Any]]:
+def read_npz(path: Path, complaint: str, cure: str,
+             wanted: Callable[[str], bool] = lambda name: True) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz by name; every byte that is read is checked against its CRC.
 
     Parameters
     ----------
     complaint, cure : of the message for a damaged file, "PATH: COMPLAINT (the reason); CURE".
-    names : of the arrays to read, some of which may be missing; None reads all.
+    wanted : tells by its name whether an array is read.
     """
     try:
         with Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:
             members = {member.filename.removesuffix(".npy"): member
                        for member in archive.infolist()}
             members = {name: member for name, member in members.items()
-                       if names is None or name in names}
+                       if wanted(name)}
             claimed = sum(member.file_size for member in members.values())
             if claimed > FREE_BYTES + LARGEST_EXPANSION * file.size:
                 raise ValueError(f"its {file.size} bytes claim to hold {claimed}")
-            return {name: array_of(name, archive.read(member)) for name, member in members.items()}
+            return {name: _member(archive, name, member) for name, member in members.items()}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
     except Exception as error:  # zipfile and numpy raise many kinds
@@ -57,7 +58,7 @@ def write_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None:
         for name, array in arrays.items():
             # ZipInfo's fixed date keeps the bytes equal from run to run
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+                _write_array(member, np.asarray(array, order="C"))
 
 
 def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
@@ -78,20 +79,48 @@ class Bounded(io.BufferedReader):
         return super().read(-1 if size is None else min(size, self.size))
 
 
-def array_of(name: str, content: bytes) -> NDArray[Any]:
-    """The array of the bytes of an .npy; nothing is allocated that its header only claims.
+def _member(archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo) -> NDArray[Any]:
+    with archive.open(member) as stream:
+        array = read_array(name, stream, member.file_size)
+        stream.read(1)  # at its end the CRC is compared
+    return array
+
+
+def read_array(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
+    """Read the array of an .npy from its stream.
+
+    Parameters
+    ----------
+    name : in messages.
+    stream : of the .npy, from its start.
+    size : bytes of the .npy, as many as memory may be taken for.
 
     Raises
     ------
     Exception : of any kind, since numpy's parser of headers raises many.
     """
-    stream = io.BytesIO(content)
     version = np.lib.format.read_magic(stream)
     if version not in READ_HEADER:
         raise ValueError(f"array {name!r} has an unknown version of its format")
     shape, by_columns, dtype = READ_HEADER[version](stream)
-    if dtype.hasobject or min(shape, default=0) < 0 or (
-            math.prod(shape) * dtype.itemsize != len(content) - stream.tell()):
+    size -= stream.tell()
+    if dtype.hasobject or min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != size:
         raise ValueError(f"array {name!r} does not have the size that its header claims")
-    rows = bytearray(memoryview(content)[stream.tell():])  # writable, as the bytes are not
-    return np.ndarray(shape, dtype, rows, order="F" if by_columns else "C")
+    content = np.empty(size, np.uint8)
+    for begin in range(0, size, CHUNK):
+        part = content[begin:begin + CHUNK]
+        read = stream.read(len(part))
+        if len(read) != len(part):
+            raise ValueError(f"array {name!r} is cut short")
+        part[:] = np.frombuffer(read, np.uint8)
+    return np.ndarray(shape, dtype, content.data, order="F" if by_columns else "C")
+
+
+def _write_array(member: IO[bytes], array: NDArray[Any]) -> None:
+    """Write a contiguous array as an .npy."""
+    if array.dtype.hasobject:
+        raise ValueError("an array of objects is not written")
+    np.lib.format.write_array_header_1_0(member, np.lib.format.header_data_from_array_1_0(array))
+    content = array.reshape(-1).view(np.uint8)
+    for begin in range(0, len(content), CHUNK):
+        member.write(content[begin:begin + CHUNK].data)

@@ -148,7 +148,7 @@ def _calibration(camera: Camera) -> NDArray[np.float64]:
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     arrays = read_npz(path, "not a packed scene, or damaged", "pack or copy it again",
-                      {**LAYOUT, **OPTIONAL})
+                      lambda name: name in LAYOUT or name in OPTIONAL)
     for key, (kinds, shape) in {**LAYOUT, **OPTIONAL}.items():
         array = arrays.get(key)
         if array is None and key in OPTIONAL:

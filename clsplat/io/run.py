@@ -6,7 +6,7 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -292,18 +292,18 @@ class RunFolder:
 
     def checkpoint_iteration(self) -> int:
         """The number of steps before the checkpoint; 0 without one."""
-        step = self.load_checkpoint((STATE,))[1].get("iteration") if self.has_checkpoint else 0
+        step = self.load_checkpoint(lambda _: False)[1].get("iteration") if self.has_checkpoint else 0
         return step if type(step) is int else 0
 
-    def load_checkpoint(self, names: Collection[str] | None = None
+    def load_checkpoint(self, wanted: Callable[[str], bool] = lambda name: True
                         ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Load arrays, all if `names` is None, and the state; their bytes are checked by CRCs."""
+        """Load the arrays that are wanted by name, and the state; CRCs are checked."""
         path = self.path / CHECKPOINT
         if not self.has_checkpoint:
             raise InputError(f"{path}: no checkpoint to resume from; train without --resume")
         complaint, cure = ("the checkpoint is damaged or cut short",
                            "copy it again, or start the run again with --overwrite")
-        arrays = read_npz(path, complaint, cure, names)
+        arrays = read_npz(path, complaint, cure, lambda name: name == STATE or wanted(name))
         try:
             return arrays, object_of(arrays.pop(STATE).tobytes())
         except (KeyError, ValueError) as error:

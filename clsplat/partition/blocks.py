@@ -88,7 +88,7 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     own = region.owns(scene.offset + scene.unit * positions)
     rest = ~reached
     size = np.ones(len(positions))
-    size[rest] = largest_sizes(positions[rest], np.exp(gaussians.log_scales[rest].max(axis=1)),
+    size[rest] = largest_sizes(positions[rest], np.exp(np.maximum.reduce(gaussians.log_scales[rest].T)),
                                views, scene.near_plane, enough=1).clip(0, 1)
     keeps = np.random.default_rng(0).random(len(size)) < size**2
     rows = {name: values[keeps] for name, values in gaussians.rows.items()}
@@ -155,11 +155,14 @@ def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floati
     small = np.arange(len(positions))
     for view in views:
         camera = view.camera
-        pixels, depths = camera.project(positions[small])
-        deviation = deviations[small] * max(camera.focal) / np.maximum(depths, near)
+        pixels, depths = camera.project(positions)
+        deviation = deviations * max(camera.focal) / np.maximum(depths, near)
         shown = (depths > near) & camera.contains(pixels, VISIBLE_DEVIATIONS * deviation)
-        largest[small] = np.maximum(largest[small], np.where(shown, 2 * deviation, 0))
-        small = small[largest[small] < enough]
+        sizes = np.maximum(largest[small], np.where(shown, 2 * deviation, 0))
+        largest[small] = sizes
+        left = sizes < enough
+        if not left.all():
+            small, positions, deviations = small[left], positions[left], deviations[left]
     return largest
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsplat.camera import turned
+
 ROTATION_TOLERANCE = 1e-6  # largest element of R R^T - I in a rotation that is read from a file
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -53,12 +55,15 @@ class Space:
     def to(self, points: ArrayLike) -> NDArray[np.float64]:
         """Coordinates [N, 3] of world points [N, 3]; nan where a point is not finite."""
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-            u = (np.asarray(points, np.float64) - self.origin) @ self.rotation.T / self.half
-            if not self.contracted:
-                return np.where(np.isfinite(u), u, np.nan)
-            largest = np.maximum.reduce([np.ones(len(u)), *np.abs(u).T])[:, None]
-            contracted: NDArray[np.float64] = (2 - 1 / largest) * (u / largest) / 4 + 0.5
-            return contracted
+            u = turned(self.rotation, np.asarray(points, np.float64) - self.origin)
+            u /= self.half[:, None]
+            if self.contracted:
+                largest = np.maximum(np.maximum.reduce(np.abs(u)), 1)
+                u *= (2 - 1 / largest) / largest / 4
+                u += 0.5
+            else:
+                u[~np.isfinite(u)] = np.nan
+            return u.T
 
     def world(self, coordinates: ArrayLike) -> NDArray[np.float64]:
         """World points [N, 3] of coordinates [N, 3]; contracted ones lie within (0, 1)."""
@@ -170,9 +175,8 @@ class Region:
         reached = grown.holds(coordinates)
         spread = np.broadcast_to(spread, len(points))
         # contraction only brings points closer together, so few lie near the border
-        moved = spread[:, None] / self.space.half.min() / (4 if self.space.contracted else 1)
-        near = reached & (spread > 0) & ~(grown.holds(coordinates - moved)
-                                          & grown.holds(coordinates + moved))
+        moved = spread / self.space.half.min() / (4 if self.space.contracted else 1)
+        near = reached & (spread > 0) & (grown.gaps(coordinates) <= moved)
         for step in (*self.space.rotation[:2], *-self.space.rotation[:2]):
             wide = np.flatnonzero(reached & near)
             reached[wide] = grown.owns(points[wide] + spread[wide, None] * step)
@@ -183,6 +187,16 @@ class Region:
         u, v, up = ((coordinates >= self.low) & (coordinates < self.high)).T
         inside: NDArray[np.bool_] = u & v & up  # ten times as fast as np.all along rows
         return inside
+
+    def gaps(self, coordinates: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far coordinates [N, 3] in the cell are from its border along the nearest axis, [N].
+        """
+        gaps = np.full(len(coordinates), np.inf)
+        for places, low, high in zip(coordinates.T, self.low, self.high):
+            for end, sign in ((low, 1), (high, -1)):
+                if np.isfinite(end):
+                    np.minimum(gaps, sign * (places - end), out=gaps)
+        return gaps
 
     def record(self) -> dict[str, Any]:
         """The region as a dict for JSON; null stands for an unbounded end."""

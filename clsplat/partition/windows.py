@@ -43,10 +43,10 @@ def find_windows(gaussians: Gaussians, scene: Scene, region: Region, views: Sequ
     """
     positions = gaussians.positions.astype(np.float64)
     positions = positions[replace(scene, region=region).reached(positions)]
-    windows: dict[str, Window] = {}
+    windows, near = dict[str, Window](), scene.near_plane
     for view in views:
         size = np.array([view.camera.width, view.camera.height])
-        pixels = shown_pixels(view, positions, scene.near_plane)[0]
+        pixels = shown_pixels(view, positions, near)[0]
         if not len(pixels):
             continue
         low, high = np.quantile(pixels, QUANTILES, axis=0)

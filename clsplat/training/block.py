@@ -103,13 +103,12 @@ def train_block(block: BlockFolder, options: TrainOptions,
                 _go_on(block, scene, options, device, progress, step, saved)
             if taken > step:
                 continue
-            saved = run.load_checkpoint()
-            write_part(block, scene, number, saved[0])
+            write_part(block, scene, number, run)
             if lacking := lacking_blocks(others, number):
                 return (f"waits at exchange {number} of {len(exchanges)}, after step {step}: train "
                         f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "
                         "too, then this block again")
-            saved = exchange(block, scene, others, options, number, saved)
+            saved = exchange(block, scene, others, options, number, run)
         _go_on(block, scene, options, device, progress, 0, saved)
     return "finished"
 

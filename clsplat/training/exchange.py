@@ -25,7 +25,7 @@ from clsplat.io.city import LAYERS, BlockFolder, CityFolder
 from clsplat.io.npz import read_npz, state_array, write_npz
 from clsplat.io.ply import write_ply
 from clsplat.io.records import object_of
-from clsplat.io.run import STATE
+from clsplat.io.run import STATE, RunFolder
 from clsplat.options import TrainOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene
@@ -60,25 +60,25 @@ def most_exchanges(steps: int) -> int:
     return steps // (2 * LOG_EVERY)
 
 
-def write_part(block: BlockFolder, scene: Scene, number: int, arrays: Arrays) -> None:
+def write_part(block: BlockFolder, scene: Scene, number: int, run: RunFolder) -> None:
     """Write what a block owns, with Adam's moments, unless that was done before.
 
     Parameters
     ----------
-    block : its run has a checkpoint at the exchange.
-    scene : in its folder, as it was read.
+    block : its folder.
+    scene : in that folder, as it was read.
     number : of the exchange, from 1.
-    arrays : of the checkpoint.
+    run : of the block, with a checkpoint at the exchange.
     """
     path = block.part(number)
     if path.exists():
         return
     scene = scene.normalised()
     assert scene.region is not None
+    arrays, _ = run.load_checkpoint(_is_by_gaussian)
     owned = scene.region.owns(scene.offset + scene.unit * arrays["row.positions"].astype(float))
     with replacing(path) as file:
-        write_npz(file, {**{name: values[owned] for name, values in arrays.items()
-                            if _is_by_gaussian(name)},
+        write_npz(file, {**{name: values[owned] for name, values in arrays.items()},
                          STATE: state_array({"unit": scene.unit, "offset": scene.offset.tolist(),
                                              CITY: block.read()[CITY]})})
 
@@ -116,7 +116,7 @@ def lacking_blocks(others: Iterable[BlockFolder], number: int) -> list[str]:
 
 
 def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
-             options: TrainOptions, number: int, saved: Saved) -> Saved:
+             options: TrainOptions, number: int, run: RunFolder) -> Saved:
     """Replace a block's margin and surroundings by the parts of other blocks.
 
     Returns the checkpoint from which the block goes on; that of its run stays as it is. What its
@@ -130,9 +130,10 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
     others : its `other_blocks`.
     options : of its training.
     number : of the exchange, from 1.
-    saved : the checkpoint of its run, at the exchange.
+    run : of the block, with a checkpoint at the exchange; its rows are in the block's part.
     """
-    record, (arrays, state) = block.read(), saved
+    record = block.read()
+    arrays, state = run.load_checkpoint(lambda name: not _is_by_gaussian(name))
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     region = scene.region
     assert region is not None

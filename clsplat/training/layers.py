@@ -121,7 +121,7 @@ def has_front(view: View, surroundings: Gaussians, behind: NDArray[np.bool_], ne
     surroundings : of the block.
     behind : bool[N], those behind the block (`Sides`).
     """
-    deviations = np.exp(surroundings.log_scales[~behind].max(axis=1))
+    deviations = np.exp(np.maximum.reduce(surroundings.log_scales[~behind].T))
     return bool(largest_sizes(surroundings.positions[~behind], deviations, [view], near).any())
 
 
@@ -198,6 +198,8 @@ def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, views: S
 
 def eight_bits(values: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Values from 0 to 1 as bytes; what is not a number becomes 0."""
-    rounded: NDArray[np.uint8] = np.rint(
-        np.nan_to_num(values, nan=0.0).clip(0, 1) * 255).astype(np.uint8)
+    values = np.fmax(values, 0)  # which takes the other value where one is not a number
+    np.fmin(values, 1, out=values)
+    values *= 255
+    rounded: NDArray[np.uint8] = np.rint(values, out=values).astype(np.uint8)
     return rounded

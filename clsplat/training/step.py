@@ -351,11 +351,19 @@ class Step:
         self._graphs.clear()
         self.device.trim()  # frames will need blocks of other sizes
 
-    def freeze(self) -> None:
-        """Determine which gaussians are frozen."""
+    def freeze(self, known: NDArray[np.bool_] | None = None) -> None:
+        """Determine which gaussians are frozen.
+
+        Parameters
+        ----------
+        known : bool[K], whether the first K gaussians are; None: that of none is known.
+        """
         if self.trains:
-            rows = (self.model.rows[name].download() for name in ("positions", "log_scales"))
-            self._model.frozen = self.device.upload((~self.trains(*rows)).astype(np.uint32))
+            known = np.zeros(0, bool) if known is None else known
+            rows = (self.model.rows[name].download()[len(known):]
+                    for name in ("positions", "log_scales"))
+            self._model.frozen = self.device.upload(
+                np.concatenate([known, ~self.trains(*rows)]).astype(np.uint32))
 
     def _grow(self, iteration: int, plan: Plan, schedule: Schedule,
               scoring_views: ScoringViews) -> dict[str, int]:
@@ -369,7 +377,7 @@ class Step:
                            self.renderer, model.rows, scoring_views)
         self.release()  # or recordings would keep the memory of frames while rows are copied
         model.regrow(growth)
-        self.freeze()
+        self.freeze(frozen[growth.source[:growth.unchanged]])
         statistics.clear(model.count)
         self._choose_room(True)
         return {"cloned": growth.cloned, "split": growth.split, "pruned": growth.pruned}

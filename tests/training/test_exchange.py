@@ -85,9 +85,10 @@ def in_world(scene, positions):
 @pytest.mark.slow
 def test_a_block_goes_on_from_what_others_own(city):
     block, run = city.block(0), RunFolder(city.block(0).run)
-    before, _ = saved = run.load_checkpoint()
+    before, _ = run.load_checkpoint()
     after, state = exchange(block, read_scene(block.path), other_blocks(block),
-                            block_options(block), 1, saved)
+                            block_options(block), 1, run)
+    assert set(after) == set(before)
     scene = read_scene(block.path).reduced(8.0, 10_000).normalised()
     other = read_scene(city.block(1).path).normalised()
     part = read_npz(city.block(1).part(1), "", "")
@@ -153,7 +154,7 @@ def test_parts_that_cannot_be_used_are_named(city):
     other.part(1).write_bytes(content[:-300])
     with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
         exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1,
-                 RunFolder(block.run).load_checkpoint())
+                 RunFolder(block.run))
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):
