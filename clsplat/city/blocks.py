@@ -17,6 +17,7 @@ from clsplat.training.block import block_options, train_block
 from clsplat.training.progress import SilentProgress
 
 ALONE = "--alone"  # without exchanges
+UNTIL = "--until-exchange"  # a task ends as soon as its file is there, for which others wait
 MOST_SPLITS = 4  # of a block, one after the other
 
 
@@ -55,7 +56,8 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
         block.check()
         options = block_options(block, **({"device": devices[0]} if devices else {}))
         with progress(title_of(task.name)) if progress else nullcontext() as shown:
-            train_block(block, options, shown, alone=ALONE in task.command, device=device)
+            train_block(block, options, shown, alone=ALONE in task.command, device=device,
+                        until=until_of(task))
 
     def trained(tasks: Iterable[Task]) -> dict[str, Outcome]:
         return by_block(run(
@@ -88,7 +90,9 @@ def tasks_of(city: CityFolder, blocks: Iterable[BlockFolder]) -> Iterator[Task]:
                 yield Task(block.path.name, command_of(block), done)
             elif done.exists() or not run_folder.is_finished:
                 needed = [block, *map(city.block, block.others)] if number > 1 else []
-                yield Task(f"{block.path.name} part {number} of {parts}", command_of(block), done,
+                until = (UNTIL, str(number)) if number < parts else ()
+                yield Task(f"{block.path.name} part {number} of {parts}",
+                           (*command_of(block), *until), done,
                            tuple(f"{other.path.name} part {number - 1} of {parts}"
                                  for other in needed))
 
@@ -101,6 +105,11 @@ def task_alone(block: BlockFolder) -> Task:
 def command_of(block: BlockFolder) -> tuple[str, ...]:
     """The arguments of `clsplat` that train a block until it waits for others."""
     return "block", str(block.path.resolve()), "-q"
+
+
+def until_of(task: Task) -> int:
+    """The exchange at which the training of a task stops; 0: none."""
+    return int(task.command[task.command.index(UNTIL) + 1]) if UNTIL in task.command else 0
 
 
 def block_of(task: str) -> str:

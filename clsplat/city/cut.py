@@ -16,6 +16,7 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
+from clsplat.io.ahead import called_ahead
 from clsplat.io.atomic import replacing
 from clsplat.io.city import DENSE, EXCHANGES, LAYERS, OTHERS, PARTITION, CityFolder
 from clsplat.io.depth import with_depths
@@ -39,6 +40,7 @@ from clsplat.training.photos import THREADS
 
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
+BLOCKS_TOGETHER = 4  # that are written at the same time, so that few are in memory
 
 
 def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
@@ -89,7 +91,9 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
     dense = dense_gaussians(city, scene, gaussians.sh_degree)
-    for number, (region, chosen) in enumerate(zip(partition.regions, partition.views)):
+
+    def write(number: int) -> None:
+        region, chosen = partition.regions[number], partition.views[number]
         own = dataclasses.replace(scene, views=tuple(scene.views[i] for i in chosen),
                                   observations=None)
         windows = find_windows(gaussians, scene, region, own.views)
@@ -114,6 +118,10 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
              **({EXCHANGES: exchange_steps(given["iterations"], exchanges)} if exchanges else {})},
             part.around,
             {view.name: float(each) for view, each in zip(own.views, visits[number])})
+
+    numbers = ((number,) for number in range(len(partition.regions)))
+    for _ in called_ahead(write, numbers, BLOCKS_TOGETHER, BLOCKS_TOGETHER):
+        pass  # an error is raised here
     return partition, counts
 
 

@@ -18,7 +18,7 @@ seam_db         PSNR that the merged model lacks in the strip: its gain over the
 """
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,8 +28,9 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.camera import Camera
 from clsplat.device import Device
 from clsplat.evaluation.colour import fit_colour
-from clsplat.evaluation.views import Image, opened, photo_of, render_view
+from clsplat.evaluation.views import Image, opened, photo_of, render_view, scored_at_once
 from clsplat.gaussians import Gaussians
+from clsplat.io.ahead import called_ahead
 from clsplat.options import TrainOptions
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Space
@@ -65,7 +66,8 @@ class Border:
     def side(self, coordinates: NDArray[np.float64]) -> NDArray[np.int8]:
         """[N]: for coordinates [N, 3], -1 in the first half of the strip, 1 in the second, else 0.
         """
-        within = ((coordinates >= self.low) & (coordinates < self.high)).all(axis=1)
+        u, v, up = ((coordinates >= self.low) & (coordinates < self.high)).T
+        within = u & v & up
         half = np.where(coordinates[:, self.axis] < self.at, -1, 1)
         return np.where(within, half, 0).astype(np.int8)
 
@@ -210,29 +212,42 @@ def inspect_views(device: Device, partition: Partition, scene: Scene, views: Seq
     borders, space = find_borders(partition), partition.space
     on_device, other = (opened(device, model, scene, options) for model in (merged, reference))
     strips = Strips([[] for _ in borders], [[] for _ in range(len(borders) + 1)])
-    for index in range(len(views)) if chosen is None else chosen:
-        view = views[index]
-        image, place = _picture(on_device, view.camera)
-        known, valid = np.isfinite(place).all(axis=-1), view.valid()
+
+    def rendered() -> Iterator[tuple[int, Image, NDArray[np.float64], Image]]:
+        for index in range(len(views)) if chosen is None else chosen:
+            camera = views[index].camera
+            yield index, *_picture(on_device, camera), render_view(*other, camera)
+
+    def inspect(index: int, image: Image, place: NDArray[np.float64], reference: Image
+                ) -> list[tuple[int, Shown | None, tuple[int, NDArray[np.float64]]]]:
+        """(border, its strip, errors) for each border that the view shows, and for all."""
+        known, valid = np.isfinite(place).all(axis=-1), views[index].valid()
         if valid is not None and not (known := known & valid).any():
-            continue
+            return []
         coordinates = space.to(place[known] + scene.offset)
-        photo = photo_of(view)
+        photo = photo_of(views[index])
         wrong = [((fit_colour(shown, photo, valid) - photo) ** 2).mean(axis=-1)[known]
-                 for shown in (image, render_view(*other, view.camera))]
+                 for shown in (image, reference)]
         values = np.stack([np.ones_like(wrong[0]), *wrong], axis=-1)
         pixels, away = np.flatnonzero(known), np.ones(len(values), bool)
         near = [(number, inside) for number, border in enumerate(borders)
                 if len(inside := border.pixels(coordinates))]
-        for number, inside in near:
-            strips.shown[number].append((len(inside), index, pixels[inside]))
-            strips.shown[number][:] = _most(strips.shown[number])
+        for _, inside in near:
             away[inside] = False
+        found: list[tuple[int, Shown | None, NDArray[np.int64]]] = [
+            (number, (len(inside), index, pixels[inside]), inside) for number, inside in near]
         if near:
-            near.append((len(borders), np.flatnonzero(~away)))
-        for number, inside in near:
-            strips.errors[number].append(
-                (index, np.stack([values[inside].sum(axis=0), values[away].sum(axis=0)])))
+            found.append((len(borders), None, np.flatnonzero(~away)))
+        return [(number, strip, (index, np.stack([values[inside].sum(axis=0),
+                                                  values[away].sum(axis=0)])))
+                for number, strip, inside in found]
+
+    most = scored_at_once(views)
+    for found in called_ahead(inspect, rendered(), most, most):
+        for number, strip, errors in found:
+            if strip:
+                strips.shown[number][:] = _most([*strips.shown[number], strip])
+            strips.errors[number].append(errors)
     return strips
 
 

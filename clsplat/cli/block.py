@@ -20,9 +20,12 @@ from clsplat.errors import Interrupted
               help="Seconds to wait for another process that trains this block.")
 @click.option("--alone", is_flag=True, help="Do without the exchanges with other blocks that are "
               "left.")
+@click.option("--until-exchange", type=click.IntRange(min=0), default=0, show_default=True,
+              help="Stop at this exchange with other blocks, once what they need of this one is "
+              "written; 0: go on as far as they have come.")
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 def block(folder: Path, device: str | None, stop_at: int | None, wait: float, alone: bool,
-          quiet: bool) -> None:
+          until_exchange: int, quiet: bool) -> None:
     """Train the block of a city in FOLDER.
 
     FOLDER is a CITY/blocks/NNN; the run is written to run/ in it. Continues from the last
@@ -42,7 +45,7 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
                                                 if value})
     try:
         with nullcontext() if quiet else Progress(options.stop_at) as progress:
-            state = train_block(city_block, options, progress, wait, alone)
+            state = train_block(city_block, options, progress, wait, alone, until=until_exchange)
     except Interrupted:
         raise Interrupted(f"{folder}: stopped, its state is saved; the same command continues"
                           ) from None

@@ -115,7 +115,7 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
         return ({"name": view.name, **dict(zip(names, [*scores, *sizes]))},
                 (view, *shown[:2], photo, valid))
 
-    most = _scored_at_once(views)
+    most = scored_at_once(views)
     for of_view, shown in called_ahead(scored, rendered(), most, most):
         per_view.append(of_view)
         if keep:
@@ -123,7 +123,7 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
     return mean_scores(per_view, names, predicted)
 
 
-def _scored_at_once(views: Sequence[View]) -> int:
+def scored_at_once(views: Sequence[View]) -> int:
     """How many views are scored at the same time, each in a thread: as many as fit the memory."""
     pixels = max((view.camera.width * view.camera.height for view in views), default=1)
     return max(1, min(os.cpu_count() or 1, SCORING_BYTES // (SCORED_PIXEL_BYTES * pixels)))

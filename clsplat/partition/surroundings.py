@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clsplat.camera import turned
+
 if TYPE_CHECKING:
     from clsplat.gaussians import Gaussians
     from clsplat.partition.region import Region
@@ -44,28 +46,39 @@ def enters_reach(scene: Scene, gaussians: Gaussians, deviations: float = HELD_DE
     """
     region = _region_of(scene)
     grown, space = region.grown(region.margin), region.space
-    centres = scene.offset + scene.unit * gaussians.positions.astype(np.float64)
+    entering = scene.reached(gaussians.positions)
+    outside = np.flatnonzero(~entering)
+    centres = scene.offset + scene.unit * gaussians.positions[outside].astype(np.float64)
     ends = (0.0, 1.0) if space.contracted else (-np.inf, np.inf)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         next_to = space.world(np.clip(space.to(centres), np.maximum(grown.low, ends[0]),
                                       np.minimum(grown.high, ends[1])))
-        gaps = np.abs((next_to - centres) @ space.rotation.T)
-    extents = scene.unit * deviations * deviations_along(gaussians, space.rotation)
-    u, v, up = (gaps <= extents).T
-    entering: NDArray[np.bool_] = u & v & up
-    return entering | scene.reached(gaussians.positions)
+        gaps = np.abs(turned(space.rotation, next_to - centres))
+    extents = scene.unit * deviations * deviations_along(
+        gaussians.quaternions[outside], gaussians.log_scales[outside], space.rotation)
+    u, v, up = gaps <= extents
+    entering[outside] = u & v & up
+    return entering
 
 
-def deviations_along(gaussians: Gaussians, axes: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Standard deviations [N, A] of gaussians along unit vectors `axes` [A, 3], in their frame."""
-    q = gaussians.quaternions.astype(np.float64).T
+def deviations_along(quaternions: NDArray[np.floating], log_scales: NDArray[np.floating],
+                     axes: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Standard deviations [A, N] of gaussians along unit vectors.
+
+    Parameters
+    ----------
+    quaternions : [N, 4], as in a model.
+    log_scales : [N, 3].
+    axes : [A, 3], unit vectors in the frame of the gaussians.
+    """
+    q = quaternions.astype(np.float64).T
     w, x, y, z = q / np.sqrt((q * q).sum(axis=0)).clip(np.finfo(float).tiny)
     rotations = np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
-    along = np.tensordot(axes, rotations, 1) * np.exp(gaussians.log_scales.astype(np.float64).T)
-    lengths: NDArray[np.float64] = np.sqrt((along * along).sum(axis=1)).T
+    along = np.einsum("ai,ijn->ajn", axes, rotations) * np.exp(log_scales.astype(np.float64).T)
+    lengths: NDArray[np.float64] = np.sqrt((along * along).sum(axis=1))
     return lengths
 
 

@@ -62,10 +62,10 @@ def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
 
 def train_block(block: BlockFolder, options: TrainOptions,
                 progress: SilentProgress | None = None, patience: float = 0.0,
-                alone: bool = False, device: Device | None = None) -> str:
+                alone: bool = False, device: Device | None = None, until: int = 0) -> str:
     """Train a block to its end, from the start or from the last checkpoint of its run.
 
-    It ends before, where it exchanges gaussians with blocks that have not come as far.
+    It stops before, where it exchanges gaussians with blocks that have not come as far.
 
     Parameters
     ----------
@@ -75,10 +75,11 @@ def train_block(block: BlockFolder, options: TrainOptions,
     patience : seconds to wait for another process that trains the block.
     alone : do without the exchanges that are left.
     device : None: it is opened as `options` say, and stays open in this process.
+    until : the exchange, from 1, at which it stops once the block's part is written; 0: none.
 
     Returns
     -------
-    "finished", "was finished before", or for which blocks it waits.
+    "finished", "was finished before", at which exchange it stops, or for which blocks it waits.
 
     Raises
     ------
@@ -104,6 +105,8 @@ def train_block(block: BlockFolder, options: TrainOptions,
             if taken > step:
                 continue
             write_part(block, scene, number, run)
+            if number == until:
+                return f"stops at exchange {number} of {len(exchanges)}, after step {step}"
             if lacking := lacking_blocks(others, number):
                 return (f"waits at exchange {number} of {len(exchanges)}, after step {step}: train "
                         f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "

@@ -147,9 +147,11 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
                                        for name, values in placed.items()}, degree),
                             scene, region, scene.views, lambda _: LAYERS in record)
         held = start.gaussians.count
-        taken, around = ({name: values[which] for name, values in part.items()}
-                         for which in (start.indices[:held], start.indices[held:]))
-        taken, around = _in_frame_of(scene, taken, frame), _in_frame_of(scene, around, frame)
+        taken = _in_frame_of(scene, {name: values[start.indices[:held]]
+                                     for name, values in part.items()}, frame)
+        around = _in_frame_of(scene, {name: values[start.indices[held:]]
+                                      for name, values in part.items()
+                                      if name.startswith("row.")}, frame)
         for rows, gaussians in ((taken, start.gaussians), (around, start.around)):
             if gaussians:  # which may be thinned
                 rows[SCALES] = gaussians.log_scales.astype(part[SCALES].dtype)
