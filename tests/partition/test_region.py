@@ -107,6 +107,21 @@ def test_a_cell_reaches_points_whose_spread_lies_in_it():
         True, True, False, False, False]
 
 
+@pytest.mark.parametrize("contracted", [False, True])
+def test_only_points_near_the_border_are_looked_at_and_the_answer_is_that_of_all(contracted):
+    where = space(contracted)
+    cell = Region(where, (0.3, -np.inf, 0.2), (0.6, 0.7, np.inf), 0.1)
+    grown = cell.grown(0.1)
+    points = where.origin + RNG.normal(0, 10, (5000, 3))
+    spread = RNG.exponential(2, len(points))
+    wanted = grown.owns(points)
+    for axis in where.rotation[:2]:
+        for side in (spread, -spread):
+            wanted &= grown.owns(points + side[:, None] * axis)
+    found = cell.reaches(points, spread)
+    assert np.array_equal(found, wanted) and 0 < found.sum() < cell.reaches(points).sum()
+
+
 def test_the_map_has_x_and_y_where_z_is_up():
     points = UTM + RNG.normal(0, 20, (50, 3))
     turned = Space(Rotation.from_euler("z", 1).as_matrix(), UTM, np.ones(3))

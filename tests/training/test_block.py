@@ -25,6 +25,7 @@ from clsplat.schedule import OURS
 from clsplat.schedule.constant import Constant
 from clsplat.training import growth
 from clsplat.training.block import decided_by, options_of_blocks
+from clsplat.training.step import Step
 from tests.data.tiny_training import CITY, EVENTFUL, LEVELLED, model_digest, trained
 
 SHORT = {"iterations": 61, "densify_until": 61, "test_every": 0}
@@ -101,6 +102,25 @@ def test_surroundings_stay_as_they_are(item_device, city, tmp_path, options):
     stays = outside & same
     for name in ("sh_constant", "opacity_logits", "quaternions"):
         assert np.array_equal(after.rows[name][place[stays]], before.rows[name][stays]), name
+
+
+@pytest.mark.parametrize("options", [{}, {"schedule": "mcmc", "mcmc_growth": 0.3}],
+                         ids=lambda options: options.get("schedule", "constant"))
+def test_after_growth_all_that_the_region_does_not_reach_is_frozen(
+        item_device, city, tmp_path, monkeypatch, options):
+    """Though only the new gaussians, and those that moved with them, are asked about again."""
+    freeze, shares = Step.freeze, []
+
+    def checked(step, *known):
+        freeze(step, *known)
+        rows = [step.model.rows[name].download() for name in ("positions", "log_scales")]
+        assert np.array_equal(step.frozen.download() > 0, ~step.trains(*rows))
+        shares.extend(len(each) / len(rows[0]) for each in known)
+
+    monkeypatch.setattr(Step, "freeze", checked)
+    trained(tmp_path / "run", block_of(city), item_device, **{
+        "densify_every": 20, **SHORT, **options})
+    assert shares and all(0.5 < share < 1 for share in shares)
 
 
 def test_what_covers_more_than_a_block_stays(item_device, city, tmp_path, rounds):

@@ -148,6 +148,19 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
+    block = city.block(0)
+    run, part = RunFolder(block.run), block.part(1)
+    content = part.read_bytes()
+    part.unlink()
+    said = train_block(block, block_options(block), until=1)
+    assert said == f"stops at exchange 1 of 1, after step {AT}"
+    assert run.checkpoint_iteration() == AT and not run.has_model
+    assert part.read_bytes() == content  # written again from the checkpoint
+    assert train_block(block, block_options(block)) == "finished"
+
+
+@pytest.mark.slow
 def test_parts_that_cannot_be_used_are_named(city):
     block, other = city.block(0), city.block(1)
     content = other.part(1).read_bytes()
@@ -194,6 +207,8 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
 
     def train(task):
         ran.append(task.name)
+        part = int(task.name.split()[2]) if "part" in task.name else 3
+        assert blocks.until_of(task) == part % 3  # the last part ends with the block
         if task.name == "001 part 2 of 3":
             raise InputError("no such photo")
         task.done.touch()
