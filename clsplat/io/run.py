@@ -292,7 +292,9 @@ class RunFolder:
 
     def checkpoint_iteration(self) -> int:
         """The number of steps before the checkpoint; 0 without one."""
-        step = self.load_checkpoint(lambda _: False)[1].get("iteration") if self.has_checkpoint else 0
+        if not self.has_checkpoint:
+            return 0
+        step = self.load_checkpoint(lambda _: False)[1].get("iteration")
         return step if type(step) is int else 0
 
     def load_checkpoint(self, wanted: Callable[[str], bool] = lambda name: True

@@ -88,8 +88,9 @@ def block_start(gaussians: Gaussians, scene: Scene, region: Region, views: Seque
     own = region.owns(scene.offset + scene.unit * positions)
     rest = ~reached
     size = np.ones(len(positions))
-    size[rest] = largest_sizes(positions[rest], np.exp(np.maximum.reduce(gaussians.log_scales[rest].T)),
-                               views, scene.near_plane, enough=1).clip(0, 1)
+    deviations = np.exp(np.maximum.reduce(gaussians.log_scales[rest].T))
+    size[rest] = largest_sizes(positions[rest], deviations, views, scene.near_plane,
+                               enough=1).clip(0, 1)
     keeps = np.random.default_rng(0).random(len(size)) < size**2
     rows = {name: values[keeps] for name, values in gaussians.rows.items()}
     rows["log_scales"] = (rows["log_scales"] - np.log(size[keeps])[:, None]).astype(np.float32)

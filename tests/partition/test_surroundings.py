@@ -86,7 +86,8 @@ def test_a_gaussian_enters_with_its_own_extent(contracted):
                   [[1, 0, 0, 0], [1, 0, 0, 0], turned, turned, [2, 0, 0, 0]])
     assert enters_reach(scene, given, 1.0).tolist() == [True, True, False, True, False]
     assert enters_reach(scene, given, 2.0).tolist() == [True, True, False, True, True]
-    assert np.allclose(deviations_along(given.quaternions, given.log_scales, np.eye(3))[:, 2], [.01, .6, .01])
+    assert np.allclose(deviations_along(given.quaternions, given.log_scales, np.eye(3))[:, 2],
+                       [.01, .6, .01])
 
 
 def test_only_a_block_has_surroundings():
