@@ -40,16 +40,17 @@ def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[st
     """{option: value} of every block, for `CityFolder.write_block`.
 
     Blocks have training views only, so none is held out. Their gaussians have spherical harmonics
-    from the start, so all degrees are active at once.
+    from the start, so all degrees are active at once, whatever `sh_every` the coarse run has:
+    the model shows degrees that were not active as the coarse run left them.
 
     Parameters
     ----------
-    given : options that the user sets for blocks.
+    given : those of the whole, with the steps of the block.
     decided : those of `decided_by`.
     """
     given = {name: value for name, value in given.items() if name != "images"}  # it has links
     depth = {"depth": DEPTH} if given.get("depth") else {}
-    return {"sh_every": 1, **given, **depth, **decided, "coarse": False, "test_every": 0,
+    return {**given, **depth, **decided, "sh_every": 1, "coarse": False, "test_every": 0,
             "test_offset": 0}
 
 
@@ -83,9 +84,12 @@ def train_block(block: BlockFolder, options: TrainOptions,
 
     Raises
     ------
-    InputError : for a run that was begun with other options.
+    InputError : for a run that was begun with other options, or an exchange that there is not.
     """
-    run = RunFolder(block.run)
+    run, exchanges = RunFolder(block.run), [] if alone else block.exchanges
+    if until > len(exchanges):
+        raise InputError(f"{block.path}: there is no exchange {until}, as the block exchanges "
+                         f"gaussians {len(exchanges)} times; give a smaller number, or none")
     if run.is_finished:  # checked before locking: the disk may be read-only
         _check_same(run, options)
         return BEFORE
@@ -95,18 +99,18 @@ def train_block(block: BlockFolder, options: TrainOptions,
         if run.is_finished:
             return BEFORE
         device = device or _opened(options.device, options.form)
-        exchanges = [] if alone else block.exchanges
         others = other_blocks(block) if exchanges else []
         scene = read_scene(block.path)
         saved: Saved | None = None  # what the latest exchange has made of the checkpoint
         for number, step in enumerate(exchanges, 1):
             if (taken := run.checkpoint_iteration()) < step:
                 _go_on(block, scene, options, device, progress, step, saved)
-            if taken > step:
-                continue
-            write_part(block, scene, number, run)
+            if taken <= step:
+                write_part(block, scene, number, run)
             if number == until:
                 return f"stops at exchange {number} of {len(exchanges)}, after step {step}"
+            if taken > step:
+                continue
             if lacking := lacking_blocks(others, number):
                 return (f"waits at exchange {number} of {len(exchanges)}, after step {step}: train "
                         f"{', '.join(lacking[:MOST_NAMED])}{' ...' * (len(lacking) > MOST_NAMED)} "
