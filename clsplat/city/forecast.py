@@ -1,5 +1,6 @@
 """Forecasts of the memory and time of a city's blocks."""
 
+import os
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import Any
@@ -30,6 +31,9 @@ PART_BYTES = 708  # the same with Adam's moments, in a file of an exchange
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
 TRIAL_WORTH = 600.0  # seconds of training, for which trial steps of half a minute are worth it
+# where several blocks train on one GPU at a time: at most so many, with so many cores of the host
+# for each, in this share of its memory, of which a process takes so many bytes besides its block
+MOST_SHARING, CORES_SHARING, SHARED_MEMORY, PROCESS_BYTES = 4, 4, 0.5, 700 << 20
 COARSE_NOTE = "the coarse run, which tell it to a factor of two"
 DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
@@ -161,7 +165,25 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
         f"{device.name} to itself, from steps of "
         f"{COARSE_NOTE if known else f'block {largest.path.name}'}. All blocks take "
         f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",
+        *(sharing_notes(device, len(steps), forecast.memory.total) if known else ()),
         *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
+
+
+def sharing_notes(device: Device, blocks: int, memory: int) -> tuple[str, ...]:
+    """That short trainings may share a GPU, as a note of a table; none where they should not.
+
+    Parameters
+    ----------
+    device : which one block at a time would have to itself.
+    blocks : their number.
+    memory : bytes that the largest one takes on the device.
+    """
+    count = min(MOST_SHARING, blocks, (os.cpu_count() or 1) // CORES_SHARING, int(
+        SHARED_MEMORY * device.handle.global_mem_size / (memory + PROCESS_BYTES)))
+    if device.form != "group" or count < 2:
+        return ()
+    return (f"--workers {count} trains {count} blocks on it at a time, so that it works for one "
+            "while others read, write and exchange.",)
 
 
 def coarse_steps(city: CityFolder, device: Device) -> list[tuple[float, float, float]]:

@@ -1,5 +1,6 @@
 """How many gaussians a city is expected to have, when its blocks end, and what larger ones take."""
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from clsplat.city.forecast import (
     expected_gaussians,
     gaussians_that_fit,
     scale_table,
+    sharing_notes,
 )
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
@@ -129,11 +131,33 @@ def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, 
                         ("read_scene", lambda _: None), ("block_options", lambda _: None),
                         ("coarse_steps", lambda *_: [(1.0, 1.0, seconds)])):
         monkeypatch.setattr(forecast_module, name, value)
-    note = block_table(city, SimpleNamespace(name="a card"), [10, 10]).notes[0]
+    monkeypatch.setattr(os, "cpu_count", lambda: 9)
+    notes = block_table(city, a_card(2**33), [10, 10]).notes
+    note = notes[0]
+    assert any("--workers 2 trains 2 blocks" in each for each in notes) != tried
     assert asked == [[(1.0, 1.0, seconds)], []][:1 + tried]
     assert ("from steps of block 001" in note) == tried
     assert ("from steps of the coarse run" in note) != tried
     assert f"All blocks take {2000 * seconds / 60:.1f} minutes" in note
+
+
+def a_card(memory, form="group"):
+    return SimpleNamespace(name="a card", form=form,
+                           handle=SimpleNamespace(global_mem_size=memory))
+
+
+def test_short_blocks_may_share_a_gpu(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 16)
+
+    def told(device, blocks=9, memory=2**29):
+        (note,) = sharing_notes(device, blocks, memory) or ("",)
+        return note.partition(" trains")[0]
+
+    assert told(a_card(2**36)) == "--workers 4" and told(a_card(2**36), 3) == "--workers 3"
+    assert told(a_card(2**32 + 2**31)) == "--workers 2"  # 3 GiB of two blocks of 1.2 GiB
+    assert told(a_card(2**32)) == told(a_card(2**36, "item")) == told(a_card(2**36), 1) == ""
+    monkeypatch.setattr(os, "cpu_count", lambda: 7)
+    assert told(a_card(2**36)) == ""
 
 
 def test_exchanges_leave_files():
