@@ -39,9 +39,9 @@ def decided_by(coarse: RunFolder) -> dict[str, Any]:
 def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[str, Any]:
     """{option: value} of every block, for `CityFolder.write_block`.
 
-    Blocks have training views only, so none is held out. Their gaussians have spherical harmonics
-    from the start, so all degrees are active at once, whatever `sh_every` the coarse run has:
-    the model shows degrees that were not active as the coarse run left them.
+    Blocks have training views only, so none is held out. Degrees of spherical harmonics become
+    active one after the other, as in any run, though gaussians of the coarse run have them from the
+    start: with all of them active at once, blocks were not better (docs/notebook/city.md).
 
     Parameters
     ----------
@@ -50,8 +50,7 @@ def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[st
     """
     given = {name: value for name, value in given.items() if name != "images"}  # it has links
     depth = {"depth": DEPTH} if given.get("depth") else {}
-    return {**given, **depth, **decided, "sh_every": 1, "coarse": False, "test_every": 0,
-            "test_offset": 0}
+    return {**given, **depth, **decided, "coarse": False, "test_every": 0, "test_offset": 0}
 
 
 def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:

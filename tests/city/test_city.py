@@ -100,7 +100,6 @@ def test_a_block_takes_as_many_steps_as_its_visits_say(made):
         assert 0 < visits.min() < visits.max() < 2 and len(views) == record["views"]
         assert record["options"]["iterations"] == round(60 * visits.sum() / training)
         assert record["options"]["test_every"] == 0 and record["options"]["levels"] == [1.0]
-        assert record["options"]["sh_every"] == 1
     assert RunFolder.open(made.coarse).read_options()["downscale"] == 8
     assert cut.block_steps(resolve({}, {}), 299.6, (640, 480), FACTS)["iterations"] == 300
 
