@@ -180,7 +180,7 @@ def sharing_notes(device: Device, blocks: int, memory: int) -> tuple[str, ...]:
     """
     count = min(MOST_SHARING, blocks, (os.cpu_count() or 1) // CORES_SHARING, int(
         SHARED_MEMORY * device.handle.global_mem_size / (memory + PROCESS_BYTES)))
-    if device.form != "group" or count < 2:
+    if device.is_cpu or count < 2:
         return ()
     return (f"--workers {count} trains {count} blocks on it at a time, so that it works for one "
             "while others read, write and exchange.",)

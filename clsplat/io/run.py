@@ -292,10 +292,8 @@ class RunFolder:
 
     def checkpoint_iteration(self) -> int:
         """The number of steps before the checkpoint; 0 without one."""
-        if not self.has_checkpoint:
-            return 0
-        step = self.load_checkpoint(lambda _: False)[1].get("iteration")
-        return step if type(step) is int else 0
+        state = self.load_checkpoint(lambda _: False)[1] if self.has_checkpoint else {}
+        return state["iteration"] if type(state.get("iteration")) is int else 0
 
     def load_checkpoint(self, wanted: Callable[[str], bool] = lambda name: True
                         ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -141,8 +141,8 @@ def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, 
     assert f"All blocks take {2000 * seconds / 60:.1f} minutes" in note
 
 
-def a_card(memory, form="group"):
-    return SimpleNamespace(name="a card", form=form,
+def a_card(memory, is_cpu=False):
+    return SimpleNamespace(name="a card", is_cpu=is_cpu,
                            handle=SimpleNamespace(global_mem_size=memory))
 
 
@@ -155,7 +155,7 @@ def test_short_blocks_may_share_a_gpu(monkeypatch):
 
     assert told(a_card(2**36)) == "--workers 4" and told(a_card(2**36), 3) == "--workers 3"
     assert told(a_card(2**32 + 2**31)) == "--workers 2"  # 3 GiB of two blocks of 1.2 GiB
-    assert told(a_card(2**32)) == told(a_card(2**36, "item")) == told(a_card(2**36), 1) == ""
+    assert told(a_card(2**32)) == told(a_card(2**36, True)) == told(a_card(2**36), 1) == ""
     monkeypatch.setattr(os, "cpu_count", lambda: 7)
     assert told(a_card(2**36)) == ""
 
