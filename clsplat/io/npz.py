@@ -58,7 +58,7 @@ def write_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None:
         for name, array in arrays.items():
             # ZipInfo's fixed date keeps the bytes equal from run to run
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
-                _write_array(member, np.asarray(array, order="C"))
+                write_array(member, np.asarray(array, order="C"))
 
 
 def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
@@ -116,7 +116,7 @@ def read_array(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
     return np.ndarray(shape, dtype, content.data, order="F" if by_columns else "C")
 
 
-def _write_array(member: IO[bytes], array: NDArray[Any]) -> None:
+def write_array(member: IO[bytes], array: NDArray[Any]) -> None:
     """Write a contiguous array as an .npy."""
     if array.dtype.hasobject:
         raise ValueError("an array of objects is not written")

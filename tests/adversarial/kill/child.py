@@ -11,9 +11,8 @@ import signal
 import sys
 import threading
 
-import numpy as np
-
 from clsplat.cli.main import main
+from clsplat.io import npz
 from clsplat.io.run import METRICS, RunFolder
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.training import evaluator
@@ -23,7 +22,7 @@ from clsplat.training.step import Step
 BEFORE = {
     "step": (Step, "run"),
     "growth": (DeviceAdam, "regrow"),  # the rows have grown, their moments have not
-    "checkpoint": (np.lib.format, "write_array"),  # the arrays before it are in the file
+    "checkpoint": (npz, "write_array"),  # the arrays before it are in the file
     "rename": (os, "replace"),
     "evaluation": (evaluator, "evaluate_views"),
     "model": (RunFolder, "save_model"),
