@@ -17,6 +17,7 @@ import tempfile
 import time
 import traceback
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -94,7 +95,9 @@ def _start(reader, seeds, seed, cases, row, folder, running):
             _work(reader, seeds, seed, cases, row, folder)
             os._exit(0)
         except BaseException:  # a fault of this engine
-            (folder / "failure").write_text(traceback.format_exc())
+            with suppress(OSError):  # the folder is gone where another worker has failed before
+                (folder / "failure").write_text(traceback.format_exc())
+        finally:
             os._exit(1)
     running[process] = cases, row, folder
 
