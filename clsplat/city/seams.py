@@ -66,8 +66,7 @@ class Border:
     def side(self, coordinates: NDArray[np.float64]) -> NDArray[np.int8]:
         """[N]: for coordinates [N, 3], -1 in the first half of the strip, 1 in the second, else 0.
         """
-        u, v, up = ((coordinates >= self.low) & (coordinates < self.high)).T
-        within = u & v & up
+        within = ((coordinates >= self.low) & (coordinates < self.high)).all(axis=1)
         half = np.where(coordinates[:, self.axis] < self.at, -1, 1)
         return np.where(within, half, 0).astype(np.int8)
 

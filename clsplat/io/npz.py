@@ -40,8 +40,7 @@ def read_npz(path: Path, complaint: str, cure: str,
         with Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:
             members = {member.filename.removesuffix(".npy"): member
                        for member in archive.infolist()}
-            members = {name: member for name, member in members.items()
-                       if wanted(name)}
+            members = {name: member for name, member in members.items() if wanted(name)}
             claimed = sum(member.file_size for member in members.values())
             if claimed > FREE_BYTES + LARGEST_EXPANSION * file.size:
                 raise ValueError(f"its {file.size} bytes claim to hold {claimed}")

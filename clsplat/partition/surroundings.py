@@ -56,8 +56,7 @@ def enters_reach(scene: Scene, gaussians: Gaussians, deviations: float = HELD_DE
         gaps = np.abs(turned(space.rotation, next_to - centres))
     extents = scene.unit * deviations * deviations_along(
         gaussians.quaternions[outside], gaussians.log_scales[outside], space.rotation)
-    u, v, up = gaps <= extents
-    entering[outside] = u & v & up
+    entering[outside] = (gaps <= extents).all(axis=0)
     return entering
 
 
