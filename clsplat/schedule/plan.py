@@ -14,7 +14,6 @@ if TYPE_CHECKING:  # --help must not wait for numpy
     from clsplat.options import TrainOptions
 
 STEPS_A_ROUND = 100  # between rounds of growth, by default
-DENSE_SHARE = 0.8  # of the gaussians that a training may end with, from dense points
 
 
 @dataclass(frozen=True)
@@ -146,18 +145,6 @@ class Schedule:
         facts : what was measured of the scene.
         """
         return None, "none: the schedule has no limit"
-
-    @classmethod
-    def dense_share(cls, options: TrainOptions, facts: SceneFacts) -> float:
-        """How many gaussians begin at dense points, as a share of the limit; growth places the
-        rest.
-
-        Parameters
-        ----------
-        options : those of the training.
-        facts : what was measured of the scene.
-        """
-        return DENSE_SHARE
 
     @classmethod
     def most_steps(cls, options: TrainOptions, facts: SceneFacts, photos: int) -> tuple[int, str]:

@@ -24,7 +24,6 @@ from clsplat.schedule.sig_limits import (
     TILE,
     chosen_levels,
     level_shares,
-    may_grow,
     most_gaussians,
     most_steps,
     pixels_per_gaussian,
@@ -143,14 +142,7 @@ class Sig(Schedule):
         limit = int(most_gaussians(options, facts, 1.0))
         if isinstance(options.pixels_per_gaussian, float):
             return limit, f"{limit:,}: one for each {each:g} training pixels, as requested"
-        grown = "" if may_grow(options, facts) else "; from dense points, none are added"
-        return limit, (f"{limit:,}: one for each {each:.1f} training pixels, {differing(facts)}"
-                       f"{grown}")
-
-    @classmethod
-    def dense_share(cls, options: "TrainOptions", facts: SceneFacts) -> float:
-        """See `Schedule.dense_share`: all of them where none are to be added."""
-        return super().dense_share(options, facts) if may_grow(options, facts) else 1.0
+        return limit, f"{limit:,}: one for each {each:.1f} training pixels, {differing(facts)}"
 
     @classmethod
     def most_steps(cls, options: "TrainOptions", facts: SceneFacts, photos: int
@@ -182,7 +174,6 @@ class Sig(Schedule):
         self.began = 0  # steps taken before this level
         self.rounds_taken = self.carried = 0
         self.grown_at = 0  # step of the last round
-        self.grows = options.init != "dense" or may_grow(options, facts)
         self.full = facts.count >= self.ceiling
         self.samples: list[tuple[int, float]] = []
         self.hits = 0
@@ -206,8 +197,6 @@ class Sig(Schedule):
     @property
     def ceiling(self) -> float:
         """Up to how many gaussians this level grows: as many as its pixels can determine."""
-        if not self.grows:
-            return 0
         return most_gaussians(self.options, self.facts, self.levels[self.index])
 
     @property
@@ -330,7 +319,7 @@ class Sig(Schedule):
         self.index += 1
         self.began = iteration
         self.rounds_taken = self.hits = 0
-        self.full = not self.grows
+        self.full = False
         self.samples = []
 
     def state(self) -> dict[str, Any]:

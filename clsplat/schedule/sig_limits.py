@@ -23,9 +23,8 @@ USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos s
 MOST_A_PHOTO = 150  # steps for each training photo; after more, held-out photos get worse
 ENOUGH = 7000  # steps, however few the photos are, if they agree
 AGREEING = 0.036  # of full brightness: photos of a place that differ by more allow fewer steps
-POWER = 4  # of that ratio; from lund and boruszyn, see docs/notebook/judge.md
-FEWEST = 1000  # steps
-GROWING = 0.043  # of full brightness: where photos of a place differ by more, dense points suffice
+POWER = 3  # of that ratio; see docs/notebook/judge.md
+FEWEST, FEWEST_A_PHOTO = 1000, 50  # steps, however much the photos disagree
 
 
 def level_shares(levels: Sequence[float], together: float | str) -> tuple[float, ...]:
@@ -61,15 +60,6 @@ def most_gaussians(options: "TrainOptions", facts: SceneFacts, level: float) -> 
     """Number of gaussians that the training pixels of a level can determine; may be inf."""
     each = pixels_per_gaussian(options, facts)
     return math.floor(facts.pixels / level**2 / each) if each else math.inf
-
-
-def may_grow(options: "TrainOptions", facts: SceneFacts) -> bool:
-    """Whether gaussians are added to those at dense points; not where photos disagree.
-
-    Growth adds them where the pictures are worst, so there they would learn what photos disagree
-    about. A requested number is reached by growth.
-    """
-    return isinstance(options.pixels_per_gaussian, float) or not facts.disagreement() > GROWING
 
 
 def chosen_levels(options: "TrainOptions", size: tuple[int, int],
@@ -116,4 +106,4 @@ def most_steps(options: "TrainOptions", facts: SceneFacts, photos: int) -> int:
         return max(1, round(requested * photos)) if requested else 0
     scatter = facts.disagreement()
     share = (AGREEING / scatter) ** POWER if scatter > AGREEING else 1.0  # 1 for a nan
-    return max(FEWEST, round(share * max(ENOUGH, MOST_A_PHOTO * photos)))
+    return max(FEWEST, FEWEST_A_PHOTO * photos, round(share * max(ENOUGH, MOST_A_PHOTO * photos)))

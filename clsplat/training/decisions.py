@@ -110,8 +110,7 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     compared = functools.cache(lambda: stereo_views(scene, views))
     start = Decision(*chosen_start(scene, views, options, compared))
     if start.value == "dense":
-        facts = dataclasses.replace(facts, count=planned_count(
-            limit.value, schedule.dense_share(options, facts), facts.pixels, options))
+        facts = dataclasses.replace(facts, count=planned_count(limit.value, facts.pixels, options))
     parts = {"steps": length, "init": start,
              "levels": Decision(*schedule.planned_levels(options, facts)), "gaussians": limit,
              "sh_degree": _degree(spread, options), "antialiased": _antialiased(spread, options),

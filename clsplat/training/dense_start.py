@@ -24,6 +24,7 @@ from clsplat.training.progress import SilentProgress
 if TYPE_CHECKING:
     from clsplat.training.session import PreparedScene
 
+OF_THE_LIMIT = 0.8  # of the gaussians that the training may end with; growth places the rest
 PIXELS_A_POINT = 40  # of the training photos, where the schedule has no limit
 LEAST_OVERLAP = 0.5  # of the photos, that can be compared with others
 # in a shorter training stereo would take most of the time, on a CPU
@@ -70,19 +71,18 @@ def chosen_start(scene: Scene, views: Sequence[View], options: TrainOptions,
     return "dense", f"dense: {counted}"
 
 
-def planned_count(limit: int | None, share: float, pixels: int, options: TrainOptions) -> int:
+def planned_count(limit: int | None, pixels: int, options: TrainOptions) -> int:
     """How many dense points are wanted.
 
     Parameters
     ----------
     limit : number of gaussians that the schedule may end with; None: any.
-    share : of the limit; see `Schedule.dense_share`.
     pixels : in all training photos.
     """
     most = pixels // PIXELS_A_POINT if limit is None else limit
     if options.max_gaussians:
         most = min(most, options.max_gaussians)
-    return max(1, int(share * most))
+    return max(1, int(OF_THE_LIMIT * most))
 
 
 def first_gaussians(device: Device, prepared: PreparedScene, progress: SilentProgress

@@ -59,22 +59,6 @@ def test_the_more_photos_disagree_the_more_pixels_a_gaussian_needs(disagreement,
     assert Sig.planned_limit(options_of(pixels_per_gaussian=0.0), facts)[0] is None
 
 
-@pytest.mark.parametrize("disagreement, init, pixels, grows", [
-    (0.044, "dense", "auto", False), (0.043, "dense", "auto", True),
-    (math.nan, "dense", "auto", True), (0.044, "sfm", "auto", True), (0.044, "dense", 20.0, True)])
-def test_dense_points_do_not_grow_where_photos_disagree(disagreement, init, pixels, grows):
-    facts = dataclasses.replace(FACTS, disagreement=lambda: disagreement)
-    options = options_of(init=init, pixels_per_gaussian=pixels)
-    schedule = Sig(options, facts)
-    assert schedule.target(1, 900, 10**6) == (1080 if grows else 900)
-    plans = [plan for _, plan, _ in drive(schedule)]
-    assert any(plan.gathers for plan in plans) == grows
-    assert sum(plan.grows for plan in plans) >= options.rounds, "rounds go on, to prune"
-    if init == "dense":
-        assert Sig.dense_share(options, facts) == (0.8 if grows else 1.0)
-        assert ("none are added" in Sig.planned_limit(options, facts)[1]) != grows
-
-
 def test_given_levels_are_taken_as_they_are():
     levels = (7.5, 2.5, 1.0)
     assert chosen_levels(options_of(levels=levels), (int(7.5 * TILE), 500)) == levels

@@ -10,7 +10,7 @@ from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.stereo.dense_points import stereo_views
-from clsplat.training import decisions, session
+from clsplat.training import session
 from clsplat.training.dense_start import (
     LEAST_SECONDS,
     LEAST_STEPS,
@@ -19,7 +19,6 @@ from clsplat.training.dense_start import (
     planned_count,
     start_seconds,
 )
-from clsplat.training.facts import scene_facts
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import prepare
 from tests.data.tiny_training import CITY, records, resumed, trained
@@ -67,21 +66,10 @@ def test_photos_that_do_not_overlap(city):
 
 
 def test_the_number_of_points():
-    assert planned_count(1000, 0.8, 10**6, resolve({}, {})) == 800
-    assert planned_count(1000, 1.0, 10**6, resolve({}, {})) == 1000
-    assert planned_count(None, 0.8, 40_000, resolve({}, {})) == 800
-    assert planned_count(1000, 0.8, 10**6, resolve({}, {"max_gaussians": 500})) == 400
-    assert planned_count(0, 0.8, 0, resolve({}, {})) == 1
-
-
-@pytest.mark.parametrize("disagreement, share", [(0.043, 0.8), (0.044, 1.0)])
-def test_where_photos_disagree_all_gaussians_begin_there(city, monkeypatch, disagreement, share):
-    facts = scene_facts(city, city.views)
-    monkeypatch.setattr(decisions, "scene_facts", lambda *given: replace(
-        facts, disagreement=lambda: disagreement))
-    found = decisions.find_decisions(city, city.views, resolve({}, {"iterations": 7000}))
-    assert found.options.init == "dense"
-    assert found.facts.count == int(share * found.parts["gaussians"].value)
+    assert planned_count(1000, 10**6, resolve({}, {})) == 800
+    assert planned_count(None, 40_000, resolve({}, {})) == 800
+    assert planned_count(1000, 10**6, resolve({}, {"max_gaussians": 500})) == 400
+    assert planned_count(0, 0, resolve({}, {})) == 1
 
 
 def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monkeypatch):
