@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from clsplat.device import Device
@@ -167,6 +168,19 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
         f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",
         *(sharing_notes(device, len(steps), forecast.memory.total) if known else ()),
         *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
+
+
+def one_block_note(options: PartitionOptions, scene: Path) -> str:
+    """That a scene which fits the device in one block needs no city; empty for others.
+
+    Parameters
+    ----------
+    scene : its path as the user gave it.
+    """
+    if options.grid or options.needed > 1:
+        return ""
+    return (f"this device holds the whole model in one block: `clsplat train {scene}` trains it in "
+            "one stage, which is quicker and as good; --grid cuts it all the same")
 
 
 def sharing_notes(device: Device, blocks: int, memory: int) -> tuple[str, ...]:

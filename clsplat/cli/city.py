@@ -61,7 +61,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks
     from clsplat.city.dense import find_dense_gaussians
-    from clsplat.city.forecast import block_table
+    from clsplat.city.forecast import block_table, one_block_note
     from clsplat.city.stages import begin, train_coarse
     from clsplat.device import choose_device
     from clsplat.distribute import check_scheduler, check_workers
@@ -89,8 +89,10 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
         folder.check_free()
     ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
-    if not quiet and (note := size_note(data.views, options)):
-        click.echo(note)
+    if not quiet:
+        for note in (size_note(data.views, options), one_block_note(cutting, scene)):
+            if note:
+                click.echo(note)
 
     def shown(title: str) -> AbstractContextManager[Progress | None]:
         from clsplat.cli.progress import Progress

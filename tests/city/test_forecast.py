@@ -17,6 +17,7 @@ from clsplat.city.forecast import (
     exchange_notes,
     expected_gaussians,
     gaussians_that_fit,
+    one_block_note,
     scale_table,
     sharing_notes,
 )
@@ -27,7 +28,7 @@ from clsplat.estimate.measured import MeasuredSteps
 from clsplat.estimate.step_time import fitted, predicted_seconds
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
-from clsplat.partition.options import LEAST_GAUSSIANS
+from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
 from tests.data.tiny_training import CITY
@@ -158,6 +159,16 @@ def test_short_blocks_may_share_a_gpu(monkeypatch):
     assert told(a_card(2**32)) == told(a_card(2**36, True)) == told(a_card(2**36), 1) == ""
     monkeypatch.setattr(os, "cpu_count", lambda: 7)
     assert told(a_card(2**36)) == ""
+
+
+def test_a_scene_that_fits_in_one_block_needs_no_city():
+    def note(**chosen):
+        return one_block_note(PartitionOptions(**{"expected": 10**6, **chosen}), Path("my scene"))
+
+    assert "`clsplat train my scene`" in note(block_gaussians=4 * 10**6)
+    assert note(block_gaussians=2 * 10**6) == "", "margins belong to several blocks"
+    assert note(block_gaussians=4 * 10**6, least_blocks=2) == "", "two workers"
+    assert note(block_gaussians=4 * 10**6, grid=(2, 2)) == ""
 
 
 def test_exchanges_leave_files():
