@@ -56,6 +56,8 @@ class SceneFacts:
     pixels : number of pixels in all training photos.
     disagreement : returns the standard deviation of a place's colour over the photos that show it,
         a share of full brightness (covisibility/disagreement.py); nan: not known. Photos are read.
+    shown_in : mean number of training photos that show a sparse point, of the points that two or
+        more show; nan: not known.
     """
 
     size: tuple[int, int]
@@ -64,6 +66,7 @@ class SceneFacts:
     photos: Callable[[], Iterator[NDArray[np.uint8]]]
     pixels: int
     disagreement: Callable[[], float] = lambda: math.nan
+    shown_in: float = math.nan
 
 
 class Schedule:

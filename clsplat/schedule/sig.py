@@ -151,8 +151,9 @@ class Sig(Schedule):
         most = most_steps(options, facts, photos)
         if not most:
             return 0, ""
+        shown = f", and {facts.shown_in:.1f} show one" if facts.shown_in > 0 else ""
         why = (f"--visits {options.visits:g}" if isinstance(options.visits, float)
-               else differing(facts))
+               else f"{differing(facts)}{shown}")
         return most, f"for {photos:,} training photos, {why}"
 
     @classmethod

@@ -20,6 +20,7 @@ LEAST_STEPS = 2 * ROUND_STEPS[0]  # of a level: in fewer, what it begins has no 
 COLOUR_ERROR = 0.0072  # of full brightness: the standard error of a gaussian's colour
 LEAST_PIXELS_A_GAUSSIAN = 15.0  # where photos agree: it has 59 parameters, a pixel 3 values
 USUAL_DISAGREEMENT = 0.03  # where the sparse model does not tell which photos show a point
+USUAL_PHOTOS = 5.0  # that show a point
 MOST_A_PHOTO = 150  # steps for each training photo; after more, held-out photos get worse
 ENOUGH = 7000  # steps, however few the photos are, if they agree
 AGREEING = 0.036  # of full brightness: photos of a place that differ by more allow fewer steps
@@ -100,10 +101,12 @@ def most_steps(options: "TrainOptions", facts: SceneFacts, photos: int) -> int:
     """The most steps that are worth taking with so many training photos; 0: any number.
 
     Held-out photos get worse after these, as gaussians then learn what the photos disagree about.
+    That is what the mean of n photos of a place leaves of it: 1 / sqrt(n).
     """
     requested: str | float = options.visits
     if isinstance(requested, float):
         return max(1, round(requested * photos)) if requested else 0
-    scatter = facts.disagreement()
-    share = (AGREEING / scatter) ** POWER if scatter > AGREEING else 1.0  # 1 for a nan
+    shown_in = USUAL_PHOTOS if math.isnan(facts.shown_in) else facts.shown_in
+    left = facts.disagreement() * math.sqrt(USUAL_PHOTOS / shown_in)
+    share = (AGREEING / left) ** POWER if left > AGREEING else 1.0  # 1 for a nan
     return max(FEWEST, FEWEST_A_PHOTO * photos, round(share * max(ENOUGH, MOST_A_PHOTO * photos)))

@@ -81,3 +81,15 @@ def test_photos_are_sampled_in_runs_that_show_the_same_places(monkeypatch):
     chosen.clear()
     facts._disagreement(many, many.views[:48])
     assert [view.name for view in chosen] == [view.name for view in many.views[:48]]
+
+
+def test_how_many_photos_show_a_point():
+    """Points that one photo shows tell nothing, and are not counted."""
+    scene = circle(0, 5, 10, 15)
+    pairs = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (2, 3)]
+    scene = replace(scene, observations=np.array(pairs))
+    assert facts.scene_facts(scene, scene.views).shown_in == 3.0
+    assert facts.scene_facts(scene, scene.views[:2]).shown_in == 2.0
+    assert np.isnan(facts.scene_facts(scene, scene.views[:1]).shown_in)
+    unknown = replace(scene, observations=None)
+    assert np.isnan(facts.scene_facts(unknown, unknown.views).shown_in)

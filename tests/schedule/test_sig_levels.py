@@ -9,7 +9,14 @@ from clsplat.errors import InputError
 from clsplat.options import resolve
 from clsplat.schedule import worthwhile_steps
 from clsplat.schedule.sig import Sig
-from clsplat.schedule.sig_limits import LEVELS, SMALLEST_SIDE, TILE, chosen_levels, level_shares
+from clsplat.schedule.sig_limits import (
+    LEVELS,
+    SMALLEST_SIDE,
+    TILE,
+    chosen_levels,
+    level_shares,
+    most_steps,
+)
 from tests.schedule.driven_sig import FACTS, drive, lengths, options_of, rising, sig
 
 
@@ -57,6 +64,16 @@ def test_the_more_photos_disagree_the_more_pixels_a_gaussian_needs(disagreement,
     assert schedule.target(1, 10**6, 10**6) == 10**6 and schedule.target(2, 1, 10**6) <= limit // 16
     assert Sig.planned_limit(options_of(pixels_per_gaussian=50.0), facts)[0] == FACTS.pixels // 50
     assert Sig.planned_limit(options_of(pixels_per_gaussian=0.0), facts)[0] is None
+
+
+@pytest.mark.parametrize("disagreement, shown_in, steps", [
+    (0.036, 5.0, 7000), (0.036, math.nan, 7000), (0.036, 1.25, 2000), (0.072, 20.0, 7000),
+    (0.072, 5.0, 2000), (0.045, 5.0, 3584), (0.045, 4.0, 2565), (math.nan, 2.0, 7000)])
+def test_the_fewer_photos_show_a_place_the_fewer_steps_they_allow(disagreement, shown_in, steps):
+    """The mean of n colours has an error of their deviation / sqrt(n); 40 photos, 50 steps each."""
+    facts = dataclasses.replace(FACTS, disagreement=lambda: disagreement, shown_in=shown_in)
+    assert most_steps(options_of(), facts, 40) == steps
+    assert most_steps(options_of(visits=3.0), facts, 40) == 120
 
 
 def test_given_levels_are_taken_as_they_are():
