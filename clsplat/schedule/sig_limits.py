@@ -101,7 +101,7 @@ def most_steps(options: "TrainOptions", facts: SceneFacts, photos: int) -> int:
     """The most steps that are worth taking with so many training photos; 0: any number.
 
     Held-out photos get worse after these, as gaussians then learn what the photos disagree about.
-    That is what the mean of n photos of a place leaves of it: 1 / sqrt(n).
+    The mean over n photos of a place keeps 1 / sqrt(n) of their disagreement.
     """
     requested: str | float = options.visits
     if isinstance(requested, float):
