@@ -128,6 +128,14 @@ def observed_points(scene: Scene, views: Sequence[View]) -> list[NDArray[np.inte
     return np.split(point, np.cumsum(np.bincount(view, minlength=len(views)))[:-1])
 
 
+def photos_of_a_point(scene: Scene, views: Sequence[View]) -> float:
+    """The mean number of `views` that show a sparse point, of those that two or more show; nan
+    where that is not known."""
+    times = np.bincount(np.concatenate(observed_points(scene, views)))
+    several = times[times >= 2]
+    return float(several.mean()) if len(several) else float("nan")
+
+
 def projected_points(points: NDArray[np.float64], views: Sequence[View]
                      ) -> tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.integer]]:
     """At most 10000 evenly chosen points [P, 3], and the pairs of a point [M] and an index into

@@ -1,13 +1,10 @@
 """What a schedule knows about a scene before training."""
 
-import math
 from collections.abc import Sequence
 from functools import cache
 
-import numpy as np
-
 from clsplat.covisibility.disagreement import colour_disagreement
-from clsplat.covisibility.source_views import observed_points
+from clsplat.covisibility.source_views import photos_of_a_point
 from clsplat.gaussians import mean_inverse_distance
 from clsplat.partition.blocks import seen_pixels
 from clsplat.scene import Scene, View
@@ -29,7 +26,7 @@ def scene_facts(scene: Scene, views: Sequence[View]) -> SceneFacts:
     return SceneFacts(
         smallest_size(views), len(scene.points), mean_inverse_distance(scene.points) / scene.unit,
         lambda: (photo[:3] for photo in decoded(views)), seen_pixels(scene, views),
-        cache(lambda: _disagreement(scene, views)), _shown_in(scene, views))
+        cache(lambda: _disagreement(scene, views)), photos_of_a_point(scene, views))
 
 
 def _disagreement(scene: Scene, views: Sequence[View]) -> float:
@@ -39,14 +36,6 @@ def _disagreement(scene: Scene, views: Sequence[View]) -> float:
                  for begin in range(RUNS) for number in range(RUN)]
     small = with_side(views, SMALL_SIDE)
     return colour_disagreement(scene, small, decoded(small))
-
-
-def _shown_in(scene: Scene, views: Sequence[View]) -> float:
-    """The mean number of these photos that show a sparse point, of those that two or more show;
-    nan where that is not known."""
-    times = np.bincount(np.concatenate(observed_points(scene, views)))
-    several = times[times >= 2]
-    return float(several.mean()) if len(several) else math.nan
 
 
 def smallest_size(views: Sequence[View]) -> tuple[int, int]:
