@@ -7,7 +7,7 @@ from dataclasses import replace
 from clsplat.city.cut import cut_into_blocks
 from clsplat.city.split import split_blocks, too_large
 from clsplat.device import Device
-from clsplat.distribute import Outcome, Task, run
+from clsplat.distribute import Children, Outcome, Task, run
 from clsplat.io.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.run import RunFolder
 from clsplat.options import TrainOptions
@@ -27,7 +27,8 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
                  | None = None,
                  ended: Callable[[Outcome, str], object] | None = None,
                  began: Callable[[str, str], object] | None = None,
-                 fill: bool = False, device: Device | None = None) -> list[Outcome]:
+                 fill: bool = False, device: Device | None = None,
+                 children: Children | None = None) -> list[Outcome]:
     """Train the blocks that are not finished, the longest first; return the outcome of every block.
 
     Where blocks exchange gaussians, a block goes on as soon as those with which it does so have
@@ -35,7 +36,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
 
     Parameters
     ----------
-    workers, scheduler, devices : see `distribute.run`.
+    workers, scheduler, devices, children : see `distribute.run`.
     progress : called with a title such as "block 2 of 9", for a training in this process; returns
         the progress of that training.
     ended : called with each outcome and such a title.
@@ -62,7 +63,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
     def trained(tasks: Iterable[Task]) -> dict[str, Outcome]:
         return by_block(run(
             [replace(task, command=(*task.command, *chosen)) for task in tasks], workers,
-            scheduler, devices=devices, call=in_this_process,
+            scheduler, devices=devices, call=in_this_process, children=children,
             progress=ended and (lambda outcome: ended(named(outcome),
                                                       title_of(outcome.task.name))),
             began=began and (lambda task: began(block_of(task), title_of(task)))))

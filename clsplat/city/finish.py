@@ -14,6 +14,7 @@ from clsplat.city.seams import find_seams
 from clsplat.city.stages import COARSE_FACTOR
 from clsplat.city.tree import merge_tree
 from clsplat.device import Device
+from clsplat.distribute import Children
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run, final_metrics, training_pictures
@@ -111,7 +112,7 @@ def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
 
 def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
                   against: Path | None = None, workers: int = 1, scheduler: str = "",
-                  devices: Sequence[str] = ()
+                  devices: Sequence[str] = (), children: Children | None = None
                   ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Score the merged model on the held-out views, measure its seams, and write the report.
 
@@ -121,7 +122,8 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
     options : of the whole.
     device : an open device.
     against : the PLY file of the reference for seams; None: that of the coarse model.
-    workers, scheduler, devices : see `distribute.run`; each worker scores a share of the views.
+    workers, scheduler, devices, children : see `distribute.run`; each worker scores a share of the
+        views.
 
     Returns
     -------
@@ -134,7 +136,7 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
     scores = seams = None
     scene = run.scene()
     views, held_out = views_of(scene, options)
-    scored = score_in_shares(city, against, workers, scheduler, devices, len(views))
+    scored = score_in_shares(city, against, workers, scheduler, devices, len(views), children)
     if held_out:
         scores = evaluate_run(run, device, save_images=False,
                               metrics=final_metrics(options.lpips),

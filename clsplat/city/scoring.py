@@ -20,7 +20,7 @@ import numpy as np
 
 from clsplat.city.seams import Strips, inspect_views
 from clsplat.device import Device, choose_device
-from clsplat.distribute import Task, run
+from clsplat.distribute import Children, Task, run
 from clsplat.evaluation.held_out_responses import predicted_responses
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views, final_metrics
@@ -114,14 +114,14 @@ def done_file(city: CityFolder, share: int) -> Path:
 
 
 def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
-                    scheduler: str = "", devices: Sequence[str] = (), views: int = 0
-                    ) -> Scored | None:
+                    scheduler: str = "", devices: Sequence[str] = (), views: int = 0,
+                    children: Children | None = None) -> Scored | None:
     """Score the views of a merged city on all workers.
 
     Parameters
     ----------
     reference : as for `score_share`.
-    workers, scheduler, devices : see `distribute.run`.
+    workers, scheduler, devices, children : see `distribute.run`.
     views : how many there are.
 
     Returns
@@ -138,7 +138,7 @@ def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
             str(city.path.resolve()), str(share), str(shares),
             *((str(reference.resolve()),) if reference else ())), done_file(city, share))
             for share in range(shares)], workers, scheduler, devices=devices,
-            program="clsplat.city.scoring")
+            program="clsplat.city.scoring", children=children)
         for outcome in outcomes:
             if not outcome.ok:
                 log.warning("%s failed on %s (%s); one process scores all views",

@@ -19,11 +19,13 @@ from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 if TYPE_CHECKING:
     from clsplat.cli.progress import Progress
     from clsplat.device import Device
-    from clsplat.distribute import Outcome
+    from clsplat.distribute import Children, Outcome
     from clsplat.io.city import CityFolder
     from clsplat.options import TrainOptions
     from clsplat.scene import Scene
 
+# what the tasks of blocks and of scores need
+IMPORTED_BY_CHILDREN = ("clsplat.cli.block", "clsplat.training.block", "clsplat.city.seams")
 STARTS = ("sfm", "dense")  # of a city's blocks: the coarse model, or dense points in its gaps too
 BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
 TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, which `render`, `film` "
@@ -64,7 +66,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     from clsplat.city.forecast import block_table, one_block_note
     from clsplat.city.stages import begin, train_coarse
     from clsplat.device import choose_device
-    from clsplat.distribute import check_scheduler, check_workers
+    from clsplat.distribute import Children, check_scheduler, check_workers
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
@@ -89,6 +91,9 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
         folder.check_free()
     ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
+    # they are ready when blocks are
+    children = (ctx.with_resource(Children(workers, devices, IMPORTED_BY_CHILDREN))
+                if workers > 1 and not scheduler else None)
     if not quiet:
         for note in (size_note(data.views, options), one_block_note(cutting, scene)):
             if note:
@@ -117,7 +122,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
             several = workers > 1 or scheduler
             click.echo(block_table(folder, None if several else device, counts).text())
         outcomes = train_all_blocks(folder, data, options, device, lambda: train_blocks(
-            folder, workers, scheduler, devices, shown, ended, began, fill, device))
+            folder, workers, scheduler, devices, shown, ended, began, fill, device, children))
     except Interrupted:
         raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues"
                           ) from None
@@ -125,7 +130,8 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     for outcome in failed:
         click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
                    err=True)
-    _finish(folder, data, options, device, fill, against, tree, quiet, workers, scheduler, devices)
+    _finish(folder, data, options, device, fill, against, tree, quiet, workers, scheduler, devices,
+            children)
 
 
 @click.command("partition", cls=SectionedCommand)
@@ -201,7 +207,7 @@ def _reference(against: Path | None, tree: bool) -> Path | None:
 
 def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device, fill: bool,
             against: Path | None, tree: bool, quiet: bool, workers: int = 1, scheduler: str = "",
-            devices: Sequence[str] = ()) -> None:
+            devices: Sequence[str] = (), children: Children | None = None) -> None:
     from clsplat.city.finish import evaluate_city, merge_city, merge_city_tree
     from clsplat.cli.evaluate import summary
     from clsplat.io.tree import TREE
@@ -214,7 +220,8 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
                        f"{len(merged.shares)} blocks")
         return
     merged = merge_city(folder, data, options, device, fill)
-    scores, seams = evaluate_city(folder, options, device, against, workers, scheduler, devices)
+    scores, seams = evaluate_city(folder, options, device, against, workers, scheduler, devices,
+                                  children)
     if against and seams is None:
         click.echo("--against: not used, since a single block has no seams", err=True)
     if quiet:

@@ -18,11 +18,11 @@ from typing import Any
 
 from clsplat.distribute.cluster import Cluster, check_scheduler
 from clsplat.distribute.ledger import Ledger
-from clsplat.distribute.local import InProcess, Processes
+from clsplat.distribute.local import Children, InProcess, Processes
 from clsplat.distribute.task import Outcome, Pool, Result, Task
 from clsplat.errors import InputError, Interrupted
 
-__all__ = ["Outcome", "Result", "Task", "check_scheduler", "check_workers", "run"]
+__all__ = ["Children", "Outcome", "Result", "Task", "check_scheduler", "check_workers", "run"]
 
 MOST_WORKERS = 1024  # children of one machine
 
@@ -37,7 +37,8 @@ def check_workers(workers: int) -> None:
 def run(tasks: Sequence[Task], workers: int = 1, scheduler: str = "", retries: int = 2,
         progress: Callable[[Outcome], object] | None = None, *, devices: Sequence[str] = (),
         call: Callable[[Task], object] | None = None, program: str = "clsplat",
-        began: Callable[[str], object] | None = None) -> list[Outcome]:
+        began: Callable[[str], object] | None = None,
+        children: Children | None = None) -> list[Outcome]:
     """Run tasks until each is finished or has failed.
 
     Parameters
@@ -52,6 +53,7 @@ def run(tasks: Sequence[Task], workers: int = 1, scheduler: str = "", retries: i
         for invalid input.
     program : the module that children run, with the task's command as arguments.
     began : called with a task's name when a try of it begins, possibly in another thread.
+    children : which stay after the run, in place of new ones of which there are `workers`.
 
     Returns
     -------
@@ -67,12 +69,14 @@ def run(tasks: Sequence[Task], workers: int = 1, scheduler: str = "", retries: i
     if not ledger.waiting:
         return ledger.in_order()
     pool: Pool
+    own: Children | None = None  # they end with this run
     if scheduler:
         pool = Cluster(scheduler, ledger.began, program)
     elif call and workers == 1:
         pool = InProcess(ledger.began, call)
     else:
-        pool = Processes(ledger.began, min(workers, len(ledger.waiting)), devices, program)
+        children = children or (own := Children(min(workers, len(ledger.waiting)), devices))
+        pool = Processes(ledger.began, children, program)
     try:
         _drive(ledger, pool)
     except KeyboardInterrupt:
@@ -81,6 +85,8 @@ def run(tasks: Sequence[Task], workers: int = 1, scheduler: str = "", retries: i
             "ones save their state, and the same command continues them") from None
     finally:
         pool.close()
+        if own:
+            own.close()
     return ledger.in_order()
 
 

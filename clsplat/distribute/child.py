@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -36,35 +36,45 @@ POLL_SECONDS = 0.2
 
 
 class Child:
-    """A child process, which is started for its first task, and anew after a task that fails.
+    """A child process, which is started for its first task or before, and anew after a task that
+    fails.
 
     So the next task need not wait for imports, and finds its device open, but no task is begun by
     a process of which something went wrong.
 
     Parameters
     ----------
-    program : see `run`.
     device : the process's CLSPLAT_DEVICE; "" for that of this process.
     folder : its working folder; None for that of this process.
     """
 
-    def __init__(self, program: str, device: str = "", folder: str | None = None) -> None:
-        self.device = device
-        self._program, self._folder = program, folder
+    def __init__(self, device: str = "", folder: str | None = None) -> None:
+        self.device, self._folder = device, folder
         self._process: subprocess.Popen[bytes] | None = None
         self._codes = SimpleQueue[int]()  # 0 for each task that succeeds, then the exit code
 
-    def work(self, task: Task, stopping: Callable[[], bool] = lambda: False) -> Result:
+    def start(self, imported: Iterable[str]) -> None:
+        """Start the process before its first task.
+
+        Parameters
+        ----------
+        imported : modules that it imports meanwhile.
+        """
+        self._running(subprocess.DEVNULL, imported)
+
+    def work(self, task: Task, program: str, stopping: Callable[[], bool] = lambda: False
+             ) -> Result:
         """Try a task; the Result does not name a worker.
 
         Parameters
         ----------
         task : its folder exists.
+        program : see `run`.
         stopping : polled; once it returns true, the process is told to save its state and end.
         """
         began = time.monotonic()
         try:
-            code, log_start = self._tried(task, stopping)
+            code, log_start = self._tried(task, program, stopping)
             ending, message = _ending(task, code, log_start)
         except OSError as error:  # its folder was removed, or the disk is full
             ending, message = FAILED, f"{task.folder}: {error.strerror or error}"
@@ -83,28 +93,29 @@ class Child:
         if self._process:
             self._end_code(GRACE_SECONDS + 10)
 
-    def _tried(self, task: Task, stopping: Callable[[], bool]) -> tuple[int, int]:
+    def _tried(self, task: Task, program: str, stopping: Callable[[], bool]) -> tuple[int, int]:
         """Have the process try a task; its code, and where its output begins in the log."""
         with open(task.folder / LOG, "ab") as log:
             log.write(f"--- {time.strftime('%Y-%m-%d %H:%M:%S')} on {socket.gethostname()}: "
-                      f"{self._program} {' '.join(task.command)}\n".encode())
+                      f"{program} {' '.join(task.command)}\n".encode())
             log.flush()
             log_start = log.tell()
             process = self._running(log.fileno())
         assert process.stdin is not None  # a pipe
-        process.stdin.write(json.dumps([str(task.done), *task.command]).encode() + b"\n")
+        process.stdin.write(json.dumps([program, str(task.done), *task.command]).encode() + b"\n")
         process.stdin.flush()
         return self._code(stopping, task.folder), log_start
 
-    def _running(self, log: int) -> subprocess.Popen[bytes]:
-        """The process; where it must be started, with a file descriptor for what that says."""
+    def _running(self, log: int, imported: Iterable[str] = ()) -> subprocess.Popen[bytes]:
+        """The process; where it must be started, with a file descriptor for what that says, and
+        modules that it imports."""
         process = self._process
         if process and process.poll() is None and process.stdin and not process.stdin.closed:
             return process
         # in a new session (on Windows: a new group), since Ctrl-C in the terminal is for the
         # parent, which passes it on once
         process = self._process = subprocess.Popen(
-            [sys.executable, "-m", "clsplat.distribute.guarded", self._program],
+            [sys.executable, "-m", "clsplat.distribute.guarded", *imported],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, cwd=self._folder,
             env=environment(self.device), start_new_session=True,
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0))
@@ -152,9 +163,9 @@ class Child:
 def in_child(task: Task, program: str, device: str = "", folder: str | None = None,
              stopping: Callable[[], bool] = lambda: False) -> Result:
     """Try a task in a child process of its own; for the parameters see `Child` and its `work`."""
-    child = Child(program, device, folder)
+    child = Child(device, folder)
     try:
-        return child.work(task, stopping)
+        return child.work(task, program, stopping)
     finally:
         child.close()
 

@@ -65,19 +65,52 @@ class InProcess:
         """Nothing is running."""
 
 
-class Processes:
-    """A Pool of child processes on this machine, which use the devices in turn."""
+class Children:
+    """Child processes on this machine, which serve one `run` after the other; as a context, they
+    end with it.
 
-    def __init__(self, began: Callable[[str], object], workers: int, devices: Sequence[str],
-                 program: str) -> None:
-        self._began = began
-        self._children = [Child(program, devices[number % len(devices)] if devices else "")
-                          for number in range(workers)]
-        self._threads = ThreadPoolExecutor(workers)
-        self._stopping = threading.Event()
-        self._free: SimpleQueue[Child] = SimpleQueue()
+    Parameters
+    ----------
+    number : how many.
+    devices : values of CLSPLAT_DEVICE that they use in turn.
+    imported : modules for which they are started at once, so that they are ready when tasks come;
+        none: each is started for its first task.
+    """
+
+    def __init__(self, number: int, devices: Sequence[str] = (), imported: Sequence[str] = ()
+                 ) -> None:
+        self._children = [Child(devices[place % len(devices)] if devices else "")
+                          for place in range(number)]
+        self.free: SimpleQueue[Child] = SimpleQueue()
         for child in self._children:
-            self._free.put(child)
+            if imported:
+                child.start(imported)
+            self.free.put(child)
+
+    def __len__(self) -> int:
+        return len(self._children)
+
+    def __enter__(self) -> Children:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Tell the processes to end, and wait for that."""
+        for child in self._children:
+            child.end()
+        for child in self._children:
+            child.close()
+
+
+class Processes:
+    """A Pool of child processes on this machine."""
+
+    def __init__(self, began: Callable[[str], object], children: Children, program: str) -> None:
+        self._began, self._children, self._program = began, children, program
+        self._threads = ThreadPoolExecutor(len(children))
+        self._stopping = threading.Event()
 
     def slots(self) -> int:
         """The number of children."""
@@ -89,13 +122,13 @@ class Processes:
 
     def _work(self, task: Task) -> Result:
         self._began(task.name)
-        child = self._free.get()
+        child = self._children.free.get()
         try:
-            result = child.work(task, self._stopping.is_set)
+            result = child.work(task, self._program, self._stopping.is_set)
             return replace(result, worker=f"{HERE}, device {child.device}" if child.device
                            else HERE)
         finally:
-            self._free.put(child)
+            self._children.free.put(child)
 
     def finished(self, futures: Collection[Future[Result]]) -> list[tuple[Future[Result], Result]]:
         """Wait for the first of the futures, and return those that ended."""
@@ -103,10 +136,6 @@ class Processes:
         return [(future, future.result()) for future in done]
 
     def close(self) -> None:
-        """Tell the children to save their state, and wait until they ended."""
+        """Tell the children that work on a task to save their state, and wait until they ended."""
         self._stopping.set()
         self._threads.shutdown(cancel_futures=True)
-        for child in self._children:
-            child.end()
-        for child in self._children:
-            child.close()

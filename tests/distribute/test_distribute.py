@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import clsplat
-from clsplat.distribute import Task, child, cluster, guarded, run
+from clsplat.distribute import Children, Task, child, cluster, guarded, run
 from clsplat.distribute.ledger import MOST_LOSSES, Ledger
 from clsplat.distribute.task import DONE, FAILED, INTERRUPTED, LOCKED, LOG, LOST, Result
 from clsplat.errors import InputError, Interrupted
@@ -146,15 +146,44 @@ def test_a_child_that_is_killed_between_tasks_is_replaced(tmp_path):
     first, second = stub_tasks(tmp_path, 2)
     for task in (first, second):
         task.folder.mkdir()
-    worker = child.Child(PROGRAM)
+    worker = child.Child()
     try:
-        assert worker.work(first).ending == DONE
+        assert worker.work(first, PROGRAM).ending == DONE
         os.kill(int(processes_of([first])[0]), signal.SIGKILL)
         worker._process.wait()
-        assert worker.work(second).ending == DONE
+        assert worker.work(second, PROGRAM).ending == DONE
     finally:
         worker.close()
     assert worker._process.returncode == 0 and len(set(processes_of([first, second]))) == 2
+
+
+@pytest.mark.parametrize("module, same", [("json", True), ("clsplat.no_such_module", False)])
+def test_a_child_may_be_started_before_its_first_task(tmp_path, module, same):
+    """One that could not import what it was to import is replaced."""
+    task, worker = stub_tasks(tmp_path, 1)[0], child.Child()
+    task.folder.mkdir()
+    try:
+        worker.start([module])
+        early = worker._process
+        if not same:
+            assert early.wait() == 1
+        assert worker.work(task, PROGRAM).ending == DONE
+        assert (int(processes_of([task])[0]) == early.pid) == same
+    finally:
+        worker.close()
+
+
+def test_children_serve_one_run_after_the_other(tmp_path):
+    first, second, third = stub_tasks(tmp_path, 3)
+    with Children(1, ("7",), ("json",)) as children:
+        for task in (first, second):
+            assert run([task], workers=2, program=PROGRAM, children=children)[0].ok
+        process = children._children[0]._process
+        assert process.poll() is None
+    assert process.returncode == 0
+    assert processes_of([first, second]) == 2 * [str(process.pid)]
+    assert run([third], workers=2, program=PROGRAM)[0].ok
+    assert processes_of([third]) != [str(process.pid)]
 
 
 def test_what_a_task_says_goes_to_its_own_log(tmp_path):
@@ -224,9 +253,9 @@ def test_a_child_that_fails_without_output(tmp_path, words, devices, message):
 
 def guarded_child(task, program=PROGRAM):
     """A child as the engine starts it."""
-    child = subprocess.Popen([sys.executable, "-m", "clsplat.distribute.guarded", program],
+    child = subprocess.Popen([sys.executable, "-m", "clsplat.distribute.guarded"],
                              stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
-    child.stdin.write(json.dumps([str(task.done), *task.command]).encode() + b"\n")
+    child.stdin.write(json.dumps([program, str(task.done), *task.command]).encode() + b"\n")
     child.stdin.flush()
     return child
 
