@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
-from queue import SimpleQueue
+from queue import LifoQueue
 
 from clsplat.distribute.child import Child
 from clsplat.distribute.task import DONE, FAILED, REFUSED, Result, Task
@@ -73,19 +74,23 @@ class Children:
     ----------
     number : how many.
     devices : values of CLSPLAT_DEVICE that they use in turn.
-    imported : modules for which they are started at once, so that they are ready when tasks come;
-        none: each is started for its first task.
+    imported : modules for which they are started at once, one for each core of the machine, so that
+        they are ready when tasks come; none: each is started for its first task.
+
+    Attributes
+    ----------
+    free : those that have no task; the next task gets the one on top, which has been started.
     """
 
     def __init__(self, number: int, devices: Sequence[str] = (), imported: Sequence[str] = ()
                  ) -> None:
         self._children = [Child(devices[place % len(devices)] if devices else "")
                           for place in range(number)]
-        self.free: SimpleQueue[Child] = SimpleQueue()
-        for child in self._children:
-            if imported:
-                child.start(imported)
+        self.free: LifoQueue[Child] = LifoQueue()
+        for child in reversed(self._children):
             self.free.put(child)
+        for child in self._children[:(os.cpu_count() or 1) if imported else 0]:
+            child.start(imported)
 
     def __len__(self) -> int:
         return len(self._children)

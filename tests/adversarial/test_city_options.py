@@ -134,12 +134,12 @@ def test_a_chosen_grid_has_an_end(changes):
 def test_no_more_children_than_tasks(monkeypatch, tmp_path):
     asked = []
 
-    class Pool(local.Processes):
-        def __init__(self, began, workers, *rest):
-            asked.append(workers)
+    class Asked(local.Children):
+        def __init__(self, number, *rest):
+            asked.append(number)
             raise InputError("enough")
 
-    monkeypatch.setattr("clsplat.distribute.Processes", Pool)
+    monkeypatch.setattr("clsplat.distribute.Children", Asked)
     from clsplat.distribute import Task
     with pytest.raises(InputError, match="enough"):
         run([Task("a", (), tmp_path / "a" / "done")], workers=1000)

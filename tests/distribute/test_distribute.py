@@ -175,12 +175,14 @@ def test_a_child_may_be_started_before_its_first_task(tmp_path, module, same):
 
 def test_children_serve_one_run_after_the_other(tmp_path):
     first, second, third = stub_tasks(tmp_path, 3)
-    with Children(1, ("7",), ("json",)) as children:
+    with Children(5, ("7",), ("json",)) as children:
+        processes = [worker._process for worker in children._children]
         for task in (first, second):
             assert run([task], workers=2, program=PROGRAM, children=children)[0].ok
-        process = children._children[0]._process
+        process = processes[0]
         assert process.poll() is None
-    assert process.returncode == 0
+    assert process.returncode == 0 and None not in processes[:os.cpu_count()]
+    assert not any(processes[os.cpu_count():])
     assert processes_of([first, second]) == 2 * [str(process.pid)]
     assert run([third], workers=2, program=PROGRAM)[0].ok
     assert processes_of([third]) != [str(process.pid)]
