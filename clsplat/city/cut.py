@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.city.dense import dense_gaussians
+from clsplat.city.dense import counted_where, dense_gaussians
 from clsplat.city.visibility import DropTest
 from clsplat.config.option import differences, plain
 from clsplat.device import Device
@@ -63,6 +63,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     scene = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
     coarse = Run.open(city.coarse)
     small, gaussians = coarse.options, coarse.finished_model
+    dense = dense_gaussians(city, scene, gaussians.sh_degree)
     decided = decided_by(coarse.folder)
     training = {view.name for view in scene.split(options.test_every, options.test_offset)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
@@ -77,7 +78,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
-        partition = make_partition(scene, partition_options, gaussians, views, drop)
+        partition = make_partition(scene, partition_options, gaussians, views, drop,
+                                   counted_where(gaussians, dense))
         city.write_partition({**partition.record(), REQUESTED: plain(partition_options)})
     owner = partition.owner(world_of(scene, gaussians.positions))
     counts = np.bincount(owner, minlength=len(partition.regions))
@@ -90,7 +92,6 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     steps = [one_run / len(views) * each.sum() for each in visits]
     surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
-    dense = dense_gaussians(city, scene, gaussians.sh_degree)
 
     def write(number: int) -> None:
         region, chosen = partition.regions[number], partition.views[number]

@@ -55,8 +55,8 @@ class PartitionInput:
 
     @classmethod
     def of(cls, scene: Scene, gaussians: Gaussians | None = None, views: ArrayLike | None = None,
-           up: Sequence[float] | None = None, bounds: Sequence[float] | None = None
-           ) -> PartitionInput:
+           up: Sequence[float] | None = None, bounds: Sequence[float] | None = None,
+           weights: NDArray[np.float64] | None = None) -> PartitionInput:
         """Collect the input of a partition from a scene.
 
         Parameters
@@ -67,6 +67,7 @@ class PartitionInput:
         views : indices into scene.views of the training views. None: all.
         up : world. None: that of the scene.
         bounds : X0, Y0, X1, Y1 on the map, see `Space.map`. None: no area of interest is set.
+        weights : [N], how much each gaussian counts. None: all the same.
 
         Raises
         ------
@@ -78,21 +79,23 @@ class PartitionInput:
         points = world_of(scene, local)
         cameras = world_of(scene, [v.camera.position for v in chosen])
         if gaussians is None:
-            content, weights = points, np.bincount(point, minlength=len(points)).astype(float)
+            content, counts = points, np.bincount(point, minlength=len(points)).astype(float)
         else:
             content = world_of(scene, gaussians.positions)
-            weights = np.isfinite(content).all(axis=1).astype(float)
-        if not weights.any():
+            counts = np.isfinite(content).all(axis=1).astype(float)
+            if weights is not None:
+                counts *= weights
+        if not counts.any():
             raise InputError(f"{scene.name}: there is nothing to divide among blocks, since no "
                              "training view sees a point; reconstruct the scene again, or train a "
                              "coarse model first")
         up_world = scene.up if up is None else np.array(up) / np.linalg.norm(up)
         if bounds is None:
-            area, rotation = None, ground_axes(up_world, content, weights)
+            area, rotation = None, ground_axes(up_world, content, counts)
         else:
             area = np.array(bounds[:2], np.float64), np.array(bounds[2:], np.float64)
             rotation = np.stack([*map_axes(up_world), up_world])
-        result = cls(scene, indices, cameras, content, weights, points, point, view, rotation, area)
+        result = cls(scene, indices, cameras, content, counts, points, point, view, rotation, area)
         if area is not None and not result.inside().any():
             low, high = result.content_box()
             raise InputError(

@@ -36,7 +36,8 @@ DropTest = Callable[[Iterable[tuple[int, NDArray[np.bool_]]]], Iterable[float]]
 
 
 def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians | None = None,
-                   views: ArrayLike | None = None, drop: DropTest | None = None) -> Partition:
+                   views: ArrayLike | None = None, drop: DropTest | None = None,
+                   weights: NDArray[np.float64] | None = None) -> Partition:
     """Cut a scene into blocks, and assign views to them.
 
     Parameters
@@ -46,12 +47,13 @@ def make_partition(scene: Scene, options: PartitionOptions, gaussians: Gaussians
     gaussians : a coarse model in the scene's local frame. None: the sparse points are used.
     views : indices into scene.views of the training views. None: all.
     drop : see `citygs`.
+    weights : [N], how much each gaussian counts. None: all the same.
 
     Raises
     ------
     InputError : the grid has a starved block, or the bounds contain no points.
     """
-    data = PartitionInput.of(scene, gaussians, views, options.up, options.bounds)
+    data = PartitionInput.of(scene, gaussians, views, options.up, options.bounds, weights)
     grid = options.grid or _chosen_grid(data, options)
     regions, assigned = METHODS[options.method](data, grid, options, drop)
     notes = []
@@ -102,9 +104,9 @@ def expected_work(data: PartitionInput, grid: tuple[int, int], options: Partitio
     regions, *_ = join_starved(data, options, regions, assigned)
     coordinates = regions[0].space.to(data.content)
     trained = [region.grown(region.margin) for region in regions]
-    gaussians = np.array([region.holds(coordinates).sum() for region in trained])
+    gaussians = np.array([data.weights[region.holds(coordinates)].sum() for region in trained])
     views = seen_by_tracks(data, trained).sum(axis=1)
-    return np.asarray(views * (len(coordinates) / options.needed + gaussians), np.float64)
+    return np.asarray(views * (data.weights.sum() / options.needed + gaussians), np.float64)
 
 
 def _dropped(data: PartitionInput, regions: list[Region], assigned: NDArray[np.bool_]

@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clsplat.city import dense
-from clsplat.city.dense import dense_gaussians, find_dense_gaussians
+from clsplat.city import cut, dense
+from clsplat.city.dense import counted_where, dense_gaussians, find_dense_gaussians
 from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
+from clsplat.partition.make import make_partition
 from tests.city.test_city import city
 from tests.data.tiny_training import CITY, records
 
@@ -62,9 +64,22 @@ def test_they_were_requested_and_cannot_be_had(folder, scene):
         find_dense_gaussians(folder, alone, resolve({}, {**LONG, "init": "dense"}), None)
 
 
+def test_they_count_where_the_nearest_coarse_gaussian_stands():
+    coarse, more = (Gaussians.from_points(np.array(points, float), np.zeros((len(points), 3)), 0)
+                    for points in ([(0, 0, 0), (10, 0, 0), (0, 10, 0)],
+                                   [(1, 1, 0), (-3, 0, 0), (0, 8, 0), (0, 4, 1)]))
+    assert counted_where(coarse, more).tolist() == [4, 1, 2]
+    assert counted_where(coarse, None).tolist() == [1, 1, 1]
+
+
 @pytest.mark.slow
-def test_blocks_begin_with_them(tmp_path, capsys):
+def test_blocks_begin_with_them(tmp_path, capsys, monkeypatch):
+    counted = []
+    monkeypatch.setattr(cut, "make_partition", lambda *rest: (
+        counted.append(rest[-1].sum()), make_partition(*rest))[1])
     made = city(tmp_path / "dense", "--init", "dense")
+    assert counted == [read_ply(made.dense).count
+                       + read_ply(RunFolder(made.coarse).model_path).count]
     found = read_ply(made.dense).count
     added = [block.read("dense")["dense"] for block in made.blocks()]
     assert min(added) > 100 and max(added) < found

@@ -73,6 +73,7 @@ def world(scene):
 
 def cut(scene, method, grid=(3, 2), **changes):
     """The Partition of a scene by a method; changes: of the options or of `make_partition`."""
-    arguments = {key: changes.pop(key) for key in ("gaussians", "views", "drop") if key in changes}
+    arguments = {key: changes.pop(key) for key in ("gaussians", "views", "drop", "weights")
+                 if key in changes}
     return make_partition(
         scene, PartitionOptions(method=method, grid=grid, **{**LAX, **changes}), **arguments)

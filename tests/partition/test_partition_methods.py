@@ -46,6 +46,20 @@ def test_blockgs_divides_content_evenly(count):
         assert content.max() < 1.1 * seen.sum() / count
 
 
+@pytest.mark.parametrize("count", [2, 5, 16])
+def test_blockgs_divides_gaussians_by_what_each_counts(count):
+    scene = field()
+    gaussians = Gaussians.from_points(scene.points, scene.colours, 0)
+    west = scene.points[:, 0] < np.median(scene.points[:, 0])
+    weights = np.where(west, 7.0, 1.0)
+    partition = cut(scene, "blockgs", (count, 1), gaussians=gaussians, weights=weights)
+    content = np.bincount(partition.owner(world(scene)), weights, count)
+    assert content.min() > 0.9 * content.mean() and content.max() < 1.1 * content.mean()
+    alike = cut(scene, "blockgs", (count, 1), gaussians=gaussians)
+    content = np.bincount(alike.owner(world(scene)), weights, count)
+    assert content.max() > 1.3 * content.mean()
+
+
 def test_blockgs_cuts_the_longer_side():
     scene = field()
     partition = cut(scene, "blockgs", (2, 1))
