@@ -78,8 +78,10 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
-        partition = make_partition(scene, partition_options, gaussians, views, drop,
-                                   counted_where(gaussians, dense))
+        # the cells of the other methods are not halves of equal content
+        weights = (counted_where(gaussians, dense) if partition_options.method == "blockgs"
+                   else None)
+        partition = make_partition(scene, partition_options, gaussians, views, drop, weights)
         city.write_partition({**partition.record(), REQUESTED: plain(partition_options)})
     owner = partition.owner(world_of(scene, gaussians.positions))
     counts = np.bincount(owner, minlength=len(partition.regions))
