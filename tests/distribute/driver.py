@@ -19,6 +19,17 @@ def stub_tasks(folder, count, *words):
                  folder / f"{number:03d}" / stub_command.DONE) for number in range(count)]
 
 
+def lines(task, name):
+    """The lines of a file in a task's folder; none where there is no such file."""
+    path = task.folder / name
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def processes_of(tasks):
+    """The process of each task's last start."""
+    return [lines(task, stub_command.STARTS)[-1].split()[-1] for task in tasks]
+
+
 if __name__ == "__main__":
     place, count, steps, workers, *scheduler = sys.argv[1:]
     try:

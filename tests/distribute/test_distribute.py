@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 
 import clsplat
-from clsplat.distribute import Children, Task, child, cluster, guarded, run
+from clsplat.distribute import Task, child, cluster, guarded, run
 from clsplat.distribute.ledger import MOST_LOSSES, Ledger
-from clsplat.distribute.task import DONE, FAILED, INTERRUPTED, LOCKED, LOG, LOST, Result
+from clsplat.distribute.task import FAILED, INTERRUPTED, LOCKED, LOG, LOST, Result
 from clsplat.errors import InputError, Interrupted
 from clsplat.io.lock import HOLDER, LOCK, LockTaken, exclusive, latest_change
 from clsplat.training.progress import NotedProgress, SilentProgress
 from tests.data.tiny_training import CITY, flags
-from tests.distribute.driver import PROGRAM, stub_tasks
+from tests.distribute.driver import PROGRAM, lines, processes_of, stub_tasks
 from tests.distribute.stub_command import ENDS, NO_DEVICE, STARTS, STATE, STEP_SECONDS, STEPPED
 from tests.lock_holder import held_elsewhere
 
@@ -30,11 +30,6 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(autouse=True)
 def caches(monkeypatch, tmp_path):
     monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "kernels"))
-
-
-def lines(task, name):
-    path = task.folder / name
-    return path.read_text().splitlines() if path.exists() else []
 
 
 def starts(task):
@@ -129,63 +124,12 @@ def test_as_many_children_as_workers_each_with_its_device_and_cache(tmp_path):
         assert len({span[3] for span in here}) == len(here) == len({span[2] for span in here})
 
 
-def processes_of(tasks):
-    """The process of each task's last start."""
-    return [lines(task, STARTS)[-1].split()[-1] for task in tasks]
-
-
 def test_a_child_stays_for_the_next_task_unless_one_fails(tmp_path):
     tasks = stub_tasks(tmp_path, 4)
     tasks[2] = Task("002", (*tasks[2].command, "--fail", "1"), tasks[2].done)
     assert all(outcome.ok for outcome in run(tasks, program=PROGRAM))
     first, second, third, fourth = processes_of(tasks)  # the third is tried again at the end
     assert first == second == lines(tasks[2], STARTS)[0].split()[-1] != third == fourth
-
-
-def test_a_child_that_is_killed_between_tasks_is_replaced(tmp_path):
-    first, second = stub_tasks(tmp_path, 2)
-    for task in (first, second):
-        task.folder.mkdir()
-    worker = child.Child()
-    try:
-        assert worker.work(first, PROGRAM).ending == DONE
-        os.kill(int(processes_of([first])[0]), signal.SIGKILL)
-        worker._process.wait()
-        assert worker.work(second, PROGRAM).ending == DONE
-    finally:
-        worker.close()
-    assert worker._process.returncode == 0 and len(set(processes_of([first, second]))) == 2
-
-
-@pytest.mark.parametrize("module, same", [("json", True), ("clsplat.no_such_module", False)])
-def test_a_child_may_be_started_before_its_first_task(tmp_path, module, same):
-    """One that could not import what it was to import is replaced."""
-    task, worker = stub_tasks(tmp_path, 1)[0], child.Child()
-    task.folder.mkdir()
-    try:
-        worker.start([module])
-        early = worker._process
-        if not same:
-            assert early.wait() == 1
-        assert worker.work(task, PROGRAM).ending == DONE
-        assert (int(processes_of([task])[0]) == early.pid) == same
-    finally:
-        worker.close()
-
-
-def test_children_serve_one_run_after_the_other(tmp_path):
-    first, second, third = stub_tasks(tmp_path, 3)
-    with Children(5, ("7",), ("json",)) as children:
-        processes = [worker._process for worker in children._children]
-        for task in (first, second):
-            assert run([task], workers=2, program=PROGRAM, children=children)[0].ok
-        process = processes[0]
-        assert process.poll() is None
-    assert process.returncode == 0 and None not in processes[:os.cpu_count()]
-    assert not any(processes[os.cpu_count():])
-    assert processes_of([first, second]) == 2 * [str(process.pid)]
-    assert run([third], workers=2, program=PROGRAM)[0].ok
-    assert processes_of([third]) != [str(process.pid)]
 
 
 def test_what_a_task_says_goes_to_its_own_log(tmp_path):
