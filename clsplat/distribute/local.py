@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import replace
 from queue import LifoQueue
 
@@ -74,8 +75,8 @@ class Children:
     ----------
     number : how many.
     devices : values of CLSPLAT_DEVICE that they use in turn.
-    imported : modules for which they are started at once, one for each core of the machine, so that
-        they are ready when tasks come; none: each is started for its first task.
+    imported : modules that they import at once, so that they are ready when tasks come; at most as
+        many are started before as the machine has cores. None: each is started for its first task.
 
     Attributes
     ----------
@@ -90,7 +91,8 @@ class Children:
         for child in reversed(self._children):
             self.free.put(child)
         for child in self._children[:(os.cpu_count() or 1) if imported else 0]:
-            child.start(imported)
+            with suppress(OSError):  # its first task will tell that no process can be started
+                child.start(imported)
 
     def __len__(self) -> int:
         return len(self._children)
