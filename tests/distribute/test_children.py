@@ -39,7 +39,7 @@ def test_a_child_may_be_started_before_its_first_task(tmp_path, module, same):
         worker.start([module])
         early = worker._process
         if not same:
-            assert early.wait() == 1
+            assert early.wait(60) == 1
         assert worker.work(task, PROGRAM).ending == DONE
         assert (int(processes_of([task])[0]) == early.pid) == same
     finally:
