@@ -10,11 +10,6 @@ from clsplat.distribute.task import DONE
 from tests.distribute.driver import PROGRAM, processes_of, stub_tasks
 
 
-@pytest.fixture(autouse=True)
-def caches(monkeypatch, tmp_path):
-    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "kernels"))
-
-
 def test_a_child_that_is_killed_between_tasks_is_replaced(tmp_path):
     first, second = stub_tasks(tmp_path, 2)
     for task in (first, second):

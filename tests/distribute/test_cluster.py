@@ -9,9 +9,9 @@ import pytest
 from clsplat.distribute import cluster, run
 from clsplat.errors import InputError
 from clsplat.io.lock import exclusive
-from tests.distribute.driver import PROGRAM, stub_tasks
+from tests.distribute.driver import PROGRAM, lines, stub_tasks
 from tests.distribute.stub_command import ENDS, NO_DEVICE, STARTS, STATE, STEPPED
-from tests.distribute.test_distribute import caches, driver, eventually, lines, starts  # noqa: F401
+from tests.distribute.test_distribute import driver, eventually, starts
 
 pytest.importorskip("distributed")
 from tests.distribute.dask_processes import DaskProcesses  # noqa: E402

@@ -27,11 +27,6 @@ from tests.lock_holder import held_elsewhere
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(autouse=True)
-def caches(monkeypatch, tmp_path):
-    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "kernels"))
-
-
 def starts(task):
     return len(lines(task, STARTS))
 
