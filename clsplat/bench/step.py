@@ -36,7 +36,8 @@ from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions, resolve
 from clsplat.scene import Scene
 from clsplat.training.photos import Photos
-from clsplat.training.session import PreparedScene, Session, prepare
+from clsplat.training.prepare import PreparedScene, prepare
+from clsplat.training.session import Session
 
 from .measure import Bench
 from .timing import milliseconds

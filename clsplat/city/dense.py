@@ -19,8 +19,8 @@ from clsplat.options import TrainOptions
 from clsplat.scene import Scene
 from clsplat.training.dense_start import first_gaussians
 from clsplat.training.photos import THREADS
+from clsplat.training.prepare import prepare
 from clsplat.training.progress import SilentProgress
-from clsplat.training.session import prepare
 
 
 def find_dense_gaussians(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,

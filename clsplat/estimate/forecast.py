@@ -18,8 +18,8 @@ from clsplat.training.dense_start import start_seconds
 from clsplat.training.initialise import initial_gaussians
 from clsplat.training.photo_store import MEMORY_BYTES
 from clsplat.training.photos import DEVICE_SHARE, reading_bytes
+from clsplat.training.prepare import prepare
 from clsplat.training.progress import SilentProgress
-from clsplat.training.session import prepare
 
 MIB = 2**20
 

@@ -33,8 +33,8 @@ from clsplat.training.depth_maps import depth_array
 from clsplat.training.layers import has_front, layer_array
 from clsplat.training.model import ENGINES, Model, grown_capacity
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
+from clsplat.training.prepare import PreparedScene
 from clsplat.training.rooms import pairs_room, visible_room
-from clsplat.training.session import PreparedScene
 from clsplat.training.source_views import SourceViews
 from clsplat.training.units import COUNTS
 

@@ -22,8 +22,8 @@ from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
 from clsplat.training.photos import at_level
+from clsplat.training.prepare import PreparedScene
 from clsplat.training.progress import SilentProgress
-from clsplat.training.session import PreparedScene
 
 SAMPLED_VIEWS = 8  # for steps in turn
 TIMED_SECONDS = 0.2  # least time of a measurement, in which steps do not wait for the device

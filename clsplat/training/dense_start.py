@@ -22,7 +22,7 @@ from clsplat.training.photos import decoded, with_side
 from clsplat.training.progress import SilentProgress
 
 if TYPE_CHECKING:
-    from clsplat.training.session import PreparedScene
+    from clsplat.training.prepare import PreparedScene
 
 OF_THE_LIMIT = 0.8  # of the gaussians that the training may end with; growth places the rest
 PIXELS_A_POINT = 40  # of the training photos, where the schedule has no limit

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.densify.free_space import FreeSpace
 from clsplat.densify.grow import Candidates, Growth, plan_growth
 from clsplat.densify.relocate import plan_relocation
 from clsplat.densify.scores import taming_scores
@@ -35,6 +36,7 @@ class Round:
     extent : of the scene, world units.
     gradient : returns float[N], mean screen gradients; called where the schedule needs them.
     frozen : bool[N], gaussians that are not trained; they stay.
+    free_space : in which no gaussian may be; None: none is known.
     """
 
     iteration: int
@@ -44,6 +46,7 @@ class Round:
     extent: float
     gradient: Callable[[], NDArray[np.floating]]
     frozen: NDArray[np.bool_]
+    free_space: FreeSpace | None = None
 
     def growth(self, renderer: Renderer, rows: Rows, scoring_views: ScoringViews) -> Growth:
         """Decide what becomes of each gaussian.
@@ -65,7 +68,10 @@ class Round:
             return plan_relocation(host["opacity_logits"], host["log_scales"], ~candidates.visible,
                                    self.frozen, self._room(count, 0) or 0,
                                    options.prune_opacity, rng)
-        prunes, scores, gradient = candidates.prunes & ~self.frozen, None, self.gradient()
+        prunes, scores, gradient = candidates.prunes, None, self.gradient()
+        if self.free_space:
+            prunes = prunes | self.free_space.holds(host["positions"])
+        prunes = prunes & ~self.frozen
         if self.schedule.selection == "score":
             scores = taming_scores(renderer, rows, scoring_views(), self.plan.degree,
                                    options.ssim_weight, gradient)

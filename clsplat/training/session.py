@@ -5,36 +5,30 @@ A session has no files and no clock; of its progress it reports only what is bei
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.device import Array, Device
-from clsplat.errors import InputError
 from clsplat.evaluation.held_out_responses import Predicted, predicted_responses
 from clsplat.gaussians import Gaussians
-from clsplat.io.depth import with_depths
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.term import SourceView, TrainingSample
 from clsplat.optimise.pose import Poses
 from clsplat.options import TrainOptions
-from clsplat.partition.blocks import trainable
 from clsplat.placement.corrections import Correction, typical_depth
 from clsplat.rendering.pipeline import Renderer
-from clsplat.response import Lenses, Response
+from clsplat.response import Response
 from clsplat.scene import Scene, View, corrected_views
-from clsplat.schedule import Plan, Schedule, laid_over, schedule_of
-from clsplat.training.decisions import Decisions, find_decisions
+from clsplat.schedule import Plan, Schedule, laid_over
 from clsplat.training.dense_start import first_gaussians
 from clsplat.training.depth_maps import DepthMapsOnDevice
-from clsplat.training.initialise import initial_responses, surrounding_gaussians
+from clsplat.training.initialise import initial_responses
 from clsplat.training.layers import Layers
 from clsplat.training.model import Model
 from clsplat.training.photos import Photos, decoded
+from clsplat.training.prepare import PreparedScene, prepare
 from clsplat.training.progress import SilentProgress
 from clsplat.training.robust import Seen, find_outliers, is_due, share_of
 from clsplat.training.source_views import SourceViews
@@ -43,96 +37,6 @@ from clsplat.training.units import MOST_PENDING
 
 FEW_PHOTOS = 3  # of steps that may be repeated, where photos do not stay on the device
 SCORING_VIEWS = 10  # for a schedule that scores gaussians
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedScene:
-    """A scene that is ready for training.
-
-    Attributes
-    ----------
-    scene : with photos at the size of training; its unit is its extent, so that steps do not depend
-        on the unit of the coordinates.
-    train_views, test_views : the training views and the held-out views.
-    decisions : decisions about optional parts.
-    """
-
-    scene: Scene
-    train_views: tuple[View, ...]
-    test_views: tuple[View, ...]
-    decisions: Decisions
-
-    @property
-    def options(self) -> TrainOptions:
-        """The options after all decisions."""
-        return self.decisions.options
-
-    @property
-    def near(self) -> float:
-        """Distance of the near plane, in units of the scene."""
-        return self.scene.near(self.options.near)
-
-    @property
-    def trains(self) -> Callable[..., NDArray[np.bool_]] | None:
-        """Tells which gaussians a block of a city trains (`step.Step`); None: all."""
-        return functools.partial(trainable, self.scene) if self.scene.region else None
-
-    @functools.cached_property
-    def surroundings(self) -> Gaussians | None:
-        """What a block draws as layers, in the scene's frame; None: nothing."""
-        return surrounding_gaussians(self.scene, self.options)
-
-    @property
-    def lenses(self) -> Lenses | None:
-        """The lenses of the training views; None where nothing is learned of them."""
-        if self.options.vignetting != "on" and self.options.tone != "on":
-            return None
-        cameras = [view.camera for view in self.train_views]
-        known = initial_responses(self.scene, self.train_views)
-        return Lenses.of_responses(known) if known else Lenses.of_cameras(cameras)
-
-    def schedule(self, gaussians: Gaussians, options: TrainOptions | None = None) -> Schedule:
-        """A new schedule.
-
-        Parameters
-        ----------
-        gaussians : the initial ones.
-        options : instead of `self.options`.
-        """
-        trains, options = self.trains, options or self.options
-        count = (int(trains(gaussians.positions, gaussians.log_scales).sum()) if trains
-                 else gaussians.count)
-        return schedule_of(options.schedule)(options, replace(self.decisions.facts, count=count))
-
-
-def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -> PreparedScene:
-    """Prepare a scene for training; InputError where that is impossible.
-
-    Parameters
-    ----------
-    scene : as it was read.
-    options : as the user gave them.
-    device : of the training.
-    """
-    if options.poses == "on" and scene.region:
-        raise InputError(f"{scene.name}: is a block of a city, whose blocks would correct the same "
-                         "poses differently; leave --poses out")
-    scene = with_depths(scene, options.depth)
-    scene = scene.reduced(options.downscale, options.max_resolution).normalised()
-    if len(scene.views) < 2:
-        raise InputError(f"{scene.name}: has a single photo; depth needs at least two from "
-                         "different places, and 20 or more make a good model")
-    train_views, test_views = scene.split(options.test_every, options.test_offset)
-    if options.robust == "on":
-        train_views = tuple(replace(view, weighed=True) for view in train_views)
-    if not train_views:
-        raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
-                         "view; use a larger number, or none")
-    if options.test_offset and not test_views:
-        raise InputError(f"{scene.name}: --test-offset {options.test_offset} holds out none of its "
-                         f"{len(scene.views)} views; use a smaller number")
-    return PreparedScene(scene, train_views, test_views,
-                         find_decisions(scene, train_views, options, device))
 
 
 class Session:
@@ -200,7 +104,7 @@ class Session:
             cameras = [view.camera for view in self.train_views]
             poses = Poses(device, cameras, typical_depth(cameras, self.scene.points))
         self.step = Step(self.renderer, model, self.scene.extent, options, exposures, poses,
-                         prepared.trains)
+                         prepared.trains, prepared.free_space)
         neighbours = self.decisions.neighbours
         self.source_views = (SourceViews(device, neighbours, exposures, options.seed)
                              if neighbours else None)

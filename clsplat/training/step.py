@@ -14,6 +14,7 @@ from clsplat.constants import (
     COUNT_SUM_PAIRS,
     COUNT_SUM_VISIBLE,
 )
+from clsplat.densify.free_space import FreeSpace
 from clsplat.densify.statistics import Statistics
 from clsplat.device import Array, Graph
 from clsplat.gaussians import LEARNED
@@ -56,6 +57,7 @@ class Step:
     poses : corrections of the poses of the views; None: they stay as they were given.
     trains : (positions, log_scales) float32[N, 3] -> bool[N], those that are trained; called
         at each round of growth; None: all are.
+    free_space : in which no gaussian may be; None: none is known.
 
     Attributes
     ----------
@@ -66,10 +68,11 @@ class Step:
 
     def __init__(self, renderer: Renderer, model: Model, extent: float, options: TrainOptions,
                  exposures: Exposures | None = None, poses: Poses | None = None,
-                 trains: Callable[..., NDArray[np.bool_]] | None = None) -> None:
+                 trains: Callable[..., NDArray[np.bool_]] | None = None,
+                 free_space: FreeSpace | None = None) -> None:
         self.renderer, self._model, self.extent, self.options = renderer, model, extent, options
         self.device, self._exposures, self.trains = renderer.device, exposures, trains
-        self._poses = poses
+        self._poses, self.free_space = poses, free_space
         self.terms = terms_of(self.device, options)
         self._statistics = Statistics(self.device, model.count)
         self.skipped = SkippedGradients(
@@ -146,8 +149,7 @@ class Step:
 
     # --- a step
 
-    def run(self, iteration: int, plan: Plan,
-            samples: Iterable[TrainingSample]) -> list[Measured]:
+    def run(self, iteration: int, plan: Plan, samples: Iterable[TrainingSample]) -> list[Measured]:
         """Take a step on the mean loss of options.batch samples.
 
         Parameters
@@ -370,10 +372,9 @@ class Step:
         model, statistics = self.model, self.statistics
         model.catch_up()
         self.freeze()
-        frozen = (np.zeros(model.count, bool) if self.frozen is None
-                  else self.frozen.download() > 0)
+        frozen = np.zeros(model.count, bool) if self.frozen is None else self.frozen.download() > 0
         growth = Round(iteration, plan, schedule, self.options, self.extent,
-                       statistics.mean_gradient, frozen).growth(
+                       statistics.mean_gradient, frozen, self.free_space).growth(
                            self.renderer, model.rows, scoring_views)
         self.release()  # or recordings would keep the memory of frames while rows are copied
         model.regrow(growth)

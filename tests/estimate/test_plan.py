@@ -43,7 +43,7 @@ from clsplat.schedule import OURS, SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.simulate import Segment, largest, simulate
 from clsplat.training.model import ENGINES, grown_capacity
 from clsplat.training.photos import photo_array, size_note
-from clsplat.training.session import prepare
+from clsplat.training.prepare import prepare
 from tests.data.tiny_training import CITY, options_of, records, trained
 
 LEARNED_NAMES = [field.name for field in LEARNED]

@@ -19,8 +19,8 @@ from clsplat.training.dense_start import (
     planned_count,
     start_seconds,
 )
+from clsplat.training.prepare import prepare
 from clsplat.training.progress import SilentProgress
-from clsplat.training.session import prepare
 from tests.data.tiny_training import CITY, records, resumed, trained
 
 

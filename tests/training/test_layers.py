@@ -20,7 +20,7 @@ from clsplat.training import layers, loop
 from clsplat.training.initialise import initial_gaussians
 from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import Photos
-from clsplat.training.session import prepare
+from clsplat.training.prepare import prepare
 from tests.data.tiny_training import CITY, STILL, model_digest, options_of, resumed, trained
 from tests.training.test_block import region_of
 from tests.training.test_launches import of_a_replay

@@ -10,7 +10,7 @@ from clsplat.io.scenes import read_scene
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.training.initialise import initial_gaussians
 from clsplat.training.loop import Training
-from clsplat.training.session import prepare
+from clsplat.training.prepare import prepare
 from tests.data.tiny_training import CITY, STILL, options_of
 
 

@@ -31,7 +31,8 @@ from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.report.page import Table
 from clsplat.training.photos import Photos
-from clsplat.training.session import Session, prepare
+from clsplat.training.prepare import prepare
+from clsplat.training.session import Session
 from tools.studies.evidence import markdown, outermost
 from tools.studies.runs import Scene
 

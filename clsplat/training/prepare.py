@@ -1,0 +1,124 @@
+"""From a scene as it was read to one that is ready for training, with all decisions made."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.config.option import is_auto
+from clsplat.densify.free_space import FREE_SHARE, FreeSpace
+from clsplat.device import Device
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.depth import with_depths
+from clsplat.options import TrainOptions
+from clsplat.partition.blocks import trainable
+from clsplat.response import Lenses
+from clsplat.scene import Scene, View
+from clsplat.schedule import Schedule, schedule_of
+from clsplat.training.decisions import Decisions, find_decisions
+from clsplat.training.initialise import initial_responses, surrounding_gaussians
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedScene:
+    """A scene that is ready for training.
+
+    Attributes
+    ----------
+    scene : with photos at the size of training; its unit is its extent, so that steps do not depend
+        on the unit of the coordinates.
+    train_views, test_views : the training views and the held-out views.
+    decisions : decisions about optional parts.
+    """
+
+    scene: Scene
+    train_views: tuple[View, ...]
+    test_views: tuple[View, ...]
+    decisions: Decisions
+
+    @property
+    def options(self) -> TrainOptions:
+        """The options after all decisions."""
+        return self.decisions.options
+
+    @property
+    def near(self) -> float:
+        """Distance of the near plane, in units of the scene."""
+        return self.scene.near(self.options.near)
+
+    @property
+    def trains(self) -> Callable[..., NDArray[np.bool_]] | None:
+        """Tells which gaussians a block of a city trains (`step.Step`); None: all."""
+        return functools.partial(trainable, self.scene) if self.scene.region else None
+
+    @property
+    def free_space(self) -> FreeSpace | None:
+        """In which growth leaves no gaussians; None: nowhere."""
+        share = self.options.free_space
+        if "sig" not in schedule_of(self.options.schedule).parts:
+            return None
+        if is_auto(share):
+            share = FREE_SHARE if self.options.coarse or self.scene.region else 0.0
+        return FreeSpace(self.scene, self.train_views, share) if share else None
+
+    @functools.cached_property
+    def surroundings(self) -> Gaussians | None:
+        """What a block draws as layers, in the scene's frame; None: nothing."""
+        return surrounding_gaussians(self.scene, self.options)
+
+    @property
+    def lenses(self) -> Lenses | None:
+        """The lenses of the training views; None where nothing is learned of them."""
+        if self.options.vignetting != "on" and self.options.tone != "on":
+            return None
+        cameras = [view.camera for view in self.train_views]
+        known = initial_responses(self.scene, self.train_views)
+        return Lenses.of_responses(known) if known else Lenses.of_cameras(cameras)
+
+    def schedule(self, gaussians: Gaussians, options: TrainOptions | None = None) -> Schedule:
+        """A new schedule.
+
+        Parameters
+        ----------
+        gaussians : the initial ones.
+        options : instead of `self.options`.
+        """
+        trains, options = self.trains, options or self.options
+        count = (int(trains(gaussians.positions, gaussians.log_scales).sum()) if trains
+                 else gaussians.count)
+        return schedule_of(options.schedule)(options, replace(self.decisions.facts, count=count))
+
+
+def prepare(scene: Scene, options: TrainOptions, device: Device | None = None) -> PreparedScene:
+    """Prepare a scene for training; InputError where that is impossible.
+
+    Parameters
+    ----------
+    scene : as it was read.
+    options : as the user gave them.
+    device : of the training.
+    """
+    if options.poses == "on" and scene.region:
+        raise InputError(f"{scene.name}: is a block of a city, whose blocks would correct the same "
+                         "poses differently; leave --poses out")
+    scene = with_depths(scene, options.depth)
+    scene = scene.reduced(options.downscale, options.max_resolution).normalised()
+    if len(scene.views) < 2:
+        raise InputError(f"{scene.name}: has a single photo; depth needs at least two from "
+                         "different places, and 20 or more make a good model")
+    train_views, test_views = scene.split(options.test_every, options.test_offset)
+    if options.robust == "on":
+        train_views = tuple(replace(view, weighed=True) for view in train_views)
+    if not train_views:
+        raise InputError(f"{scene.name}: --test-every {options.test_every} holds out every "
+                         "view; use a larger number, or none")
+    if options.test_offset and not test_views:
+        raise InputError(f"{scene.name}: --test-offset {options.test_offset} holds out none of its "
+                         f"{len(scene.views)} views; use a smaller number")
+    return PreparedScene(scene, train_views, test_views,
+                         find_decisions(scene, train_views, options, device))
