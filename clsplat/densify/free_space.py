@@ -33,22 +33,20 @@ class FreeSpace:
     """
 
     def __init__(self, scene: Scene, views: Sequence[View], share: float = FREE_SHARE) -> None:
-        self._near = scene.near_plane
+        self._near_plane = scene.near_plane
         self._ends: list[tuple[Camera, float]] = []  # the depth at which each view's part ends
         for camera in [view.camera for view in views]:
             depths = self._shown(camera, scene.points)[1]
             if len(depths):
                 self._ends.append((camera, share * np.quantile(depths, NEAREST_QUANTILE)))
-        self._positions = cKDTree(np.reshape([camera.position for camera, _ in self._ends],
-                                             (-1, 3)))
-        self._reach = max((end * _longest_ray(camera) for camera, end in self._ends), default=0.0)
 
     def holds(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Which positions [N, 3], in the local frame of the scene, lie in it, as bool[N]."""
         held = np.zeros(len(positions), bool)
-        distance, _ = self._positions.query(positions, distance_upper_bound=self._reach, workers=-1)
-        close = np.flatnonzero(np.isfinite(distance))  # few are: the others need no projection
-        for camera, end in self._ends:
+        tree = cKDTree(positions, balanced_tree=False, compact_nodes=False)  # soon built
+        for camera, end in self._ends:  # near most cameras there are none
+            reach = end * _longest_ray(camera)
+            close = np.array(tree.query_ball_point(camera.position, reach), int)
             shown, depths = self._shown(camera, positions[close].astype(np.float64))
             held[close[shown[depths < end]]] = True
         return held
@@ -58,7 +56,7 @@ class FreeSpace:
         """Which positions [N, 3] the whole photo of a camera shows, as int[M], and their depths."""
         (x, y), depths = (values.T for values in camera.project(positions))
         left, top, right, bottom = camera.borders
-        shown = np.flatnonzero((depths > self._near) & (x > left) & (x < right) & (y > top)
+        shown = np.flatnonzero((depths > self._near_plane) & (x > left) & (x < right) & (y > top)
                                & (y < bottom))
         return shown, depths[shown]
 
