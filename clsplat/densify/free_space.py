@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from clsplat.scene import Scene, View
 
 NEAREST_QUANTILE = 0.01  # of the depths of a view's points: nearer ones may be wrong matches
-FREE_SHARE = 0.5  # of that depth, in parts of a city: what has no points may be tall, too
 
 
 class FreeSpace:
@@ -32,7 +31,7 @@ class FreeSpace:
     share : of the depth of a view's nearest points.
     """
 
-    def __init__(self, scene: Scene, views: Sequence[View], share: float = FREE_SHARE) -> None:
+    def __init__(self, scene: Scene, views: Sequence[View], share: float) -> None:
         self._near_plane = scene.near_plane
         self._ends: list[tuple[Camera, float]] = []  # the depth at which each view's part ends
         for camera in [view.camera for view in views]:

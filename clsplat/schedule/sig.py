@@ -45,8 +45,7 @@ PAPER = {
     "levels": (5.0, 4.0, 3.0, 2.0, 1.0), "frequency": "paper", "convergence": "paper",
     "convergence_rate": 5e-5, "convergence_hits": 1, "level_share": 1.0, "densify_every": 200,
     "level_reset": False, "pixels_per_gaussian": 0.0, "prune_size": 0.1, "opacity_rate": 0.05,
-    "sphere": True, "sphere_reach": 15.0, "reproject": "on", "visits": 0.0, "exposure": "off",
-    "free_space": 0.0}
+    "sphere": True, "sphere_reach": 15.0, "reproject": "on", "visits": 0.0, "exposure": "off"}
 RELEASE = {
     "iterations": 30_000, "init": "sfm", "sphere": True,
     "levels": (5.0, 2.5, 5 / 3, 1.25, 1.0), "frequency": "release", "convergence": "release",
@@ -54,7 +53,7 @@ RELEASE = {
     "pixels_per_gaussian": 0.0, "prune_size": 0.05, "opacity_rate": 0.02,
     "grow_threshold": 1.25e-4, "sphere_neighbours": 8, "sphere_reach": 15.0, "sphere_shrink": 0.8,
     "sphere_rule": "release", "visits": 0.0, "exposure": "off", "optimizer": "sparse",
-    "ssim_weight": 0.33, "free_space": 0.0}
+    "ssim_weight": 0.33}
 VARIANTS = ("robust", "paper", "release")
 
 
@@ -106,9 +105,9 @@ class SigOptions:
         "in all, and fewer where the photos disagree about the colours; all: as -n says",
         words={AUTO: AUTO, "all": 0.0}, minimum=0.0, part="sig")
     free_space: float = option(
-        AUTO, "Growth", "remove gaussians nearer to a camera than this share of the depth of the "
-        "nearest points in its photo; auto: 0.5 in the coarse run and the blocks of a city, else "
-        "none", words={AUTO: AUTO, "none": 0.0}, minimum=0.0, maximum=1.0, part="sig")
+        0.0, "Growth", "remove gaussians nearer to a camera than this share of the depth of the "
+        "nearest points in its photo, such as 0.5", words={"none": 0.0}, minimum=0.0, maximum=1.0,
+        part="sig")
 
 
 class Sig(Schedule):

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.config.option import is_auto
-from clsplat.densify.free_space import FREE_SHARE, FreeSpace
+from clsplat.densify.free_space import FreeSpace
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
@@ -60,10 +59,6 @@ class PreparedScene:
     def free_space(self) -> FreeSpace | None:
         """In which growth leaves no gaussians; None: nowhere."""
         share = self.options.free_space
-        if "sig" not in schedule_of(self.options.schedule).parts:
-            return None
-        if is_auto(share):
-            share = FREE_SHARE if self.options.coarse or self.scene.region else 0.0
         return FreeSpace(self.scene, self.train_views, share) if share else None
 
     @functools.cached_property

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.densify.free_space import FREE_SHARE, FreeSpace
+from clsplat.densify.free_space import FreeSpace
 from clsplat.scene import Scene, View
 
 HEIGHT = 10.0  # of the camera above the points
+SHARE = 0.5
 
 
 def scene_of(points, *cameras):
@@ -24,7 +25,7 @@ def ground(count=400):
 
 
 CAMERA = Camera.looking_at((0, 0, 0), (0, 0, HEIGHT), up=(0, 1, 0), degrees=60)  # 640 x 480
-ABOVE, BELOW = (np.array([[0, 0, HEIGHT * (1 - share * FREE_SHARE)]]) for share in (0.9, 1.1))
+ABOVE, BELOW = (np.array([[0, 0, HEIGHT * (1 - share * SHARE)]]) for share in (0.9, 1.1))
 
 
 @pytest.mark.parametrize("position, held", [
@@ -36,14 +37,14 @@ ABOVE, BELOW = (np.array([[0, 0, HEIGHT * (1 - share * FREE_SHARE)]]) for share 
     ((0, 2.2, HEIGHT / 2 + 1), False),  # the photo is less high than wide
     ((2.2, 1.6, HEIGHT / 2 + 1), True)])  # in a corner
 def test_it_is_what_a_photo_shows_nearer_than_its_points(position, held):
-    space = FreeSpace(scene := scene_of(ground(), CAMERA), scene.views)
+    space = FreeSpace(scene := scene_of(ground(), CAMERA), scene.views, SHARE)
     assert space.holds(np.reshape(position, (1, 3)).astype(np.float32)).tolist() == [held]
 
 
 def test_one_wrong_point_does_not_make_it_smaller_but_a_tower_does():
     wrong = np.vstack([ground(), [[0, 0, HEIGHT - 1]]])
     tower = np.vstack([ground(), np.tile([[0, 0, HEIGHT - 1.0]], (20, 1))])
-    held = [FreeSpace(scene, scene.views).holds(ABOVE)[0]
+    held = [FreeSpace(scene, scene.views, SHARE).holds(ABOVE)[0]
             for scene in (scene_of(points, CAMERA) for points in (wrong, tower))]
     assert held == [True, False]
 
@@ -53,8 +54,9 @@ def test_any_of_several_photos_is_enough():
     points = np.vstack([ground(), ground() + [100, 0, 0]])
     scene = scene_of(points, CAMERA, away)
     places = np.vstack([ABOVE, BELOW, ABOVE + [100, 0, 0], ABOVE + [50, 0, 0]])
-    assert FreeSpace(scene, scene.views).holds(places).tolist() == [True, False, True, False]
-    assert FreeSpace(scene, scene.views[1:]).holds(places).tolist() == [False, False, True, False]
+    held = [FreeSpace(scene, views, SHARE).holds(places).tolist()
+            for views in (scene.views, scene.views[1:])]
+    assert held == [[True, False, True, False], [False, False, True, False]]
 
 
 def test_a_window_counts_with_its_whole_photo():
@@ -62,10 +64,10 @@ def test_a_window_counts_with_its_whole_photo():
     assert window.whole is not None
     scene = scene_of(ground(), CAMERA)
     views = [replace(scene.views[0], camera=window)]
-    assert FreeSpace(scene, views).holds(np.vstack([ABOVE, BELOW])).tolist() == [True, False]
+    assert FreeSpace(scene, views, SHARE).holds(np.vstack([ABOVE, BELOW])).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("behind, views", [(2 * HEIGHT, 1), (0, 0)])
 def test_without_points_or_views_nothing_is_free(behind, views):
     scene = scene_of(ground() + [0, 0, behind], CAMERA)
-    assert not FreeSpace(scene, scene.views[:views]).holds(np.vstack([ABOVE, BELOW])).any()
+    assert not FreeSpace(scene, scene.views[:views], SHARE).holds(np.vstack([ABOVE, BELOW])).any()
