@@ -68,17 +68,18 @@ class Round:
             return plan_relocation(host["opacity_logits"], host["log_scales"], ~candidates.visible,
                                    self.frozen, self._room(count, 0) or 0,
                                    options.prune_opacity, rng)
-        prunes, scores, gradient = candidates.prunes, None, self.gradient()
-        if self.free_space:
-            prunes = prunes | self.free_space.holds(host["positions"])
-        prunes = prunes & ~self.frozen
+        ungrown, scores, gradient = self.frozen, None, self.gradient()
+        prunes = candidates.prunes & ~self.frozen
+        if self.free_space:  # what is only too large may be split instead, but not this
+            removed = self.free_space.holds(host["positions"]) & ~self.frozen
+            prunes, ungrown = prunes | removed, ungrown | removed
         if self.schedule.selection == "score":
             scores = taming_scores(renderer, rows, scoring_views(), self.plan.degree,
                                    options.ssim_weight, gradient)
             if self.schedule.spares_half(self.iteration):
                 prunes = half_of(prunes, scores, rng)
-        if self.frozen.any():
-            gradient = np.where(self.frozen, -np.inf, gradient)
+        if ungrown.any():
+            gradient = np.where(ungrown, -np.inf, gradient)
         grows = self._selected(gradient, candidates, prunes, scores, rng)
         return plan_growth(candidates, grows, prunes, rng)
 

@@ -63,3 +63,4 @@ def test_gaussians_in_free_space_are_pruned_unless_they_are_frozen(frozen, kept)
     free_space = SimpleNamespace(holds=lambda positions: np.arange(len(positions)) == 2)
     growth = a_round("threshold", frozen=frozen, free_space=free_space)
     assert growth.source[:growth.kept].tolist() == kept
+    assert (2 in growth.source) == bool(frozen)  # nor does it grow
