@@ -34,15 +34,15 @@ class FreeSpace:
     def __init__(self, scene: Scene, views: Sequence[View], share: float) -> None:
         self._near_plane = scene.near_plane
         self._ends: list[tuple[Camera, float]] = []  # the depth at which each view's part ends
-        for camera in [view.camera for view in views]:
-            depths = self._shown(camera, scene.points)[1]
+        for view in views:
+            depths = self._shown(view.camera, scene.points)[1]
             if len(depths):
-                self._ends.append((camera, share * np.quantile(depths, NEAREST_QUANTILE)))
+                self._ends.append((view.camera, share * np.quantile(depths, NEAREST_QUANTILE)))
 
     def holds(self, positions: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Which positions [N, 3], in the local frame of the scene, lie in it, as bool[N]."""
         held = np.zeros(len(positions), bool)
-        tree = cKDTree(positions, balanced_tree=False, compact_nodes=False)  # soon built
+        tree = cKDTree(positions, balanced_tree=False, compact_nodes=False)  # quickly built
         for camera, end in self._ends:  # near most cameras there are none
             reach = end * _longest_ray(camera)
             close = np.array(tree.query_ball_point(camera.position, reach), int)

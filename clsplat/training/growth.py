@@ -68,11 +68,11 @@ class Round:
             return plan_relocation(host["opacity_logits"], host["log_scales"], ~candidates.visible,
                                    self.frozen, self._room(count, 0) or 0,
                                    options.prune_opacity, rng)
-        ungrown, scores, gradient = self.frozen, None, self.gradient()
-        prunes = candidates.prunes & ~self.frozen
+        prunes, scores, gradient = candidates.prunes & ~self.frozen, None, self.gradient()
+        ungrown = self.frozen
         if self.free_space:  # what is only too large may be split instead, but not this
-            removed = self.free_space.holds(host["positions"]) & ~self.frozen
-            prunes, ungrown = prunes | removed, ungrown | removed
+            ungrown = ungrown | self.free_space.holds(host["positions"])
+            prunes |= ungrown & ~self.frozen
         if self.schedule.selection == "score":
             scores = taming_scores(renderer, rows, scoring_views(), self.plan.degree,
                                    options.ssim_weight, gradient)
