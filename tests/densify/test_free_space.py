@@ -35,7 +35,7 @@ ABOVE, BELOW = (np.array([[0, 0, HEIGHT * (1 - share * SHARE)]]) for share in (0
     ((3, 0, HEIGHT / 2 + 1), False),  # beside what it shows, at depth 4: 2.3 to each side
     ((2.2, 0, HEIGHT / 2 + 1), True),
     ((0, 2.2, HEIGHT / 2 + 1), False),  # the photo is less high than wide
-    ((2.2, 1.6, HEIGHT / 2 + 1), True)])  # in a corner
+    ((2.6, 1.9, HEIGHT - 4.8), True)])  # in a corner, farther from the camera than it is deep
 def test_it_is_what_a_photo_shows_nearer_than_its_points(position, held):
     space = FreeSpace(scene := scene_of(ground(), CAMERA), scene.views, SHARE)
     assert space.holds(np.reshape(position, (1, 3)).astype(np.float32)).tolist() == [held]
