@@ -131,7 +131,8 @@ class Scene:
         (point, view), sorted; None if the file does not tell.
     held_out : names of the test views, if the data set defines them; otherwise None.
     region : the region that a block of a larger scene owns; otherwise None.
-    exposures : view name -> response of a block's view, from the coarse run.
+    exposures : view name -> response of a view, from the coarse run; None: the scene is no part of
+        a city.
     surroundings : the file of the gaussians around a block that its views show as layers; None:
         all that they show is trained or frozen.
     notes : messages for the user about parts of the files that are not used or were interpreted.

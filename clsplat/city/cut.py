@@ -25,7 +25,7 @@ from clsplat.options import TrainOptions
 from clsplat.partition.blocks import block_start, filled
 from clsplat.partition.input import world_of
 from clsplat.partition.make import make_partition
-from clsplat.partition.options import PartitionOptions
+from clsplat.partition.options import BLOCK_STEPS, PartitionOptions
 from clsplat.partition.outline import geojson
 from clsplat.partition.partition import Partition
 from clsplat.partition.windows import find_windows, owned_shares
@@ -39,6 +39,7 @@ from clsplat.training.layers import compared_bytes
 from clsplat.training.photos import THREADS
 
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
+JOINT = "joint"  # key of partition.json for the options of the joint training, where there is one
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
 BLOCKS_TOGETHER = 4  # that are written at the same time, so that few are in memory
 
@@ -67,6 +68,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
     decided = decided_by(coarse.folder)
     training = {view.name for view in scene.split(options.test_every, options.test_offset)[0]}
     views = np.flatnonzero([view.name in training for view in scene.views])
+    facts = scene_facts(scene, [scene.views[index] for index in views])
+    one_run, _, _ = worthwhile_steps(options, facts, len(views))
     if city.has_partition:
         city.adopt()
         partition = city.partition(scene)
@@ -74,7 +77,7 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             _check_same(city, partition_options)
     else:
         assert partition_options is not None
-        drop = None
+        partition_options, drop = partition_options.decided(), None
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(device, gaussians,
                             scene.reduced(small.downscale, small.max_resolution))
@@ -82,15 +85,17 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         weights = (counted_where(gaussians, dense) if partition_options.method == "blockgs"
                    else None)
         partition = make_partition(scene, partition_options, gaussians, views, drop, weights)
-        city.write_partition({**partition.record(), REQUESTED: plain(partition_options)})
+        steps_together = partition_options.joint_steps * one_run
+        city.write_partition({
+            **partition.record(), REQUESTED: plain(partition_options),
+            **({JOINT: options_of_joint(options, steps_together, scene, views, facts, decided)}
+               if steps_together else {})})
     owner = partition.owner(world_of(scene, gaussians.positions))
     counts = np.bincount(owner, minlength=len(partition.regions))
     draw(city, partition, scene, counts)
     exposures = coarse.folder.load_exposures()
     visits = visits_of_blocks(partition, scene, gaussians, owner, requested_of(city).get(
-        "block_steps", PartitionOptions.block_steps))
-    facts = scene_facts(scene, [scene.views[index] for index in views])
-    one_run, _, _ = worthwhile_steps(options, facts, len(views))
+        "block_steps", BLOCK_STEPS))
     steps = [one_run / len(views) * each.sum() for each in visits]
     surroundings = surroundings_of(city, options)
     exchanges = planned_exchanges(city, options, steps)
@@ -212,6 +217,29 @@ def block_steps(options: TrainOptions, steps: float, size: tuple[int, int], fact
     shrunk = dataclasses.replace(shrunk, **schedule.options_of_block(shrunk, size, facts))
     return {field.name: getattr(shrunk, field.name) for field in dataclasses.fields(shrunk)
             if field.name not in ("init", "coarse")}
+
+
+def options_of_joint(options: TrainOptions, steps: float, scene: Scene,
+                     views: NDArray[np.integer], facts: SceneFacts, decided: dict[str, Any]
+                     ) -> dict[str, Any]:
+    """{option: value} of the joint training, for partition.json.
+
+    It has the levels of a block, but lowers opacities at the start of its second one, as any run
+    does: then it prunes what only one block needed. All degrees of the spherical harmonics are
+    active, as they are trained.
+
+    Parameters
+    ----------
+    options, scene : the whole.
+    steps : how many it takes.
+    views : indices of the training views, [V].
+    facts : about the scene.
+    decided : those of `decided_by`.
+    """
+    given = block_steps(options, steps, smallest_size([scene.views[index] for index in views]),
+                        facts)
+    return {**options_of_blocks(given, decided), "depth": options.depth, "snapshots": False,
+            "level_reset": options.level_reset, "sh_every": 1}
 
 
 def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[np.integer]) -> None:

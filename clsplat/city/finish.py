@@ -1,12 +1,16 @@
 """The end of a city: one model of its blocks, its levels of detail, and its scores."""
 
+import logging
+import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from clsplat.city.cut import draw
+from clsplat.city.joint import train_jointly
 from clsplat.city.lod import merge_levels
 from clsplat.city.merge import Merged, merge
 from clsplat.city.scoring import reference_model, score_in_shares, views_of
@@ -15,7 +19,7 @@ from clsplat.city.stages import COARSE_FACTOR
 from clsplat.city.tree import merge_tree
 from clsplat.device import Device
 from clsplat.distribute import Children
-from clsplat.errors import InputError
+from clsplat.errors import TOO_LARGE, DeviceError, InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run, final_metrics, training_pictures
 from clsplat.gaussians import Gaussians
@@ -30,6 +34,9 @@ from clsplat.report.page import embedded
 from clsplat.report.run import write_report
 from clsplat.scene import Scene
 from clsplat.training.loop import run_record
+from clsplat.training.progress import SilentProgress
+
+log = logging.getLogger(__name__)
 
 
 def reference_file(against: Path | None) -> Path | None:
@@ -46,8 +53,8 @@ def reference_file(against: Path | None) -> Path | None:
 
 
 def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-               fill: bool = False) -> Merged:
-    """Merge the blocks of a city into its model and its levels of detail.
+               fill: bool = False, progress: SilentProgress | None = None) -> Merged:
+    """Merge the blocks of a city into its model and its levels of detail, and train that jointly.
 
     A tree of an earlier merge is removed, since it may be of other blocks.
 
@@ -56,15 +63,23 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     city : its folder.
     scene : the whole, as `read_scene` returns it.
     options : of the whole.
-    device : whose name is recorded.
+    device : of the joint training; its name is recorded.
     fill : see `merge.merge`.
+    progress : of the joint training.
+
+    Returns
+    -------
+    The blocks, with the gaussians of the joint training where there is one.
 
     Raises
     ------
     InputError : a block is missing; nothing is written then.
+    Interrupted : the joint training was stopped; its state is saved.
     """
     merged = merge(city, scene, fill)
     merged.check()
+    merged = replace(merged, gaussians=_trained_jointly(city, scene, options, device, merged,
+                                                        progress))
     run = RunFolder(city.path)
     (run.path / TREE).unlink(missing_ok=True)
     _note_merge(city, scene, options, device, merged)
@@ -74,6 +89,19 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     keep_coarse_levels(city, scene)
     merge_levels(city, scene)
     return merged
+
+
+def _trained_jointly(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+                     merged: Merged, progress: SilentProgress | None) -> Gaussians:
+    """The model after its joint training, or as it was merged where the device cannot hold it."""
+    try:
+        return train_jointly(city, scene, options, merged.gaussians, device, progress)
+    except DeviceError as error:
+        if TOO_LARGE not in str(error):
+            raise
+        log.warning("%s: there is no joint training, as the whole model %s", city.path, TOO_LARGE)
+        shutil.rmtree(city.joint, ignore_errors=True)
+        return merged.gaussians
 
 
 def merge_city_tree(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
@@ -95,9 +123,9 @@ def _note_merge(city: CityFolder, scene: Scene, options: TrainOptions, device: D
     run.write_options({**run_record(scene, options, device), "blocks": len(merged.shares)})
     run.write_placement(scene)
     run.rewind(-1)
-    run.log({"event": "merge", **spent, "level": 1.0, "gaussians": merged.count,
-             **merged.record()})
-    if responses := RunFolder(city.coarse).load_exposures():
+    run.log({"event": "merge", **spent, "level": 1.0, **merged.record()})
+    joint = RunFolder(city.joint)
+    if responses := (joint if joint.has_model else RunFolder(city.coarse)).load_exposures():
         run.save_exposures(responses)
 
 
@@ -168,8 +196,9 @@ def merge_record(city: CityFolder) -> dict[str, Any]:
 
 
 def cost(city: CityFolder) -> dict[str, float]:
-    """{iteration, train_seconds, wall_seconds}: sums over the coarse run and the blocks."""
-    last = [record for path in (city.coarse, *(block.run for block in city.blocks()))
+    """{iteration, train_seconds, wall_seconds}: sums over the coarse run, the blocks and the joint
+    training."""
+    last = [record for path in (city.coarse, *(block.run for block in city.blocks()), city.joint)
             for record in RunFolder(path).past_records()[-1:]]
     return {key: round(sum(record.get(key) or 0 for record in last), 3)
             for key in ("iteration", "train_seconds", "wall_seconds")}

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from clsplat.city.cut import whole_steps
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
@@ -16,7 +17,7 @@ from clsplat.io.city import DENSE, EXCHANGES, LAYERS, CityFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition.grid import makespan
-from clsplat.partition.options import PartitionOptions
+from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
 from clsplat.schedule import schedule_of
@@ -37,6 +38,7 @@ TRIAL_WORTH = 600.0  # seconds of training, for which trial steps of half a minu
 MOST_SHARING, CORES_SHARING, SHARED_MEMORY, PROCESS_BYTES = 4, 4, 0.5, 700 << 20
 COARSE_NOTE = "the coarse run, which tell it to a factor of two"
 DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
+LEAST_JOINT_STEPS = 300  # fewer are not worth it
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
 
@@ -94,7 +96,7 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
         gaussians = int(forecast.gaussians * share * larger)
         whole = gaussians <= limit and workers == 1
         times = 1 if whole else shared  # blocks that train a gaussian, on average
-        visits = 1 if whole else PartitionOptions.block_steps
+        visits = 1 if whole else BLOCK_STEPS
         blocks = max(-(-int(gaussians * times) // limit), workers)
         coarse = 0.0 if whole else COARSE_COST * once * share
         trained = once * share * visits
@@ -111,7 +113,7 @@ def scale_table(planned: Planned, forecast: Forecast, device: Device, margin: fl
     of_size = f" of {size[0]}x{size[1]}" if size else ""
     return Table("At scale", head, rows, range(11), (
         f"For photos like these{of_size}, on {name}, in as few blocks as fit it and at least one a "
-        f"device, which take {PartitionOptions.block_steps:g} times the steps of one run together. "
+        f"device, which take {BLOCK_STEPS:g} times the steps of one run together. "
         "The coarse run is on one device. Scheduler: total CPU time and bytes of a Dask cluster.",
     ))
 
@@ -170,6 +172,16 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
         *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
 
 
+def trains_jointly(options: TrainOptions, scene: Scene) -> bool:
+    """Whether a city whose model a device holds is trained jointly at the end, if nobody says so.
+
+    Other schedules than sig are trained as they were published, and a time budget is one of each
+    block.
+    """
+    return ("sig" in schedule_of(options.schedule).parts and not options.time_budget
+            and JOINT_STEPS * whole_steps(options, scene) >= LEAST_JOINT_STEPS)
+
+
 def one_block_note(options: PartitionOptions, scene: Path) -> str:
     """That a scene which fits the device in one block needs no city; empty for others.
 
@@ -177,7 +189,7 @@ def one_block_note(options: PartitionOptions, scene: Path) -> str:
     ----------
     scene : its path as the user gave it.
     """
-    if options.grid or options.needed > 1:
+    if options.grid or options.several:
         return ""
     return (f"this device holds the whole model in one block: `clsplat train {scene}` trains it in "
             "one stage, which is quicker and as good; --grid cuts it all the same")

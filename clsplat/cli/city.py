@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 # what the tasks of blocks and of scores need
 IMPORTED_BY_CHILDREN = ("clsplat.cli.block", "clsplat.training.block", "clsplat.city.seams")
+STEPS = ("joint_steps", "exchanges", "block_steps")  # options that a city keeps once it is cut
 STARTS = ("sfm", "dense")  # of a city's blocks: the coarse model, or dense points in its gaps too
 BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
 TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, which `render`, `film` "
@@ -83,8 +85,8 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
     device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
-    cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device,
-                                workers, workers if scheduler else max(1, len(devices)))
+    cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device, folder,
+                                workers, workers if scheduler else max(1, len(devices)), tree)
     if scheduler and not RunFolder(folder.coarse).has_model:
         check_scheduler(scheduler)
     if not folder.has_record:
@@ -99,9 +101,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
             if note:
                 click.echo(note)
 
-    def shown(title: str) -> AbstractContextManager[Progress | None]:
-        from clsplat.cli.progress import Progress
-        return nullcontext() if quiet else Progress(options.stop_at, title=title)
+    shown = partial(_shown, quiet, options)
 
     def began(name: str, title: str) -> None:
         if not quiet and (scheduler or workers > 1):
@@ -124,8 +124,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
         outcomes = train_all_blocks(folder, data, options, device, lambda: train_blocks(
             folder, workers, scheduler, devices, shown, ended, began, fill, device, children))
     except Interrupted:
-        raise Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues"
-                          ) from None
+        raise _stopped(folder) from None
     failed = [outcome for outcome in outcomes if not outcome.ok]
     for outcome in failed:
         click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
@@ -159,7 +158,7 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(city, scene)
     device = choose_device(options.device, form=options.form)
-    cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device)
+    cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device, city)
     find_dense_gaussians(city, data, options, device)
     _, counts = cut_into_blocks(city, data, options, cutting, device)
     click.echo(block_table(city, device, counts).text())
@@ -197,6 +196,16 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     _finish(city, data, options, choose_device(device), fill, against, tree, False)
 
 
+def _shown(quiet: bool, options: TrainOptions, title: str
+           ) -> AbstractContextManager[Progress | None]:
+    from clsplat.cli.progress import Progress
+    return nullcontext() if quiet else Progress(options.stop_at, title=title)
+
+
+def _stopped(folder: CityFolder) -> Interrupted:
+    return Interrupted(f"{folder.path}: stopped, the state is saved; the same command continues")
+
+
 def _reference(against: Path | None, tree: bool) -> Path | None:
     from clsplat.city.finish import reference_file
     if against and tree:
@@ -219,7 +228,11 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
             click.echo(f"{folder.path / TREE}: {merged.count:,} gaussians of "
                        f"{len(merged.shares)} blocks")
         return
-    merged = merge_city(folder, data, options, device, fill)
+    try:
+        with _shown(quiet, options, "joint training") as progress:
+            merged = merge_city(folder, data, options, device, fill, progress)
+    except Interrupted:
+        raise _stopped(folder) from None
     scores, seams = evaluate_city(folder, options, device, against, workers, scheduler, devices,
                                   children)
     if against and seams is None:
@@ -236,16 +249,26 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
 
 
 def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions, device: Device,
-                      workers: int = 1, devices: int = 1) -> PartitionOptions:
-    """The PartitionOptions from the result of `given_options`; by default the blocks of the workers
-    that share a device fit it together."""
-    from clsplat.city.forecast import expected_gaussians, gaussians_that_fit
+                      city: CityFolder, workers: int = 1, devices: int = 1, tree: bool = False
+                      ) -> PartitionOptions:
+    """The PartitionOptions from the result of `given_options`.
+
+    By default the blocks of the workers that share a device fit it together, and a city that is cut
+    already keeps its steps.
+    """
+    from clsplat.city.cut import requested_of
+    from clsplat.city.forecast import expected_gaussians, gaussians_that_fit, trains_jointly
     expected, together = expected_gaussians(scene, options), max(1, workers / devices)
-    return PartitionOptions(**{
-        **given, "expected": expected,
+    fit = gaussians_that_fit(device, options)
+    recorded = requested_of(city) if city.has_partition else {}
+    chosen = PartitionOptions(**{
+        **{name: recorded[name] for name in STEPS if name in recorded}, **given,
+        "expected": expected,
         "block_gaussians": given.get("block_gaussians") or max(
-            LEAST_GAUSSIANS, int(gaussians_that_fit(device, options) / together)),
+            LEAST_GAUSSIANS, int(fit / together)),
         "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS)), "workers": workers})
+    return chosen.decided(not (recorded or tree) and chosen.several and expected <= fit
+                          and trains_jointly(options, scene))
 
 
 def _beside(scene: Path) -> Path:

@@ -1,14 +1,17 @@
 """Options of how a scene is cut into blocks."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from clsplat.config.option import AUTO, MOST, check_flag, option, options_of
+from clsplat.config.option import AUTO, MOST, check_flag, is_auto, option, options_of
 from clsplat.errors import InputError
 
 METHODS = ("citygs", "blockgs", "vastgs")
 LEAST_GAUSSIANS = 100  # a block with fewer is starved
 MOST_BLOCKS = 10_000
+# where `auto` leaves it open: without a joint training, and with one
+BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 1.0
+EXCHANGES, JOINT_STEPS = 3, 1 / 3
 
 
 def check_up(up: tuple[float, ...]) -> None:
@@ -70,13 +73,20 @@ class PartitionOptions:
                                "view; gaussians: hold them all, as it does with --depth or "
                                "--reproject; auto: whichever takes less memory in this block",
                                choices=("auto", "layers", "gaussians"))
-    exchanges: int = option(3, "Blocks", "how often neighbouring blocks exchange their gaussians "
-                            "while they train, so that both sides of a border agree; blocks with "
-                            "few steps do it less often, and with --time-budget never",
-                            minimum=0, maximum=20)
-    block_steps: float = option(2.0, "Blocks", "steps of all blocks together, as a multiple of "
+    exchanges: int = option(AUTO, "Blocks", "how often neighbouring blocks exchange their "
+                            "gaussians while they train, so that both sides of a border agree; "
+                            "blocks with few steps do it less often, and with --time-budget never; "
+                            "auto: never before a joint training, else 3",
+                            words={AUTO: AUTO}, minimum=0, maximum=20)
+    block_steps: float = option(AUTO, "Blocks", "steps of all blocks together, as a multiple of "
                                 "those of one run; with more, each gaussian is seen more often, "
-                                "which is better and takes longer", minimum=0.1, maximum=100.0)
+                                "which is better and takes longer; auto: 1 before a joint "
+                                "training, else 2", words={AUTO: AUTO}, minimum=0.1, maximum=100.0)
+    joint_steps: float = option(AUTO, "Blocks", "steps of the joint training, in which the merged "
+                                "model is trained as a whole on one device, as a multiple of those "
+                                "of one run; auto: a third, where that device holds the whole, "
+                                "with --schedule sig, unless the training is short",
+                                words={AUTO: AUTO, "none": 0.0}, minimum=0.01, maximum=10.0)
     least_views: int = option(8, "Blocks", "number of views below which a block has too few",
                               minimum=0)
     expected: int = 0
@@ -107,11 +117,33 @@ class PartitionOptions:
                 f"{self.expected:,} gaussians, enough for {most:,} blocks of at least "
                 f"{self.least_gaussians}; use a smaller --grid")
 
+    def decided(self, joint: bool = False) -> "PartitionOptions":
+        """The options with a number in place of each `auto` that concerns steps.
+
+        Parameters
+        ----------
+        joint : whether there is a joint training where the options leave that open.
+        """
+        def number(value: float, chosen: float) -> float:
+            return chosen if is_auto(value) else value
+
+        steps = number(self.joint_steps, JOINT_STEPS if joint else 0.0)
+        return replace(
+            self, joint_steps=steps,
+            exchanges=int(number(self.exchanges, 0 if steps else EXCHANGES)),
+            block_steps=number(self.block_steps,
+                               BLOCK_STEPS_BEFORE_JOINT if steps else BLOCK_STEPS))
+
     @property
     def most_blocks(self) -> int:
         """How many blocks the scene has gaussians for."""
         most = max(1, self.expected // max(1, self.least_gaussians))
         return min(most, MOST_BLOCKS) if self.expected else MOST_BLOCKS
+
+    @property
+    def several(self) -> bool:
+        """Whether there will be more than one block."""
+        return self.grid != (1, 1) if self.grid else self.needed > 1
 
     @property
     def needed(self) -> int:

@@ -146,11 +146,17 @@ def needed_degree(cap: float) -> int:
     return HIGHEST_DEGREE
 
 
+def is_part_of_city(scene: Scene, options: TrainOptions) -> bool:
+    """Whether this is the training of a coarse run, a block or the merged model, which the city's
+    report shows."""
+    return options.coarse or scene.exposures is not None or scene.region is not None
+
+
 def _steps(scene: Scene, photos: int, options: TrainOptions, facts: SceneFacts
            ) -> tuple[Decision, int]:
     """(The number of steps before `steps_scale`, the most with it). Parts of a city take as many as
     they are told."""
-    if options.coarse or scene.region:  # their photos need not be compared
+    if is_part_of_city(scene, options):  # their photos need not be compared
         return Decision(*planned_steps(options, photos)), MOST_STEPS
     steps, most, reason = worthwhile_steps(options, facts, photos)
     scaled = max(1, round(most * options.steps_scale)) if most else MOST_STEPS

@@ -28,6 +28,7 @@ from clsplat.schedule import Plan
 from clsplat.training.checkpoint import Checkpoint, Saved, saved_gaussians
 from clsplat.training.clock import Clock
 from clsplat.training.deadline import Deadline
+from clsplat.training.decisions import is_part_of_city
 from clsplat.training.evaluator import Evaluator
 from clsplat.training.finish import draw_report, save_model, save_snapshot
 from clsplat.training.frequency import scene_frequency
@@ -82,11 +83,6 @@ def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str,
     return {"scene": scene.path, **dataclasses.asdict(options), "fingerprint": fingerprint(scene),
             "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
             "offset": scene.offset.tolist(), PART_OF_CITY: is_part_of_city(scene, options)}
-
-
-def is_part_of_city(scene: Scene, options: TrainOptions) -> bool:
-    """Whether this is the training of a coarse run or of a block, which the city's report shows."""
-    return options.coarse or scene.region is not None
 
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
@@ -158,7 +154,7 @@ class Training:
         self.run, self.watcher = run, watcher
         self.progress = progress = SilentProgress() if progress is None else progress
         note = size_note(scene.views, options)
-        if note and not (options.coarse or scene.region):  # a city shows it once
+        if note and not is_part_of_city(scene, options):  # a city shows it once
             progress.message(note)
         if any(view.lens for view in scene.views):
             progress.phase("undistorting photos")

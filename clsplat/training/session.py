@@ -91,10 +91,10 @@ class Session:
         if self.layers:  # the step puts them in front where it exposes the image
             exposures = Exposures(device, len(self.train_views), learns=False)
         if options.exposure == "on":
-            # blocks that learned their own would not agree
             initial = initial_responses(self.scene, self.train_views)
             exposures = Exposures(
-                device, len(self.train_views), learns=initial is None,
+                # blocks that learned their own would not agree
+                device, len(self.train_views), learns=initial is None or self.scene.region is None,
                 initial=None if initial is None else np.array([
                     response.transform for response in initial]),
                 lenses=prepared.lenses, vignetting=options.vignetting == "on",

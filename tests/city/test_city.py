@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,6 +28,8 @@ pytestmark = pytest.mark.slow  # each decisions a city that is trained
 DEVICE = os.environ.get("CLSPLAT_TEST_DEVICES", "all").replace("all", "Portable")
 FLAGS = ("-n", "60", "-r", "4", "--densify-from", "1000", "--sh-degree", "1", "--exposure", "off",
          "--grid", "2x1", "--least-views", "3", "--device", DEVICE, "--form", "item")
+DEVICE_OF_1_GIB = SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespace(
+    global_mem_size=2**30))
 
 
 def city(folder, *flags, code=0):
@@ -168,13 +171,13 @@ def test_blocks_see_the_parts_of_photos_that_show_them(made):
                 whole[view.name].width * whole[view.name].height))
 
 
-def test_a_chosen_grid_has_a_block_a_worker():
+def test_a_chosen_grid_has_a_block_a_worker(tmp_path):
     given = {"margin": 0.1, "threshold": 0.1, "least_views": 3, "block_gaussians": 10**9}
-    scene, options = read_scene(CITY), resolve({}, {})
+    scene, options, folder = read_scene(CITY), resolve({}, {}), CityFolder(tmp_path)
     for workers, grid in ((1, 1), (2, 2), (6, 6)):
-        wanted = partition_options(given, scene, options, None, workers)
+        wanted = partition_options(given, scene, options, DEVICE_OF_1_GIB, folder, workers)
         assert len(make_partition(scene, wanted).regions) == grid
-    assert partition_options(given, scene, options, None).least_blocks == 1
+    assert partition_options(given, scene, options, DEVICE_OF_1_GIB, folder).least_blocks == 1
 
 
 def test_the_steps_of_all_blocks_are_an_option(copy):

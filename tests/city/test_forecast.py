@@ -26,6 +26,7 @@ from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.estimate.measured import MeasuredSteps
 from clsplat.estimate.step_time import fitted, predicted_seconds
+from clsplat.io.city import CityFolder
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
@@ -49,13 +50,14 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
     assert expected(pixels_per_gaussian=20.0, downscale=2.0) == pytest.approx(pixels / 80, rel=0.01)
 
 
-def test_blocks_that_share_a_device_fit_it_together():
+def test_blocks_that_share_a_device_fit_it_together(tmp_path):
     scene, options = read_scene(CITY), resolve({}, {})
     device = SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespace(
         global_mem_size=2**36))
 
     def largest(*given):
-        return partition_options({}, scene, options, device, *given).block_gaussians
+        return partition_options({}, scene, options, device, CityFolder(tmp_path),
+                                 *given).block_gaussians
 
     assert largest() == largest(2, 2) == largest(1, 4) == gaussians_that_fit(device, options)
     assert largest(8, 2) == largest() // 4
@@ -69,7 +71,7 @@ def test_blocks_that_share_a_device_fit_it_together():
 def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, devices):
     """On a cluster each has its own."""
     def noted(*given):
-        assert (*given[4:], 1)[:2] == (4 if flags else 1, devices)
+        assert given[5:7] == (4 if flags else 1, devices)
         raise InputError("noted")
 
     monkeypatch.setattr(city_module, "partition_options", noted)

@@ -1,0 +1,92 @@
+"""The joint training of a city: its last steps, in which the merged model is trained as a whole.
+
+Blocks learn apart from each other, under surroundings that are those of the coarse run. Where a
+device holds the whole model, some steps on whole photos remove what that leaves: seams, and
+gaussians that only one block needed.
+"""
+
+import dataclasses
+import filecmp
+import os
+import shutil
+from typing import Any
+
+from clsplat.city.cut import JOINT
+from clsplat.device import Device
+from clsplat.gaussians import Gaussians
+from clsplat.io.city import CityFolder
+from clsplat.io.depth import with_depths
+from clsplat.io.ply import write_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.undistort import undistorted
+from clsplat.options import TrainOptions, checked, resolve
+from clsplat.scene import Scene
+from clsplat.training.loop import resume, train
+from clsplat.training.photos import THREADS
+from clsplat.training.progress import SilentProgress
+
+
+def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged: Gaussians,
+                  device: Device, progress: SilentProgress | None = None) -> Gaussians:
+    """Train the merged model as a whole in CITY/joint, or continue that; return the result.
+
+    That of another merged model, or of another partition without one, is removed.
+
+    Parameters
+    ----------
+    city : its folder, cut into blocks.
+    scene, options : the whole.
+    merged : the model of its blocks, in the scene's frame.
+    device : an open device.
+    progress : receives steps, messages and phases.
+
+    Returns
+    -------
+    The model in the scene's frame; the merged one if the partition has no joint training.
+
+    Raises
+    ------
+    Interrupted : it was stopped; the state is saved.
+    DeviceError : the device cannot hold the whole model.
+    """
+    given = city.read_partition().get(JOINT)
+    run = RunFolder(city.joint)
+    if not given:
+        shutil.rmtree(run.path, ignore_errors=True)
+        return merged
+    begin_with(city, scene, merged)
+    if not run.has_model:
+        whole = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
+        views = whole.split(options.test_every, options.test_offset)[0]
+        part = dataclasses.replace(
+            whole, views=tuple(views), observations=None, held_out=None, notes=(),
+            exposures=RunFolder(city.coarse).load_exposures() or {})
+        with run.locked():
+            start = resume if run.is_begun else train
+            start(part, joint_options(city, given, merged), device,
+                  run if run.is_begun else RunFolder.create(city.joint), progress)
+    return run.load_model(scene.offset)
+
+
+def begin_with(city: CityFolder, scene: Scene, merged: Gaussians) -> None:
+    """Write the merged model, with which the joint training begins; remove that of another one."""
+    new = city.merged.with_suffix(".new.ply")
+    write_ply(new, merged, scene.offset)
+    if not (city.merged.is_file() and filecmp.cmp(new, city.merged, shallow=False)):
+        shutil.rmtree(city.joint, ignore_errors=True)
+    os.replace(new, city.merged)
+
+
+def joint_options(city: CityFolder, given: dict[str, Any], merged: Gaussians) -> TrainOptions:
+    """The options of the joint training. A limit of gaussians is one of each block, so the merged
+    model may have more; it does not grow then.
+
+    Parameters
+    ----------
+    given : {option: value}, from partition.json.
+    merged : the model with which it begins.
+    """
+    values = {key: checked(str(city.path), key, value) for key, value in given.items()}
+    options = resolve(values, {"init": str(city.merged)})
+    most = options.max_gaussians and max(options.max_gaussians, merged.count)
+    return dataclasses.replace(options, max_gaussians=most)

@@ -1,0 +1,203 @@
+"""The joint training of a merged city: when there is one, with what it begins, and what it ends in.
+"""
+
+import json
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clsplat.city import finish
+from clsplat.city.cut import JOINT
+from clsplat.city.finish import merge_city
+from clsplat.city.joint import begin_with, joint_options, train_jointly
+from clsplat.cli.city import partition_options
+from clsplat.device import choose_device
+from clsplat.errors import TOO_LARGE, DeviceError, Interrupted
+from clsplat.evaluation.run import Run
+from clsplat.evaluation.views import evaluate_run
+from clsplat.io.city import CityFolder
+from clsplat.io.ply import read_ply
+from clsplat.io.run import RunFolder
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from clsplat.partition.options import PartitionOptions
+from clsplat.training.decisions import is_part_of_city
+from tests.city.test_city import DEVICE, city, model
+from tests.city.test_merge import strewn
+from tests.data.tiny_training import CITY
+
+LARGE, SMALL = (SimpleNamespace(real=np.dtype(np.float32), handle=SimpleNamespace(
+    global_mem_size=size)) for size in (2**36, 2**20))
+
+
+def steps(folder, device=LARGE, given=(), tree=False, **options):
+    """(Joint steps, exchanges, block steps) of a city in 2x1 blocks."""
+    scene = read_scene(CITY)
+    chosen = partition_options({"grid": (2, 1), **dict(given)}, scene, resolve({}, options), device,
+                               CityFolder(folder), tree=tree)
+    return chosen.joint_steps, chosen.exchanges, chosen.block_steps
+
+
+def test_a_city_that_a_device_holds_is_trained_jointly(tmp_path):
+    assert steps(tmp_path) == (pytest.approx(1 / 3), 0, 1.0)
+    apart = (0.0, 3, 2.0)
+    assert steps(tmp_path, SMALL) == apart, "the device does not hold it"
+    assert steps(tmp_path, given={"grid": (1, 1)}) == apart, "one block"
+    assert steps(tmp_path, tree=True) == apart, "a tree is made block by block"
+    assert steps(tmp_path, schedule="constant") == apart, "trained as published"
+    assert steps(tmp_path, time_budget="5m") == apart
+    assert steps(tmp_path, iterations=890) == apart, "a short training"
+    assert steps(tmp_path, iterations=910) == steps(tmp_path)
+
+
+def test_what_the_user_says_holds(tmp_path):
+    assert steps(tmp_path, given={"joint_steps": 0.0}) == (0.0, 3, 2.0)
+    assert steps(tmp_path, SMALL, {"joint_steps": 0.5}) == (0.5, 0, 1.0)
+    assert steps(tmp_path, given={"exchanges": 2, "block_steps": 3.0})[1:] == (2, 3.0)
+
+
+@pytest.mark.parametrize("recorded", [
+    {"exchanges": 3, "block_steps": 2.0},  # of a version without joint training
+    {"joint_steps": 0.5, "exchanges": 0, "block_steps": 1.0}])
+def test_a_city_keeps_the_steps_with_which_it_was_cut(tmp_path, recorded):
+    CityFolder(tmp_path).write_partition({"asked": recorded})
+    wanted = tuple({"joint_steps": 0.0, **recorded}[name]
+                   for name in ("joint_steps", "exchanges", "block_steps"))
+    assert steps(tmp_path) == steps(tmp_path, SMALL) == wanted
+
+
+def test_options_without_numbers_are_those_of_a_city_that_is_not_trained_jointly():
+    chosen = PartitionOptions().decided()
+    assert (chosen.joint_steps, chosen.exchanges, chosen.block_steps) == (0.0, 3, 2.0)
+    assert chosen.decided(True) == chosen, "decided once"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = CityFolder(tmp_path)
+    folder.write_partition({})
+    return folder
+
+
+@pytest.fixture
+def merged():
+    return strewn(9)
+
+
+def test_a_joint_training_of_another_model_is_removed(folder, merged):
+    scene = read_scene(CITY)
+    kept = folder.joint / "kept"
+    begin_with(folder, scene, merged)
+    folder.joint.mkdir()
+    kept.touch()
+    begin_with(folder, scene, merged)
+    assert kept.exists(), "the same model"
+    merged.rows["positions"][0] += 1
+    begin_with(folder, scene, merged)
+    assert not kept.exists()
+    assert np.array_equal(read_ply(folder.merged, scene.offset).positions, merged.positions)
+    assert sorted(path.name for path in folder.path.iterdir()) == ["merged.ply", "partition.json"]
+
+
+def test_without_one_the_merged_model_stays(folder, merged):
+    folder.joint.mkdir()  # of an earlier partition
+    assert train_jointly(folder, read_scene(CITY), resolve({}, {}), merged, None) is merged
+    assert not folder.joint.exists()
+
+
+def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
+    def most(limit):
+        return joint_options(folder, {"max_gaussians": limit}, merged).max_gaussians
+
+    assert (most(0), most(5), most(20)) == (0, 9, 20)
+
+
+@pytest.mark.parametrize("message, code", [(TOO_LARGE, None), ("another", DeviceError)])
+def test_a_device_that_cannot_hold_the_whole_leaves_it_as_merged(
+        folder, merged, monkeypatch, caplog, message, code):
+    def fails(*_):
+        raise DeviceError(f"a card: {message}: no memory")
+
+    monkeypatch.setattr(finish, "train_jointly", fails)
+    blocks = SimpleNamespace(gaussians=merged)
+    given = folder, None, None, None, blocks, None
+    if code:
+        with pytest.raises(code):
+            finish._trained_jointly(*given)
+        return
+    assert finish._trained_jointly(*given) is merged
+    assert "no joint training" in caplog.text
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    return city(tmp_path_factory.mktemp("joint") / "city", "--joint-steps", "0.5")
+
+
+@pytest.mark.slow
+def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
+    run, joint = RunFolder(trained.path), RunFolder(trained.joint)
+    offset = np.array(run.read_options()["offset"])
+    assert joint.read_options()["iterations"] == 30 and joint.is_finished
+    assert not (trained.joint / "report.html").exists()
+    assert np.array_equal(run.load_model(offset).positions, joint.load_model(offset).positions)
+    start = read_ply(trained.merged, offset)
+    assert not np.array_equal(start.positions, joint.load_model(offset).positions)
+    parts = [RunFolder.open(path).records()[-1] for path in (
+        trained.coarse, *(block.run for block in trained.blocks()), trained.joint)]
+    scores = [record for record in run.records() if record["event"] == "eval"][-1]
+    assert scores["iteration"] == sum(part["iteration"] for part in parts)
+    assert scores["gaussians"] == joint.load_model(offset).count
+    assert not list(trained.path.glob("blocks/*/parts/*")), "no exchanges"
+
+
+@pytest.mark.slow
+def test_held_out_photos_are_not_trained_on(trained):
+    """The joint training holds out none, as it has only training photos."""
+    record = RunFolder(trained.joint).read_options()
+    assert record["test_every"] == 0
+    seen = json.loads((trained.joint / "metrics.jsonl").read_text().splitlines()[0])
+    assert seen["event"] == "plan" and "eval" not in (trained.joint / "metrics.jsonl").read_text()
+    assert trained.read()["options"]["test_every"] == 8
+
+
+@pytest.mark.slow
+def test_it_improves_what_blocks_left(trained, tmp_path):
+    def score(gaussians):
+        shutil.copy(gaussians, folder / "point_cloud.ply")
+        return evaluate_run(Run.open(folder), device, save_images=False)["psnr"]
+
+    folder, device = tmp_path / "city", choose_device(DEVICE, form="item")
+    shutil.copytree(trained.path, folder, symlinks=True)
+    assert score(trained.joint / "point_cloud.ply") > score(trained.merged) + 0.1
+
+
+@pytest.mark.slow
+def test_a_stopped_joint_training_goes_on(trained, tmp_path, monkeypatch):
+    shutil.copytree(trained.path, tmp_path / "city", symlinks=True)
+    copy = CityFolder(tmp_path / "city")
+    before = model(copy)
+    (copy.path / "point_cloud.ply").unlink()
+    shutil.rmtree(copy.joint)
+    partition = copy.read_partition()
+    given = dict(partition[JOINT])
+    scene, options = read_scene(CITY), resolve({}, {**copy.read()["options"]})
+    device = choose_device(DEVICE, form="item")
+    copy.write_partition({**partition, JOINT: {**given, "stop_at": 11}})
+    monkeypatch.setattr(CityFolder, "identity", lambda _: trained_identity)
+    trained_identity = {key: copy.blocks()[0].read()[key] for key in ("city", "partition")}
+    with pytest.raises(Interrupted):
+        merge_city(copy, scene, options, device)
+    assert RunFolder(copy.joint).checkpoint_iteration() == 11 and not RunFolder(copy.path).has_model
+    copy.write_partition(partition)
+    merge_city(copy, scene, options, device)
+    assert model(copy) == before
+
+
+def test_it_is_a_part_of_a_city():
+    scene, options = read_scene(CITY), resolve({}, {})
+    assert not is_part_of_city(scene, options)
+    assert is_part_of_city(replace(scene, exposures={}), options)
