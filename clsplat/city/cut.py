@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -41,7 +41,7 @@ from clsplat.training.photos import THREADS
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
 JOINT = "joint"  # key of partition.json for the options of the joint training, where there is one
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
-BLOCKS_TOGETHER = 4  # that are written at the same time, so that few are in memory
+TOGETHER = 5  # blocks that are written at the same time, so that few are in memory, and the map
 
 
 def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
@@ -92,7 +92,6 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
                if steps_together else {})})
     owner = partition.owner(world_of(scene, gaussians.positions))
     counts = np.bincount(owner, minlength=len(partition.regions))
-    draw(city, partition, scene, counts)
     exposures = coarse.folder.load_exposures()
     visits = visits_of_blocks(partition, scene, gaussians, owner, requested_of(city).get(
         "block_steps", BLOCK_STEPS))
@@ -127,8 +126,9 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             part.around,
             {view.name: float(each) for view, each in zip(own.views, visits[number])})
 
-    numbers = ((number,) for number in range(len(partition.regions)))
-    for _ in called_ahead(write, numbers, BLOCKS_TOGETHER, BLOCKS_TOGETHER):
+    work: list[Callable[[], object]] = [partial(draw, city, partition, scene, counts)]
+    work += [partial(write, number) for number in range(len(partition.regions))]
+    for _ in called_ahead(lambda call: call(), zip(work), TOGETHER, TOGETHER):
         pass  # an error is raised here
     return partition, counts
 

@@ -3,7 +3,7 @@
 import logging
 import shutil
 from collections.abc import Sequence
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -78,30 +78,30 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     """
     merged = merge(city, scene, fill)
     merged.check()
-    merged = replace(merged, gaussians=_trained_jointly(city, scene, options, device, merged,
-                                                        progress))
+    with ThreadPoolExecutor(1) as beside:  # while the device is busy
+        levels = beside.submit(_write_levels, city, scene)
+        merged = _trained_jointly(city, scene, options, device, merged, progress)
+        levels.result()
     run = RunFolder(city.path)
     (run.path / TREE).unlink(missing_ok=True)
     _note_merge(city, scene, options, device, merged)
     run.save_model(merged.gaussians, scene.offset, (
         f"merged of {len(merged.shares)} blocks",
         *placement_comments(scene.up, scene.georeference)))
-    keep_coarse_levels(city, scene)
-    merge_levels(city, scene)
     return merged
 
 
 def _trained_jointly(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-                     merged: Merged, progress: SilentProgress | None) -> Gaussians:
+                     merged: Merged, progress: SilentProgress | None) -> Merged:
     """The model after its joint training, or as it was merged where the device cannot hold it."""
     try:
-        return train_jointly(city, scene, options, merged.gaussians, device, progress)
+        return train_jointly(city, scene, options, merged, device, progress)
     except DeviceError as error:
         if TOO_LARGE not in str(error):
             raise
         log.warning("%s: there is no joint training, as the whole model %s", city.path, TOO_LARGE)
         shutil.rmtree(city.joint, ignore_errors=True)
-        return merged.gaussians
+        return merged
 
 
 def merge_city_tree(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
@@ -129,6 +129,12 @@ def _note_merge(city: CityFolder, scene: Scene, options: TrainOptions, device: D
         run.save_exposures(responses)
 
 
+def _write_levels(city: CityFolder, scene: Scene) -> None:
+    """Write the levels of detail of the whole: those of the coarse run, and of its blocks."""
+    keep_coarse_levels(city, scene)
+    merge_levels(city, scene)
+
+
 def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
     """Make the coarse model and its snapshots levels of detail of the whole."""
     coarse, whole = RunFolder(city.coarse), RunFolder(city.path)
@@ -138,7 +144,7 @@ def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
                             (f"level {level:g}",))
 
 
-def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
+def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merged: Merged,
                   against: Path | None = None, workers: int = 1, scheduler: str = "",
                   devices: Sequence[str] = (), children: Children | None = None
                   ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
@@ -149,6 +155,7 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
     city : its folder, merged.
     options : of the whole.
     device : an open device.
+    merged : the result of `merge_city`.
     against : the PLY file of the reference for seams; None: that of the coarse model.
     workers, scheduler, devices, children : see `distribute.run`; each worker scores a share of the
         views.
@@ -158,9 +165,9 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
     The result of `evaluate_run`, None without held-out views; and the result of `find_seams`, by
     the training views where none are held out, None for a single block.
     """
-    run, merged = Run.open(city.path), merge_record(city)
-    spent = {**cost(city), "level": 1.0, "gaussians": merged["gaussians"]}
-    counts = np.array([share["gaussians"] for share in merged["blocks"]])
+    run, record = Run.open(city.path), merge_record(city)
+    spent = {**cost(city), "level": 1.0, "gaussians": merged.count}
+    counts = np.array([share.gaussians for share in merged.shares])
     scores = seams = None
     scene = run.scene()
     views, held_out = views_of(scene, options)
@@ -168,7 +175,8 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
     if held_out:
         scores = evaluate_run(run, device, save_images=False,
                               metrics=final_metrics(options.lpips),
-                              per_view=scored.per_view if scored else None)
+                              per_view=scored.per_view if scored else None,
+                              gaussians=merged.gaussians)
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
     partition = city.partition(scene)
@@ -179,12 +187,12 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device,
             block = RunFolder(city.block(number).run)
             return block.load_model(scene.offset) if block.has_model else None
 
-        seams = find_seams(device, partition, scene, views, options, run.finished_model, counts,
+        seams = find_seams(device, partition, scene, views, options, merged.gaussians, counts,
                            reference_model(city, scene, against), model_of,
                            scored.strips if scored else None)
         run.folder.log({"event": "seams", **spent, "seam_db": seams["seam_db"],
                         "worst_seam_db": seams["worst_seam_db"]})
-    write_report(run.folder, embedded(city.picture, "map of the blocks"), share_table(merged),
+    write_report(run.folder, embedded(city.picture, "map of the blocks"), share_table(record),
                  seam_table(seams) if seams else None,
                  pictures=scores["pictures"] if scores else training_pictures(run, device))
     return scores, seams

@@ -11,7 +11,10 @@ import os
 import shutil
 from typing import Any
 
+import numpy as np
+
 from clsplat.city.cut import JOINT
+from clsplat.city.merge import Merged
 from clsplat.device import Device
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
@@ -20,14 +23,16 @@ from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions, checked, resolve
+from clsplat.partition.input import world_of
+from clsplat.partition.partition import Partition
 from clsplat.scene import Scene
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 
 
-def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged: Gaussians,
-                  device: Device, progress: SilentProgress | None = None) -> Gaussians:
+def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged: Merged,
+                  device: Device, progress: SilentProgress | None = None) -> Merged:
     """Train the merged model as a whole in CITY/joint, or continue that; return the result.
 
     That of another merged model, or of another partition without one, is removed.
@@ -36,13 +41,14 @@ def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged:
     ----------
     city : its folder, cut into blocks.
     scene, options : the whole.
-    merged : the model of its blocks, in the scene's frame.
+    merged : its blocks.
     device : an open device.
     progress : receives steps, messages and phases.
 
     Returns
     -------
-    The model in the scene's frame; the merged one if the partition has no joint training.
+    The blocks with the gaussians that now lie in their cells; `merged` if the partition has no
+    joint training.
 
     Raises
     ------
@@ -54,7 +60,7 @@ def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged:
     if not given:
         shutil.rmtree(run.path, ignore_errors=True)
         return merged
-    begin_with(city, scene, merged)
+    begin_with(city, scene, merged.gaussians)
     if not run.has_model:
         whole = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
         views = whole.split(options.test_every, options.test_offset)[0]
@@ -63,9 +69,21 @@ def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged:
             exposures=RunFolder(city.coarse).load_exposures() or {})
         with run.locked():
             start = resume if run.is_begun else train
-            start(part, joint_options(city, given, merged), device,
+            start(part, joint_options(city, given, merged.count), device,
                   run if run.is_begun else RunFolder.create(city.joint), progress)
-    return run.load_model(scene.offset)
+    return by_block(merged, run.load_model(scene.offset), city.partition(scene), scene)
+
+
+def by_block(merged: Merged, gaussians: Gaussians, partition: Partition, scene: Scene) -> Merged:
+    """Blocks with the gaussians of the whole that lie in their cells, block after block."""
+    owner = partition.owner(world_of(scene, gaussians.positions))
+    order = np.argsort(owner, kind="stable")
+    counts = np.bincount(owner, minlength=len(merged.shares))
+    return dataclasses.replace(
+        merged, gaussians=Gaussians({name: rows[order] for name, rows in gaussians.rows.items()},
+                                    gaussians.sh_degree),
+        shares=tuple(dataclasses.replace(share, gaussians=int(counts[share.block]))
+                     for share in merged.shares))
 
 
 def begin_with(city: CityFolder, scene: Scene, merged: Gaussians) -> None:
@@ -77,16 +95,16 @@ def begin_with(city: CityFolder, scene: Scene, merged: Gaussians) -> None:
     os.replace(new, city.merged)
 
 
-def joint_options(city: CityFolder, given: dict[str, Any], merged: Gaussians) -> TrainOptions:
+def joint_options(city: CityFolder, given: dict[str, Any], count: int) -> TrainOptions:
     """The options of the joint training. A limit of gaussians is one of each block, so the merged
     model may have more; it does not grow then.
 
     Parameters
     ----------
     given : {option: value}, from partition.json.
-    merged : the model with which it begins.
+    count : gaussians with which it begins.
     """
     values = {key: checked(str(city.path), key, value) for key, value in given.items()}
     options = resolve(values, {"init": str(city.merged)})
-    most = options.max_gaussians and max(options.max_gaussians, merged.count)
+    most = options.max_gaussians and max(options.max_gaussians, count)
     return dataclasses.replace(options, max_gaussians=most)

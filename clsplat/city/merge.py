@@ -89,8 +89,8 @@ class Merged:
 
     @property
     def count(self) -> int:
-        """How many gaussians the model has; after a joint training not those of all shares."""
-        return self.gaussians.count or sum(share.gaussians for share in self.shares)
+        """How many gaussians the model has."""
+        return sum(share.gaussians for share in self.shares)
 
     def record(self) -> dict[str, Any]:
         """A dict for JSON."""

@@ -42,6 +42,7 @@ OPAQUE = 0.5  # a pixel has a depth if its transmittance is below this
 OVERLAP_VIEWS = 4  # for each border, those that show most of it
 LEAST_PIXELS = 500  # of a strip, and of the rest of a view; fewer are too noisy
 CHUNK = 1 << 20  # gaussians at once
+MODELS_AHEAD = 2  # models of blocks that are read while another is drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,10 +273,12 @@ def _overlaps(borders: list[Border], shown_in: list[list[Shown]], views: Sequenc
     Each block is opened once.
     """
     shown = {}  # (border, block): its colours in the strip
-    for block in sorted({block for border in borders for block in (border.first, border.second)}):
-        own = [number for number, border in enumerate(borders)
-               if block in (border.first, border.second) and shown_in[number]]
-        gaussians = block_model(block) if own else None
+    borders_of = {block: own for block in sorted({
+        block for border in borders for block in (border.first, border.second)})
+        if (own := [number for number, border in enumerate(borders)
+                    if block in (border.first, border.second) and shown_in[number]])}
+    models = called_ahead(block_model, zip(borders_of), MODELS_AHEAD, MODELS_AHEAD)
+    for (block, own), gaussians in zip(borders_of.items(), models):
         if gaussians is None:
             continue
         model = on_device(gaussians)

@@ -3,7 +3,6 @@
 import dataclasses
 from pathlib import Path
 
-from clsplat.city.cut import whole_steps
 from clsplat.config.option import AUTO, differences
 from clsplat.device import Device
 from clsplat.errors import InputError
@@ -18,13 +17,14 @@ from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions, checked, resolve
 from clsplat.scene import Scene
-from clsplat.schedule import chooses_steps, schedule_of
+from clsplat.schedule import chooses_steps, schedule_of, worthwhile_steps
+from clsplat.training.facts import scene_facts
 from clsplat.training.loop import resume, train
 from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
-COARSE_SHARE = 0.5  # of the whole run's steps; at half size they cost a quarter of it or less
+COARSE_SHARE = 0.5  # of the steps of one run; at half size they cost a quarter of it or less
 
 
 def begin(city: CityFolder, scene: Scene, options: TrainOptions) -> None:
@@ -107,16 +107,18 @@ def train_coarse(city: CityFolder, scene: Scene, options: TrainOptions, device: 
 
 
 def coarse_options(options: TrainOptions, scene: Scene) -> TrainOptions:
-    """The options of the coarse run: photos half as large as the blocks', and half of the steps;
-    it begins at the sparse points.
+    """The options of the coarse run: photos half as large as the blocks', and half of the steps of
+    one run; it begins at the sparse points.
 
     Parameters
     ----------
     options, scene : the whole.
     """
+    training, _ = scene.split(options.test_every, options.test_offset)
+    one_run, _, _ = worthwhile_steps(options, scene_facts(scene, training), len(training))
     return dataclasses.replace(
         options, coarse=True, init=AUTO, downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
         snapshots="levels" in schedule_of(options.schedule).parts,
-        iterations=max(1, int(COARSE_SHARE * whole_steps(options, scene))), eval_at=(),
+        iterations=max(1, int(COARSE_SHARE * one_run)), eval_at=(),
         eval_every=0, lpips="")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from clsplat.scene import Scene
 
 # what the tasks of blocks and of scores need
-IMPORTED_BY_CHILDREN = ("clsplat.cli.block", "clsplat.training.block", "clsplat.city.seams")
+IMPORTED_BY_CHILDREN = ("clsplat.cli.block", "clsplat.city.seams")
 STEPS = ("joint_steps", "exchanges", "block_steps")  # options that a city keeps once it is cut
 STARTS = ("sfm", "dense")  # of a city's blocks: the coarse model, or dense points in its gaps too
 BLOCKS: dict[str, Any] = {"cls": SectionedOption, "section": "Blocks"}
@@ -94,7 +94,8 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
     # they are ready when blocks are
-    children = (ctx.with_resource(Children(workers, devices, IMPORTED_BY_CHILDREN))
+    opens = f"clsplat.training.block:open_early:{options.device}:{options.form}"
+    children = (ctx.with_resource(Children(workers, devices, (opens, *IMPORTED_BY_CHILDREN)))
                 if workers > 1 and not scheduler else None)
     if not quiet:
         for note in (size_note(data.views, options), one_block_note(cutting, scene)):
@@ -233,8 +234,8 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
             merged = merge_city(folder, data, options, device, fill, progress)
     except Interrupted:
         raise _stopped(folder) from None
-    scores, seams = evaluate_city(folder, options, device, against, workers, scheduler, devices,
-                                  children)
+    scores, seams = evaluate_city(folder, options, device, merged, against, workers, scheduler,
+                                  devices, children)
     if against and seams is None:
         click.echo("--against: not used, since a single block has no seams", err=True)
     if quiet:

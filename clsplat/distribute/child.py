@@ -53,14 +53,14 @@ class Child:
         self._process: subprocess.Popen[bytes] | None = None
         self._codes = SimpleQueue[int]()  # 0 for each task that succeeds, then the exit code
 
-    def start(self, imported: Iterable[str]) -> None:
+    def start(self, needed: Iterable[str]) -> None:
         """Start the process before its first task.
 
         Parameters
         ----------
-        imported : modules that it imports meanwhile.
+        needed : MODULE or MODULE:CALL:ARG..., which it imports and calls meanwhile.
         """
-        self._running(subprocess.DEVNULL, imported)
+        self._running(subprocess.DEVNULL, needed)
 
     def work(self, task: Task, program: str, stopping: Callable[[], bool] = lambda: False
              ) -> Result:
@@ -106,16 +106,16 @@ class Child:
         process.stdin.flush()
         return self._code(stopping, task.folder), log_start
 
-    def _running(self, log: int, imported: Iterable[str] = ()) -> subprocess.Popen[bytes]:
+    def _running(self, log: int, needed: Iterable[str] = ()) -> subprocess.Popen[bytes]:
         """The process; where it must be started, with a file descriptor for what that says, and
-        modules that it imports."""
+        what it needs (`start`)."""
         process = self._process
         if process and process.poll() is None and process.stdin and not process.stdin.closed:
             return process
         # in a new session (on Windows: a new group), since Ctrl-C in the terminal is for the
         # parent, which passes it on once
         process = self._process = subprocess.Popen(
-            [sys.executable, "-m", "clsplat.distribute.guarded", *imported],
+            [sys.executable, "-m", "clsplat.distribute.guarded", *needed],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, cwd=self._folder,
             env=environment(self.device), start_new_session=True,
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0))

@@ -1,11 +1,12 @@
-"""The child process of a worker: python -m clsplat.distribute.guarded [MODULE ...]
+"""The child process of a worker: python -m clsplat.distribute.guarded [MODULE[:CALL:ARG...] ...]
 
-It imports these modules. Each line of its standard input is a task, a JSON array of MODULE, DONE
-and arguments: it runs the command line of MODULE with these arguments unless the file DONE exists.
-The output is appended to the log in the folder of DONE, which is locked meanwhile. After a task
-that succeeds it writes a line to its standard output, and waits for the next; after any other it
-ends with the exit code. It has its own kernel cache. When its standard input ends, because the
-parent closes it or dies, it ends too; a task that is running is interrupted.
+It imports these modules, and calls these functions. Each line of its standard input is a task, a
+JSON array of MODULE, DONE and arguments: it runs the command line of MODULE with these arguments
+unless the file DONE exists. The output is appended to the log in the folder of DONE, which is
+locked meanwhile. After a task that succeeds it writes a line to its standard output, and waits for
+the next; after any other it ends with the exit code. It has its own kernel cache. When its standard
+input ends, because the parent closes it or dies, it ends too; a task that is running is
+interrupted.
 """
 
 from __future__ import annotations
@@ -22,27 +23,31 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from itertools import count
 from pathlib import Path
 from queue import SimpleQueue
 
 from clsplat.distribute.task import GRACE_SECONDS, INPUT, INTERRUPTED, LOCKED, LOG
-from clsplat.errors import InputError
+from clsplat.errors import ClsplatError, InputError
 from clsplat.io.lock import LockTaken, exclusive, latest_change
 
 LOCK_SECONDS = 300  # to wait for another process in the folder that may be saving its state
 
 
-def main(imported: Iterable[str]) -> None:
-    """Import modules, and run the module of each task; raises SystemExit where that does, or with
-    an exit code of task.py."""
+def main(needs: Iterable[str]) -> None:
+    """Make ready what tasks need, and run the module of each task; raises SystemExit where that
+    does, or with an exit code of task.py."""
     working = threading.Event()
     tasks = _follow_parent(working)
     with os.fdopen(os.dup(1), "wb", buffering=0) as answers, ExitStack() as stack:
         os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache(stack))
-        for module in imported:
-            importlib.import_module(module)
+        for needed in needs:
+            module, *call = needed.split(":")
+            found = importlib.import_module(module)
+            if call:
+                with suppress(ClsplatError):  # the tasks will tell
+                    getattr(found, call[0])(*call[1:])
         while (line := tasks.get()) is not None:
             module, done, *arguments = json.loads(line)
             _run(module, arguments, Path(done))

@@ -75,24 +75,25 @@ class Children:
     ----------
     number : how many.
     devices : values of CLSPLAT_DEVICE that they use in turn.
-    imported : modules that they import at once, so that they are ready when tasks come; at most as
-        many are started before as the machine has cores. None: each is started for its first task.
+    needed : MODULE or MODULE:CALL:ARG... that they import and call at once (guarded.py),
+        so that they are ready when tasks come; at most as many are started before as the machine
+        has cores. None: each is started for its first task.
 
     Attributes
     ----------
     free : those that have no task; the next task gets the one on top, which has been started.
     """
 
-    def __init__(self, number: int, devices: Sequence[str] = (), imported: Sequence[str] = ()
+    def __init__(self, number: int, devices: Sequence[str] = (), needed: Sequence[str] = ()
                  ) -> None:
         self._children = [Child(devices[place % len(devices)] if devices else "")
                           for place in range(number)]
         self.free: LifoQueue[Child] = LifoQueue()
         for child in reversed(self._children):
             self.free.put(child)
-        for child in self._children[:(os.cpu_count() or 1) if imported else 0]:
+        for child in self._children[:(os.cpu_count() or 1) if needed else 0]:
             with suppress(OSError):  # its first task will tell that no process can be started
-                child.start(imported)
+                child.start(needed)
 
     def __len__(self) -> int:
         return len(self._children)

@@ -205,7 +205,8 @@ def opened(device: Device, gaussians: Gaussians, scene: Scene, options: TrainOpt
 
 def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path | None = None,
                  metrics: Mapping[str, Metric] = FINAL_METRICS, align: bool = False,
-                 per_view: list[dict[str, Any]] | None = None) -> dict[str, Any]:
+                 per_view: list[dict[str, Any]] | None = None,
+                 gaussians: Gaussians | None = None) -> dict[str, Any]:
     """Compare the finished model of a run with its held-out photos.
 
     Parameters
@@ -218,6 +219,7 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     align : whether to compare from aligned poses as well.
     per_view : the scores of the held-out views by `metrics`, in their order, where they are known;
         None: they are computed here.
+    gaussians : the finished model, in the scene's frame; None: it is read.
 
     Returns
     -------
@@ -233,7 +235,7 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     if not views:
         raise InputError(f"{run.path}: no held-out views (--test-every {options.test_every}); "
                          "nothing to compare with")
-    gaussians, city = run.finished_model, ground_truth(scene.path)
+    gaussians, city = gaussians or run.finished_model, ground_truth(scene.path)
     model = run.opened(device, scene, gaussians)
 
     def keep(view: View, image: Image, fitted: Image, photo: Image, valid: Valid) -> None:

@@ -10,7 +10,7 @@ METHODS = ("citygs", "blockgs", "vastgs")
 LEAST_GAUSSIANS = 100  # a block with fewer is starved
 MOST_BLOCKS = 10_000
 # where `auto` leaves it open: without a joint training, and with one
-BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 1.0
+BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 0.5
 EXCHANGES, JOINT_STEPS = 3, 1 / 3
 
 
@@ -80,7 +80,7 @@ class PartitionOptions:
                             words={AUTO: AUTO}, minimum=0, maximum=20)
     block_steps: float = option(AUTO, "Blocks", "steps of all blocks together, as a multiple of "
                                 "those of one run; with more, each gaussian is seen more often, "
-                                "which is better and takes longer; auto: 1 before a joint "
+                                "which is better and takes longer; auto: 0.5 before a joint "
                                 "training, else 2", words={AUTO: AUTO}, minimum=0.1, maximum=100.0)
     joint_steps: float = option(AUTO, "Blocks", "steps of the joint training, in which the merged "
                                 "model is trained as a whole on one device, as a multiple of those "

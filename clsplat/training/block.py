@@ -1,5 +1,6 @@
 """Trains one block of a larger scene from its folder, which contains all that it needs."""
 
+import os
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -97,7 +98,7 @@ def train_block(block: BlockFolder, options: TrainOptions,
             _check_same(run, options)
         if run.is_finished:
             return BEFORE
-        device = device or _opened(options.device, options.form)
+        device = device or opened(options.device, options.form)
         others = other_blocks(block) if exchanges else []
         scene = read_scene(block.path)
         saved: Saved | None = None  # what the latest exchange has made of the checkpoint
@@ -119,8 +120,15 @@ def train_block(block: BlockFolder, options: TrainOptions,
     return "finished"
 
 
+def open_early(name: str, form: str) -> None:
+    """Open the device of the blocks that this process will train; arguments as for `opened`, but
+    CLSPLAT_DEVICE prevails, as in `clsplat block`."""
+    opened(os.environ.get("CLSPLAT_DEVICE") or name, form)
+
+
 @lru_cache(maxsize=1)  # a process of `clsplat city` trains several parts of blocks
-def _opened(name: str, form: str) -> Device:
+def opened(name: str, form: str) -> Device:
+    """An open device, which stays open in this process; see `choose_device`."""
     return choose_device(name, form=form)
 
 

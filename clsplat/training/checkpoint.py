@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
-from clsplat.io.run import OPTIONS, RunFolder
+from clsplat.io.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.optimise.pose import LEARNED as POSES
 from clsplat.options import checked
@@ -63,15 +63,28 @@ class Checkpoint:
             parts["pose"] = step.poses.download()
         arrays = {f"{kind}.{name}": values for kind, fields in parts.items()
                   for name, values in fields.items()}
-        bad = [name for name, values in arrays.items() if not _is_finite(values)]
-        if bad:
-            raise broken(self.run, f"{', '.join(bad)} at step {session.iteration}: not finite")
+        self._check(arrays)
         self.run.save_checkpoint(arrays, {
             "fingerprint": self.fingerprint, "iteration": session.iteration,
             "level": session.level, **self.clock.state(), "pixel_pairs": step.pixel_pairs,
             "skipped": step.skipped.state(), "schedule": session.schedule.state(),
             "initial_count": session.schedule.facts.count,
             "budget": self.deadline and self.deadline.state()})
+
+    def check_model(self) -> None:
+        """Raise InputError where a value of the gaussians is not finite."""
+        self._check({f"row.{name}": values for name, values in
+                     self.session.step.model.download(stored=True).rows.items()})
+
+    def remove(self) -> None:
+        """Remove the checkpoint of a finished run that nobody resumes."""
+        (self.run.path / CHECKPOINT).unlink(missing_ok=True)
+
+    def _check(self, arrays: dict[str, NDArray[Any]]) -> None:
+        bad = [name for name, values in arrays.items() if not _is_finite(values)]
+        if bad:
+            raise broken(self.run,
+                         f"{', '.join(bad)} at step {self.session.iteration}: not finite")
 
     def load(self, arrays: Arrays, state: dict[str, Any]) -> None:
         """Restore all but the rows; KeyError names what the checkpoint lacks."""

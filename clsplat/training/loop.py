@@ -187,8 +187,10 @@ class Training:
         """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
 
         What cannot be made again is written first: the checkpoint, the finished model, the final
-        evaluation, and last the report, whose failure does no harm. Parts of a city have none.
+        evaluation, and last the report, whose failure does no harm. Parts of a city have no report,
+        and once they are finished no checkpoint, which is three times as large as the model.
         """
+        is_part = is_part_of_city(self.session.scene, self.session.options)
         self.clock.restart()
         self._saved_at, self._save_seconds = self.clock.elapsed(), 0.0
         if self.deadline:
@@ -198,15 +200,23 @@ class Training:
                 self.take_step()
                 if self._saves() and not self.finished():
                     self.save()
-            self.save()
+            if self.finished() and is_part:
+                with self.clock.paused():
+                    if self._measured:
+                        self.recorder.check(self._measured)
+                    self.checkpoint.check_model()
+            else:
+                self.save()
             if self.finished():
                 with self.clock.paused():
                     save_model(self.run, self.session)
+                    if is_part:
+                        self.checkpoint.remove()
         if not self.finished():
             raise self.stopped()
         if self.evaluator.evaluated_at != self.session.iteration:
             self.evaluator.evaluate(final=True)
-        if not is_part_of_city(self.session.scene, self.session.options):
+        if not is_part:
             draw_report(self.run, self.session, self.evaluator.per_view)
 
     @contextmanager

@@ -184,7 +184,8 @@ def test_the_steps_of_all_blocks_are_an_option(copy):
     before = steps_of_blocks(copy)
     cut_again(copy, "--block-steps", 0.5)
     assert 0.2 * before < steps_of_blocks(copy) < 0.3 * before
-    command("partition", copy.path, "--grid", "2x1", "--least-views", 3, code=2)
+    command("partition", copy.path, "--grid", "2x1", "--least-views", 3)
+    command("partition", copy.path, "--grid", "2x1", "--least-views", 3, "--block-steps", 1, code=2)
 
 
 def test_again_changes_nothing(copy, monkeypatch):

@@ -13,6 +13,7 @@ from clsplat.city import finish
 from clsplat.city.cut import JOINT
 from clsplat.city.finish import merge_city
 from clsplat.city.joint import begin_with, joint_options, train_jointly
+from clsplat.city.merge import Merged
 from clsplat.cli.city import partition_options
 from clsplat.device import choose_device
 from clsplat.errors import TOO_LARGE, DeviceError, Interrupted
@@ -42,7 +43,7 @@ def steps(folder, device=LARGE, given=(), tree=False, **options):
 
 
 def test_a_city_that_a_device_holds_is_trained_jointly(tmp_path):
-    assert steps(tmp_path) == (pytest.approx(1 / 3), 0, 1.0)
+    assert steps(tmp_path) == (pytest.approx(1 / 3), 0, 0.5)
     apart = (0.0, 3, 2.0)
     assert steps(tmp_path, SMALL) == apart, "the device does not hold it"
     assert steps(tmp_path, given={"grid": (1, 1)}) == apart, "one block"
@@ -55,7 +56,7 @@ def test_a_city_that_a_device_holds_is_trained_jointly(tmp_path):
 
 def test_what_the_user_says_holds(tmp_path):
     assert steps(tmp_path, given={"joint_steps": 0.0}) == (0.0, 3, 2.0)
-    assert steps(tmp_path, SMALL, {"joint_steps": 0.5}) == (0.5, 0, 1.0)
+    assert steps(tmp_path, SMALL, {"joint_steps": 0.5}) == (0.5, 0, 0.5)
     assert steps(tmp_path, given={"exchanges": 2, "block_steps": 3.0})[1:] == (2, 3.0)
 
 
@@ -104,13 +105,14 @@ def test_a_joint_training_of_another_model_is_removed(folder, merged):
 
 def test_without_one_the_merged_model_stays(folder, merged):
     folder.joint.mkdir()  # of an earlier partition
-    assert train_jointly(folder, read_scene(CITY), resolve({}, {}), merged, None) is merged
+    blocks = Merged(merged, (), {}, folder.path)
+    assert train_jointly(folder, read_scene(CITY), resolve({}, {}), blocks, None) is blocks
     assert not folder.joint.exists()
 
 
 def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
     def most(limit):
-        return joint_options(folder, {"max_gaussians": limit}, merged).max_gaussians
+        return joint_options(folder, {"max_gaussians": limit}, merged.count).max_gaussians
 
     assert (most(0), most(5), most(20)) == (0, 9, 20)
 
@@ -122,13 +124,13 @@ def test_a_device_that_cannot_hold_the_whole_leaves_it_as_merged(
         raise DeviceError(f"a card: {message}: no memory")
 
     monkeypatch.setattr(finish, "train_jointly", fails)
-    blocks = SimpleNamespace(gaussians=merged)
+    blocks = Merged(merged, (), {}, folder.path)
     given = folder, None, None, None, blocks, None
     if code:
         with pytest.raises(code):
             finish._trained_jointly(*given)
         return
-    assert finish._trained_jointly(*given) is merged
+    assert finish._trained_jointly(*given) is blocks
     assert "no joint training" in caplog.text
 
 
@@ -143,9 +145,13 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     offset = np.array(run.read_options()["offset"])
     assert joint.read_options()["iterations"] == 30 and joint.is_finished
     assert not (trained.joint / "report.html").exists()
-    assert np.array_equal(run.load_model(offset).positions, joint.load_model(offset).positions)
-    start = read_ply(trained.merged, offset)
-    assert not np.array_equal(start.positions, joint.load_model(offset).positions)
+    whole, end = run.load_model(offset), joint.load_model(offset)
+    assert whole.count == end.count
+    assert np.array_equal(np.sort(whole.positions, axis=0), np.sort(end.positions, axis=0))
+    owner = trained.partition().owner(whole.positions.astype(float) + offset)
+    shares = finish.merge_record(trained)["blocks"]
+    assert owner.tolist() == [0] * shares[0]["gaussians"] + [1] * shares[1]["gaussians"]
+    assert not np.array_equal(read_ply(trained.merged, offset).positions, whole.positions)
     parts = [RunFolder.open(path).records()[-1] for path in (
         trained.coarse, *(block.run for block in trained.blocks()), trained.joint)]
     scores = [record for record in run.records() if record["event"] == "eval"][-1]

@@ -24,6 +24,7 @@ from clsplat.partition.region import Region, Space
 from clsplat.training import block as training_block
 from clsplat.training import exchange as exchange_module
 from clsplat.training.block import block_options, train_block
+from clsplat.training.checkpoint import Checkpoint
 from clsplat.training.exchange import (
     exchange,
     exchange_steps,
@@ -123,22 +124,16 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         around.append(scene.surroundings), resume(scene, *rest, **more)))
     assert train_block(block, block_options(block)) == "finished"
     assert around == [block.around]
-    killed, save = copy.block(0), RunFolder.save_checkpoint
+    killed = copy.block(0)
 
     def dies(*_, **__):
         raise SystemExit(9)
 
-    def saves_and_dies(self, arrays, state):
-        save(self, arrays, state)
-        dies()
-
     # in the exchange, after it, and where the training ends that follows it
-    for owner, name, instead in ((exchange_module, "trainable", dies),
-                                 (training_block, "resume", dies),
-                                 (RunFolder, "save_checkpoint", dies),
-                                 (RunFolder, "save_checkpoint", saves_and_dies)):
+    for owner, name in ((exchange_module, "trainable"), (training_block, "resume"),
+                        (Checkpoint, "check_model"), (RunFolder, "save_model")):
         with monkeypatch.context() as patch:
-            patch.setattr(owner, name, instead)
+            patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):
                 train_block(killed, block_options(killed))
         assert killed.around.is_file()
