@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -41,7 +41,7 @@ from clsplat.training.photos import THREADS
 REQUESTED = "asked"  # key of partition.json for the PartitionOptions
 JOINT = "joint"  # key of partition.json for the options of the joint training, where there is one
 LEAST_VISITS = 0.01  # of a view that was assigned to a block
-TOGETHER = 5  # blocks that are written at the same time, so that few are in memory, and the map
+BLOCKS_TOGETHER = 4  # that are written at the same time, so that few are in memory
 
 
 def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
@@ -80,7 +80,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
         partition_options, drop = partition_options.decided(), None
         if partition_options.method == "citygs" and partition_options.grid != (1, 1):
             drop = DropTest(device, gaussians,
-                            scene.reduced(small.downscale, small.max_resolution))
+                            scene.reduced(small.downscale, small.max_resolution),
+                            partition_options.threshold)
         # citygs was no better for it (docs/notebook/city.md), and vastgs counts cameras
         weights = (counted_where(gaussians, dense) if partition_options.method == "blockgs"
                    else None)
@@ -126,9 +127,8 @@ def cut_into_blocks(city: CityFolder, scene: Scene, options: TrainOptions,
             part.around,
             {view.name: float(each) for view, each in zip(own.views, visits[number])})
 
-    work: list[Callable[[], object]] = [partial(draw, city, partition, scene, counts)]
-    work += [partial(write, number) for number in range(len(partition.regions))]
-    for _ in called_ahead(lambda call: call(), zip(work), TOGETHER, TOGETHER):
+    numbers = ((number,) for number in range(len(partition.regions)))
+    for _ in called_ahead(write, numbers, BLOCKS_TOGETHER, BLOCKS_TOGETHER):
         pass  # an error is raised here
     return partition, counts
 

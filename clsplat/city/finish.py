@@ -2,7 +2,7 @@
 
 import logging
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from clsplat.training.loop import run_record
 from clsplat.training.progress import SilentProgress
 
 log = logging.getLogger(__name__)
+SPENT = ("iteration", "train_seconds", "wall_seconds")
 
 
 def reference_file(against: Path | None) -> Path | None:
@@ -53,7 +54,8 @@ def reference_file(against: Path | None) -> Path | None:
 
 
 def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-               fill: bool = False, progress: SilentProgress | None = None) -> Merged:
+               fill: bool = False, progress: SilentProgress | None = None, joint: bool = True
+               ) -> Merged:
     """Merge the blocks of a city into its model and its levels of detail, and train that jointly.
 
     A tree of an earlier merge is removed, since it may be of other blocks.
@@ -66,6 +68,7 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     device : of the joint training; its name is recorded.
     fill : see `merge.merge`.
     progress : of the joint training.
+    joint : whether there is one, where the partition includes it.
 
     Returns
     -------
@@ -80,11 +83,12 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     merged.check()
     with ThreadPoolExecutor(1) as beside:  # while the device is busy
         levels = beside.submit(_write_levels, city, scene)
-        merged = _trained_jointly(city, scene, options, device, merged, progress)
+        if joint:
+            merged = _trained_jointly(city, scene, options, device, merged, progress)
         levels.result()
     run = RunFolder(city.path)
     (run.path / TREE).unlink(missing_ok=True)
-    _note_merge(city, scene, options, device, merged)
+    _note_merge(city, scene, options, device, merged, joint)
     run.save_model(merged.gaussians, scene.offset, (
         f"merged of {len(merged.shares)} blocks",
         *placement_comments(scene.up, scene.georeference)))
@@ -117,15 +121,22 @@ def merge_city_tree(city: CityFolder, scene: Scene, options: TrainOptions, devic
 
 
 def _note_merge(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-                merged: Merged) -> None:
-    """Make the city's folder a run, with the record of a merge and the learned exposures."""
-    run, spent = RunFolder(city.path), cost(city)
+                merged: Merged, joint: bool = False) -> None:
+    """Make the city's folder a run, with the record of a merge and the learned exposures.
+
+    Parameters
+    ----------
+    joint : whether a joint training, if there was one, is a part of the model.
+    """
+    run = RunFolder(city.path)
+    coarse, trained = RunFolder(city.coarse), RunFolder(city.joint)
+    joint = joint and trained.has_model
+    spent = cost([coarse, *(RunFolder(block.run) for block in city.blocks()), *[trained] * joint])
     run.write_options({**run_record(scene, options, device), "blocks": len(merged.shares)})
     run.write_placement(scene)
     run.rewind(-1)
     run.log({"event": "merge", **spent, "level": 1.0, **merged.record()})
-    joint = RunFolder(city.joint)
-    if responses := (joint if joint.has_model else RunFolder(city.coarse)).load_exposures():
+    if responses := (trained if joint else coarse).load_exposures():
         run.save_exposures(responses)
 
 
@@ -166,12 +177,14 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     the training views where none are held out, None for a single block.
     """
     run, record = Run.open(city.path), merge_record(city)
-    spent = {**cost(city), "level": 1.0, "gaussians": merged.count}
+    spent = {key: record[key] for key in (*SPENT, "level", "gaussians")}
     counts = np.array([share.gaussians for share in merged.shares])
     scores = seams = None
     scene = run.scene()
     views, held_out = views_of(scene, options)
-    scored = score_in_shares(city, against, workers, scheduler, devices, len(views), children)
+    scored = score_in_shares(city, against, workers, scheduler, devices, views, children)
+    if children:
+        children.end()
     if held_out:
         scores = evaluate_run(run, device, save_images=False,
                               metrics=final_metrics(options.lpips),
@@ -203,10 +216,7 @@ def merge_record(city: CityFolder) -> dict[str, Any]:
     return [record for record in RunFolder(city.path).records() if record["event"] == "merge"][-1]
 
 
-def cost(city: CityFolder) -> dict[str, float]:
-    """{iteration, train_seconds, wall_seconds}: sums over the coarse run, the blocks and the joint
-    training."""
-    last = [record for path in (city.coarse, *(block.run for block in city.blocks()), city.joint)
-            for record in RunFolder(path).past_records()[-1:]]
-    return {key: round(sum(record.get(key) or 0 for record in last), 3)
-            for key in ("iteration", "train_seconds", "wall_seconds")}
+def cost(runs: Iterable[RunFolder]) -> dict[str, float]:
+    """{iteration, train_seconds, wall_seconds}: sums over runs."""
+    last = [record for run in runs for record in run.past_records()[-1:]]
+    return {key: round(sum(record.get(key) or 0 for record in last), 3) for key in SPENT}

@@ -34,7 +34,7 @@ from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
 
 FOLDER = "scores"  # of the shares, in the city's folder while they are computed
-LEAST_VIEWS = 8  # of a share: with fewer, a process begins longer than it scores
+LEAST_PIXELS = 2_000_000  # of a share's views: with fewer, a process begins longer than it scores
 MOST_SHARES = 64  # on a cluster, whose workers are not counted before
 
 log = logging.getLogger(__name__)
@@ -114,7 +114,7 @@ def done_file(city: CityFolder, share: int) -> Path:
 
 
 def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
-                    scheduler: str = "", devices: Sequence[str] = (), views: int = 0,
+                    scheduler: str = "", devices: Sequence[str] = (), views: Sequence[View] = (),
                     children: Children | None = None) -> Scored | None:
     """Score the views of a merged city on all workers.
 
@@ -122,14 +122,15 @@ def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
     ----------
     reference : as for `score_share`.
     workers, scheduler, devices, children : see `distribute.run`.
-    views : how many there are.
+    views : those that are scored.
 
     Returns
     -------
     The scores; None where one process is to compute them: there are few views or one worker, or a
     share has failed.
     """
-    shares = min(views // LEAST_VIEWS, MOST_SHARES if scheduler else workers)
+    pixels = sum(view.camera.width * view.camera.height for view in views)
+    shares = min(pixels // LEAST_PIXELS, len(views), MOST_SHARES if scheduler else workers)
     if shares < 2:
         return None
     shutil.rmtree(city.path / FOLDER, ignore_errors=True)  # of another model

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -63,7 +64,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     `render` and `compare`. For several devices, use --device 0,1 with --workers 2.
     """
     from clsplat.city.blocks import train_all_blocks, train_blocks
-    from clsplat.city.cut import cut_into_blocks
+    from clsplat.city.cut import cut_into_blocks, draw
     from clsplat.city.dense import find_dense_gaussians
     from clsplat.city.forecast import block_table, one_block_note
     from clsplat.city.stages import begin, train_coarse
@@ -118,12 +119,15 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
             train_coarse(folder, data, options, device, progress)
         with shown("start of blocks") as progress:
             find_dense_gaussians(folder, data, options, device, progress)
-        _, counts = cut_into_blocks(folder, data, options, cutting, device)
+        partition, counts = cut_into_blocks(folder, data, options, cutting, device)
         if not quiet:  # trial steps would keep the other devices waiting
             several = workers > 1 or scheduler
             click.echo(block_table(folder, None if several else device, counts).text())
-        outcomes = train_all_blocks(folder, data, options, device, lambda: train_blocks(
-            folder, workers, scheduler, devices, shown, ended, began, fill, device, children))
+        with ThreadPoolExecutor(1) as beside:
+            drawn = beside.submit(draw, folder, partition, data, counts)
+            outcomes = train_all_blocks(folder, data, options, device, lambda: train_blocks(
+                folder, workers, scheduler, devices, shown, ended, began, fill, device, children))
+            drawn.result()
     except Interrupted:
         raise _stopped(folder) from None
     failed = [outcome for outcome in outcomes if not outcome.ok]
@@ -147,7 +151,7 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     Needs a finished coarse run in CITY/coarse. Writes partition.json, partition.geojson, the map
     partition.png, and a folder for each block.
     """
-    from clsplat.city.cut import cut_into_blocks
+    from clsplat.city.cut import cut_into_blocks, draw
     from clsplat.city.dense import find_dense_gaussians
     from clsplat.city.forecast import block_table
     from clsplat.city.stages import begin_from_coarse
@@ -161,7 +165,8 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     device = choose_device(options.device, form=options.form)
     cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device, city)
     find_dense_gaussians(city, data, options, device)
-    _, counts = cut_into_blocks(city, data, options, cutting, device)
+    partition, counts = cut_into_blocks(city, data, options, cutting, device)
+    draw(city, partition, data, counts)
     click.echo(block_table(city, device, counts).text())
     click.echo(f"{city.picture}")
 
@@ -173,17 +178,19 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
 @click.option("--against", type=click.Path(path_type=Path), help="A run of the whole scene, or its "
               "PLY, as the reference for seams, in place of the coarse model.")
 @click.option("--tree", is_flag=True, help=TREE_HELP)
+@click.option("--joint/--no-joint", default=True, show_default=True, help="Train the merged model "
+              "as a whole, where the partition of the city includes that (--joint-steps).")
 @click.option("--device", default="auto", show_default=True,
               help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 @click.option("--scene", type=click.Path(path_type=Path), help="Where the scene is now, if it was "
               "moved.")
 @click.pass_context
 def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tree: bool,
-          device: str, scene: Path | None) -> None:
+          joint: bool, device: str, scene: Path | None) -> None:
     """Merge the finished blocks of CITY into one model.
 
-    It is evaluated on the held-out views. If blocks are missing, the command lists them and ends
-    with exit code 2.
+    That may then be trained as a whole, and is evaluated on the held-out views. If blocks are
+    missing, the command lists them and ends with exit code 2.
     """
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
@@ -194,7 +201,7 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     against = _reference(against, tree)
     ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(city, scene)
-    _finish(city, data, options, choose_device(device), fill, against, tree, False)
+    _finish(city, data, options, choose_device(device), fill, against, tree, False, joint=joint)
 
 
 def _shown(quiet: bool, options: TrainOptions, title: str
@@ -217,7 +224,8 @@ def _reference(against: Path | None, tree: bool) -> Path | None:
 
 def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device, fill: bool,
             against: Path | None, tree: bool, quiet: bool, workers: int = 1, scheduler: str = "",
-            devices: Sequence[str] = (), children: Children | None = None) -> None:
+            devices: Sequence[str] = (), children: Children | None = None, joint: bool = True
+            ) -> None:
     from clsplat.city.finish import evaluate_city, merge_city, merge_city_tree
     from clsplat.cli.evaluate import summary
     from clsplat.io.tree import TREE
@@ -231,7 +239,7 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
         return
     try:
         with _shown(quiet, options, "joint training") as progress:
-            merged = merge_city(folder, data, options, device, fill, progress)
+            merged = merge_city(folder, data, options, device, fill, progress, joint)
     except Interrupted:
         raise _stopped(folder) from None
     scores, seams = evaluate_city(folder, options, device, merged, against, workers, scheduler,

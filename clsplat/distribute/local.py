@@ -104,10 +104,14 @@ class Children:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def close(self) -> None:
-        """Tell the processes to end, and wait for that."""
+    def end(self) -> None:
+        """Tell the processes to end, as there will be no more tasks."""
         for child in self._children:
             child.end()
+
+    def close(self) -> None:
+        """Tell the processes to end, and wait for that."""
+        self.end()
         for child in self._children:
             child.close()
 

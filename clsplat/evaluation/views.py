@@ -177,7 +177,7 @@ def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[
                  place: str = place, scores: dict[str, Any] = per_view[index]) -> None:
             shown.append(shown_view(place, scores, fitted, photo, valid))
         evaluate_views(renderer, rows, degree, [by_name[per_view[index]["name"]]], keep,
-                       predicted=predicted)
+                       metrics={}, predicted=predicted)
     return Pictures(shown, bool(test), len(views))
 
 

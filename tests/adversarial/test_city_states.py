@@ -32,8 +32,9 @@ def made(tmp_path_factory):
     stages.begin(folder, scene, options)
     gaussians = Gaussians.from_points(scene.points, scene.colours, 1)
     finish(folder.coarse, scene, stages.coarse_options(options, scene), gaussians)
-    cut.cut_into_blocks(folder, scene, options,
-                        PartitionOptions("blockgs", (2, 1), least_views=1), None)
+    partition, counts = cut.cut_into_blocks(folder, scene, options, PartitionOptions(
+        "blockgs", (2, 1), least_views=1), None)
+    cut.draw(folder, partition, scene, counts)
     for block in folder.blocks():
         finish(block.run, scene, options, gaussians)
     return folder.path

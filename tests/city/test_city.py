@@ -321,7 +321,7 @@ def test_two_workers_end_in_the_same(copy, monkeypatch):
     for block in copy.blocks():
         shutil.rmtree(block.run)
     joined = scoring.joined
-    monkeypatch.setattr(scoring, "LEAST_VIEWS", 2)
+    monkeypatch.setattr(scoring, "LEAST_PIXELS", 1)
     monkeypatch.setattr(scoring, "joined", lambda files: shares.extend(files) or joined(files))
     city(copy.path, "--workers", "2")
     assert model(copy) == before

@@ -26,7 +26,7 @@ from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from clsplat.training.decisions import is_part_of_city
-from tests.city.test_city import DEVICE, city, model
+from tests.city.test_city import DEVICE, city, command, model
 from tests.city.test_merge import strewn
 from tests.data.tiny_training import CITY
 
@@ -179,6 +179,19 @@ def test_it_improves_what_blocks_left(trained, tmp_path):
     folder, device = tmp_path / "city", choose_device(DEVICE, form="item")
     shutil.copytree(trained.path, folder, symlinks=True)
     assert score(trained.joint / "point_cloud.ply") > score(trained.merged) + 0.1
+
+
+@pytest.mark.slow
+def test_it_can_be_left_out_of_a_merge(trained, tmp_path):
+    shutil.copytree(trained.path, tmp_path / "city", symlinks=True)
+    copy, before = CityFolder(tmp_path / "city"), model(trained)
+    command("merge", copy.path, "--no-joint", "--device", DEVICE)
+    start, whole = read_ply(copy.merged), read_ply(copy.path / "point_cloud.ply")
+    assert np.array_equal(start.positions, whole.positions)
+    spent = [finish.merge_record(each)["iteration"] for each in (trained, copy)]
+    assert spent[0] - spent[1] == 30
+    command("merge", copy.path, "--device", DEVICE)
+    assert model(copy) == before
 
 
 @pytest.mark.slow
