@@ -211,6 +211,7 @@ class Training:
                 with self.clock.paused():
                     save_model(self.run, self.session)
                     if is_part:
+                        self.recorder.log("end")  # a block has no evaluation that tells its steps
                         self.checkpoint.remove()
         if not self.finished():
             raise self.stopped()
