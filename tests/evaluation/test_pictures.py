@@ -54,7 +54,8 @@ def test_chosen_views_are_rendered_again_and_no_others(monkeypatch):
     asked, sides = [], set()
     camera = Camera(8000, 6000, (6e3, 6e3), (4e3, 3e3), np.eye(3), np.zeros(3))
 
-    def evaluate_views(renderer, rows, degree, chosen, keep=None, predicted=None):
+    def evaluate_views(renderer, rows, degree, chosen, keep=None, metrics=None, predicted=None):
+        assert metrics == {} or not keep, "scores are known"
         asked.append([view.name for view in chosen])
         sides.update(max(view.camera.width, view.camera.height) for view in chosen)
         found = [scored(view.name, float(view.name.removesuffix(".jpg"))) for view in chosen]

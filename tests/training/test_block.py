@@ -187,9 +187,12 @@ def test_a_run_leaves_its_exposures_and_a_block_starts_from_them(item_device, ci
     assert np.array_equal(np.float32(lens), run.load_checkpoint()[0]["exposure.lenses"][0])
     assert np.array_equal(np.float32(tone), run.load_checkpoint()[0]["exposure.tones"][0])
     some = {name: Response(learned[name].transform + 0.2, lens, tone) for name in names[:5]}
-    block = trained(tmp_path / "block", replace(city, exposures=some), item_device,
+    block = trained(tmp_path / "block", replace(block_of(city), exposures=some), item_device,
                     **{**options, "iterations": 1})
     after = block.load_exposures()
+    whole = trained(tmp_path / "joint", replace(city, exposures=some), item_device, **options)
+    moved = whole.load_exposures()[names[0]].transform - some[names[0]].transform
+    assert 1e-2 < np.abs(moved).max() < 0.2, "a joint training learns on"
     for name in names:  # blocks do not learn
         given = some.get(name, Response())
         assert np.abs(after[name].transform - given.transform).max() < 3e-3
