@@ -16,8 +16,9 @@ import numpy as np
 from clsplat.city.cut import JOINT
 from clsplat.city.merge import Merged
 from clsplat.device import Device
+from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
+from clsplat.io.city import PARTITION, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
@@ -95,7 +96,7 @@ def begin_with(city: CityFolder, scene: Scene, merged: Gaussians) -> None:
     os.replace(new, city.merged)
 
 
-def joint_options(city: CityFolder, given: dict[str, Any], count: int) -> TrainOptions:
+def joint_options(city: CityFolder, given: Any, count: int) -> TrainOptions:
     """The options of the joint training. A limit of gaussians is one of each block, so the merged
     model may have more; it does not grow then.
 
@@ -104,7 +105,11 @@ def joint_options(city: CityFolder, given: dict[str, Any], count: int) -> TrainO
     given : {option: value}, from partition.json.
     count : gaussians with which it begins.
     """
-    values = {key: checked(str(city.path), key, value) for key, value in given.items()}
+    path = city.path / PARTITION
+    if not isinstance(given, dict):
+        raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "
+                         f"it with `clsplat partition {city.path}`")
+    values = {key: checked(str(path), key, value) for key, value in given.items()}
     options = resolve(values, {"init": str(city.merged)})
     most = options.max_gaussians and max(options.max_gaussians, count)
     return dataclasses.replace(options, max_gaussians=most)

@@ -16,7 +16,7 @@ from clsplat.city.joint import begin_with, joint_options, train_jointly
 from clsplat.city.merge import Merged
 from clsplat.cli.city import partition_options
 from clsplat.device import choose_device
-from clsplat.errors import TOO_LARGE, DeviceError, Interrupted
+from clsplat.errors import TOO_LARGE, DeviceError, InputError, Interrupted
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run
 from clsplat.io.city import CityFolder
@@ -115,6 +115,14 @@ def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
         return joint_options(folder, {"max_gaussians": limit}, merged.count).max_gaussians
 
     assert (most(0), most(5), most(20)) == (0, 9, 20)
+
+
+@pytest.mark.parametrize("given, cause", [
+    ([1], r"joint is '\[1\]'"), ({"iterations": "many"}, "iterations"),
+    ({"nothing": 1}, "nothing")])
+def test_damaged_options_are_named(folder, given, cause):
+    with pytest.raises(InputError, match=f"partition.json: .*{cause}"):
+        joint_options(folder, given, 9)
 
 
 @pytest.mark.parametrize("message, code", [(TOO_LARGE, None), ("another", DeviceError)])
