@@ -31,7 +31,7 @@ from clsplat.partition.partition import Partition
 from clsplat.partition.windows import find_windows, owned_shares
 from clsplat.report.map import write_map
 from clsplat.scene import Scene
-from clsplat.schedule import SceneFacts, planned_steps, schedule_of, worthwhile_steps
+from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
 from clsplat.training.block import decided_by, options_of_blocks
 from clsplat.training.exchange import exchange_steps, most_exchanges
 from clsplat.training.facts import scene_facts, smallest_size
@@ -254,12 +254,6 @@ def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[n
     with replacing(city.map) as file:
         file.write((json.dumps(geojson(partition, scene, [
             {"gaussians": int(count)} for count in counts])) + "\n").encode())
-
-
-def whole_steps(options: TrainOptions, scene: Scene) -> int:
-    """The steps of one run of the whole scene with these options, before its photos limit them."""
-    training, _ = scene.split(options.test_every, options.test_offset)
-    return planned_steps(options, len(training))[0]
 
 
 def requested_of(city: CityFolder) -> dict[str, Any]:

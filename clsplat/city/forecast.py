@@ -6,7 +6,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from clsplat.city.cut import whole_steps
 from clsplat.device import Device
 from clsplat.estimate.forecast import MIB, Forecast, Planned
 from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
@@ -20,7 +19,7 @@ from clsplat.partition.grid import makespan
 from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions
 from clsplat.report.page import Table
 from clsplat.scene import Scene
-from clsplat.schedule import schedule_of
+from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
 from clsplat.training.block import block_options
 from clsplat.training.facts import scene_facts
 from clsplat.training.model import GROWTH_ROOM
@@ -42,11 +41,20 @@ LEAST_JOINT_STEPS = 300  # fewer are not worth it
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
 
-def expected_gaussians(scene: Scene, options: TrainOptions) -> int:
-    """About how many gaussians the whole scene has at the end."""
+def facts_of_whole(scene: Scene, options: TrainOptions) -> tuple[SceneFacts, int]:
+    """(The facts of the whole scene for its schedule, the number of training photos)."""
     scene = scene.reduced(options.downscale, options.max_resolution)
     views, _ = scene.split(options.test_every, options.test_offset)
-    facts = scene_facts(scene, views)
+    return scene_facts(scene, views), len(views)
+
+
+def expected_gaussians(facts: SceneFacts, options: TrainOptions) -> int:
+    """About how many gaussians the whole scene has at the end.
+
+    Parameters
+    ----------
+    facts : of the whole scene.
+    """
     limit, _ = schedule_of(options.schedule).planned_limit(options, facts)
     return max(facts.count, facts.pixels // PIXELS_PER_GAUSSIAN if limit is None else limit)
 
@@ -172,14 +180,21 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
         *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
 
 
-def trains_jointly(options: TrainOptions, scene: Scene) -> bool:
+def trains_jointly(facts: SceneFacts, photos: int, options: TrainOptions) -> bool:
     """Whether a city whose model a device holds is trained jointly at the end, if nobody says so.
 
-    Other schedules than sig are trained as they were published, and a time budget is one of each
-    block.
+    Only where one run takes all the steps that its photos allow: with fewer, blocks gain more by
+    steps of their own (docs/notebook/city.md). Other schedules than sig are trained as they were
+    published, and a time budget is one of each block.
+
+    Parameters
+    ----------
+    facts : of the whole scene.
+    photos : number of training photos.
     """
+    steps, most, _ = worthwhile_steps(options, facts, photos)
     return ("sig" in schedule_of(options.schedule).parts and not options.time_budget
-            and JOINT_STEPS * whole_steps(options, scene) >= LEAST_JOINT_STEPS)
+            and steps == most and JOINT_STEPS * steps >= LEAST_JOINT_STEPS)
 
 
 def one_block_note(options: PartitionOptions, scene: Path) -> str:

@@ -266,8 +266,14 @@ def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions
     already keeps its steps.
     """
     from clsplat.city.cut import requested_of
-    from clsplat.city.forecast import expected_gaussians, gaussians_that_fit, trains_jointly
-    expected, together = expected_gaussians(scene, options), max(1, workers / devices)
+    from clsplat.city.forecast import (
+        expected_gaussians,
+        facts_of_whole,
+        gaussians_that_fit,
+        trains_jointly,
+    )
+    facts, photos = facts_of_whole(scene, options)
+    expected, together = expected_gaussians(facts, options), max(1, workers / devices)
     fit = gaussians_that_fit(device, options)
     recorded = requested_of(city) if city.has_partition else {}
     chosen = PartitionOptions(**{
@@ -277,7 +283,7 @@ def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions
             LEAST_GAUSSIANS, int(fit / together)),
         "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS)), "workers": workers})
     return chosen.decided(not (recorded or tree) and chosen.several and expected <= fit
-                          and trains_jointly(options, scene))
+                          and trains_jointly(facts, photos, options))
 
 
 def _beside(scene: Path) -> Path:

@@ -84,8 +84,9 @@ class PartitionOptions:
                                 "training, else 2", words={AUTO: AUTO}, minimum=0.1, maximum=100.0)
     joint_steps: float = option(AUTO, "Blocks", "steps of the joint training, in which the merged "
                                 "model is trained as a whole on one device, as a multiple of those "
-                                "of one run; auto: a third, where that device holds the whole, "
-                                "with --schedule sig, unless the training is short",
+                                "of one run; auto: a third, where that device holds the whole "
+                                "and one run takes all the steps that its photos allow "
+                                "(--visits), with --schedule sig",
                                 words={AUTO: AUTO, "none": 0.0}, minimum=0.01, maximum=10.0)
     least_views: int = option(8, "Blocks", "number of views below which a block has too few",
                               minimum=0)

@@ -16,6 +16,7 @@ from clsplat.city.forecast import (
     coarse_steps,
     exchange_notes,
     expected_gaussians,
+    facts_of_whole,
     gaussians_that_fit,
     one_block_note,
     scale_table,
@@ -41,7 +42,8 @@ def test_the_expected_number_is_the_limit_of_the_schedule():
     pixels = sum(view.camera.width * view.camera.height for view in scene.views)
 
     def expected(**options):
-        return expected_gaussians(scene, resolve({}, {"test_every": 0, **options}))
+        chosen = resolve({}, {"test_every": 0, **options})
+        return expected_gaussians(facts_of_whole(scene, chosen)[0], chosen)
 
     assert expected(schedule="mcmc", mcmc_cap=points + 7) == points + 7
     assert expected(schedule="mcmc", mcmc_cap=7) == points, "it begins with so many"

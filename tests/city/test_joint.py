@@ -50,8 +50,10 @@ def test_a_city_that_a_device_holds_is_trained_jointly(tmp_path):
     assert steps(tmp_path, tree=True) == apart, "a tree is made block by block"
     assert steps(tmp_path, schedule="constant") == apart, "trained as published"
     assert steps(tmp_path, time_budget="5m") == apart
-    assert steps(tmp_path, iterations=890) == apart, "a short training"
-    assert steps(tmp_path, iterations=910) == steps(tmp_path)
+    assert steps(tmp_path, iterations=6900) == apart, "more steps are worthwhile"
+    assert steps(tmp_path, visits=0.0) == apart, "any number of steps is"
+    assert steps(tmp_path, visits=31.0) == apart, "28 photos, 868 steps: a short training"
+    assert steps(tmp_path, visits=33.0) == steps(tmp_path)
 
 
 def test_what_the_user_says_holds(tmp_path):
