@@ -16,6 +16,7 @@ from clsplat.cli.main import main
 from clsplat.distribute import Outcome, guarded, local, run
 from clsplat.errors import InputError
 from clsplat.io.lock import LockTaken
+from clsplat.io.run import RunFolder
 from clsplat.io.scenes import read_scene
 from clsplat.partition.options import PartitionOptions
 from clsplat.training import loop
@@ -218,9 +219,10 @@ def test_a_training_that_prunes_everything_says_so(tmp_path, float_device):
 
 
 def test_costs_of_metrics_that_are_empty_are_nothing(city):  # noqa: F811
-    for path in (city.coarse, city.block(0).run):
-        (path / "metrics.jsonl").write_text('{"event"')
-    assert finish.cost(city) == {"iteration": 0, "train_seconds": 0, "wall_seconds": 0}
+    runs = [RunFolder(city.coarse), RunFolder(city.block(0).run)]
+    for each in runs:
+        (each.path / "metrics.jsonl").write_text('{"event"')
+    assert finish.cost(runs) == {"iteration": 0, "train_seconds": 0, "wall_seconds": 0}
     assert stages.COARSE_FACTOR == 2
 
 
