@@ -1,15 +1,27 @@
 """The gaussians at dense points with which one run of the whole scene would begin.
 
 Blocks begin with those of them that stand in gaps of the coarse model (partition/blocks.py).
+
+    python -m clsplat.city.dense CITY
+
+finds them; a city with several workers has this done by one of them during its coarse run.
 """
 
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from clsplat.city.stages import begin_from_coarse
 from clsplat.device import Device
+from clsplat.distribute import Children, Task, run
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.depth import with_depths
@@ -17,10 +29,14 @@ from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
+from clsplat.training.block import opened
 from clsplat.training.dense_start import first_gaussians
 from clsplat.training.photos import THREADS
 from clsplat.training.prepare import prepare
 from clsplat.training.progress import SilentProgress
+
+FOLDER = "start"  # of the child's task, in the city's folder meanwhile
+TRIED = "tried"  # its file, which is there after success, with dense points or without
 
 
 def find_dense_gaussians(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
@@ -52,6 +68,42 @@ def find_dense_gaussians(city: CityFolder, scene: Scene, options: TrainOptions, 
               sphere=True)
 
 
+@contextmanager
+def found_beside(city: CityFolder, scene: Scene, options: TrainOptions, children: Children | None
+                 ) -> Iterator[Callable[[], bool]]:
+    """Have a child do the work of `find_dense_gaussians` while the block does other work.
+
+    Parameters
+    ----------
+    city : its folder, with its record.
+    scene, options : the whole.
+    children : see `distribute.run`; None: nothing is done.
+
+    Yields
+    ------
+    A function that waits for the child, and returns whether it succeeded; else the work is left.
+    """
+    if children is None or city.has_partition or city.dense.is_file():
+        yield lambda: False
+        return
+    # else the child and the coarse run would both write the undistorted photos
+    undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
+    folder = city.path / FOLDER
+    shutil.rmtree(folder, ignore_errors=True)
+    task = Task("dense points", (str(city.path.resolve()),), folder / TRIED)
+    with ThreadPoolExecutor(1) as beside:
+        outcomes = beside.submit(run, [task], len(children), retries=0,
+                                 program="clsplat.city.dense", children=children)
+        try:
+            yield lambda: outcomes.result()[0].ok
+        except BaseException:
+            children.end()  # the child is interrupted
+            raise
+        finally:
+            outcomes.exception()  # waits
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def dense_gaussians(city: CityFolder, scene: Scene, sh_degree: int) -> Gaussians | None:
     """The gaussians of CITY/dense.ply in the scene's frame; None without that file."""
     if not city.dense.is_file():
@@ -76,3 +128,16 @@ def counted_where(coarse: Gaussians, dense: Gaussians | None) -> NDArray[np.floa
         _, nearest = tree.query(dense.positions, workers=-1)
         counts += np.bincount(nearest, minlength=coarse.count)
     return counts
+
+
+def main(folder: str) -> None:
+    """Do this for CITY, on the device that CLSPLAT_DEVICE names, else on that of the city."""
+    city = CityFolder(folder)
+    scene, options = begin_from_coarse(city)
+    device = opened(os.environ.get("CLSPLAT_DEVICE") or options.device, options.form)
+    find_dense_gaussians(city, scene, options, device)
+    (city.path / FOLDER / TRIED).touch()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -6,6 +6,7 @@ blocks are listed, never ignored: `Merged.check` refuses a model with holes.
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.ahead import called_ahead
 from clsplat.io.city import BlockFolder, CityFolder
 from clsplat.io.lock import holder, is_locked
 from clsplat.io.run import RunFolder
@@ -22,6 +24,7 @@ from clsplat.partition.input import world_of
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene
 
+READ_TOGETHER = 4  # blocks, where all of them will be in memory
 STARVED = 0.1  # gaussians for each sparse point of its cell; a block with fewer did not train well
 FILLED = ("merged", "coarse")  # states of a block whose cell is filled
 TRAINS = "in training"  # by another process, at this moment
@@ -102,7 +105,7 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
           keep: Callable[[Gaussians], object] | None = None) -> Merged:
     """Merge the finished blocks of a city; `Merged.check` says whether the model has holes.
 
-    One block at a time is in memory.
+    With `keep`, one block at a time is in memory; else several are read at the same time.
 
     Parameters
     ----------
@@ -125,9 +128,14 @@ def merge(city: CityFolder, scene: Scene, fill: bool = False,
     owner = partition.owner(world_of(scene, scene.points))
     points = np.bincount(owner[owner >= 0], minlength=len(partition.regions))
     pieces: list[Gaussians] = []
-    shares, coarse, keep = [], None, keep or pieces.append
+    shares, coarse = [], None
+    blocks = ((city.block(number), number, partition, scene)
+              for number in range(len(partition.regions)))
+    found = starmap(_block, blocks) if keep else called_ahead(
+        _block, blocks, READ_TOGETHER, READ_TOGETHER)
+    keep = keep or pieces.append
     for number, views in enumerate(partition.views):
-        state, trained, piece, note = _block(city.block(number), number, partition, scene)
+        state, trained, piece, note = next(found)
         if piece and piece.count < STARVED * points[number]:
             state, note = "starved", f"only {piece.count} gaussians in its cell"
             piece = None

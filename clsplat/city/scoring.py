@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from clsplat.city.seams import Strips, inspect_views
-from clsplat.device import Device, choose_device
-from clsplat.distribute import Children, Task, run
+from clsplat.device import Device
+from clsplat.distribute import Children, Task
+from clsplat.distribute import run as run_tasks
 from clsplat.evaluation.held_out_responses import predicted_responses
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views, final_metrics
@@ -32,9 +33,10 @@ from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
+from clsplat.training.block import opened
 
 FOLDER = "scores"  # of the shares, in the city's folder while they are computed
-LEAST_PIXELS = 2_000_000  # of a share's views: with fewer, a process begins longer than it scores
+LEAST_PIXELS = 1_000_000  # of a share's views: with fewer, a process begins longer than it scores
 MOST_SHARES = 64  # on a cluster, whose workers are not counted before
 
 log = logging.getLogger(__name__)
@@ -74,29 +76,28 @@ def score_share(city: CityFolder, share: int, shares: int, reference: Path | Non
     ----------
     reference : the PLY file of the reference for seams; None: that of the coarse model.
     """
-    opened, partition = Run.open(city.path), city.partition()
-    scene, options, merged = opened.scene(), opened.options, opened.finished_model
+    run, partition = Run.open(city.path), city.partition()
+    scene, options, merged = run.scene(), run.options, run.finished_model
     views, held_out = views_of(scene, options)
+    chosen = {views[index].name: index for index in range(share, len(views), shares)}
+    folder = done_file(city, share).parent
     per_view = {}
+    if held_out:
+        per_view = {chosen[scores["name"]]: scores for scores in evaluate_views(
+            *run.opened(device, scene, merged), [views[index] for index in chosen.values()],
+            lambda *_: note_work(folder), final_metrics(options.lpips),
+            predicted_responses(scene.views, run.folder.load_exposures()))["per_view"]}
 
-    def chosen() -> Iterator[int]:
-        for index in range(share, len(views), shares):
-            note_work(done_file(city, share).parent)
+    def inspected() -> Iterator[int]:
+        for index in chosen.values():
+            note_work(folder)
             yield index
 
-    if held_out:
-        model = opened.opened(device, scene, merged)
-        predicted = predicted_responses(scene.views, opened.folder.load_exposures())
-        metrics = final_metrics(options.lpips)
-        for index in chosen():
-            scores = evaluate_views(*model, [views[index]], None, metrics, predicted)["per_view"]
-            if scores:
-                per_view[index] = scores[0]
     arrays = {}
     if len(partition.regions) > 1:
         other = reference_model(city, scene, reference)
         arrays = inspect_views(device, partition, scene, views, options, merged, other,
-                               chosen()).arrays()
+                               inspected()).arrays()
     with replacing(done_file(city, share)) as file:
         np.savez(file, per_view=np.array(json.dumps(per_view)),
                  **arrays)  # type: ignore[arg-type]  # none of them is named allow_pickle
@@ -135,7 +136,7 @@ def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
         return None
     shutil.rmtree(city.path / FOLDER, ignore_errors=True)  # of another model
     try:
-        outcomes = run([Task(f"scores {share}", (
+        outcomes = run_tasks([Task(f"scores {share}", (
             str(city.path.resolve()), str(share), str(shares),
             *((str(reference.resolve()),) if reference else ())), done_file(city, share))
             for share in range(shares)], workers, scheduler, devices=devices,
@@ -167,7 +168,7 @@ def main(folder: str, share: str, shares: str, reference: str = "") -> None:
     """Compute one share on the device that CLSPLAT_DEVICE names, else on that of the city."""
     city = CityFolder(folder)
     options = Run.open(city.path).options
-    device = choose_device(os.environ.get("CLSPLAT_DEVICE") or options.device, form=options.form)
+    device = opened(os.environ.get("CLSPLAT_DEVICE") or options.device, options.form)
     score_share(city, int(share), int(shares), Path(reference) if reference else None, device)
 
 

@@ -65,7 +65,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     """
     from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks, draw
-    from clsplat.city.dense import find_dense_gaussians
+    from clsplat.city.dense import find_dense_gaussians, found_beside
     from clsplat.city.forecast import block_table, one_block_note
     from clsplat.city.stages import begin, train_coarse
     from clsplat.device import choose_device
@@ -115,10 +115,12 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
                        f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
 
     try:
-        with shown("coarse run") as progress:
-            train_coarse(folder, data, options, device, progress)
-        with shown("start of blocks") as progress:
-            find_dense_gaussians(folder, data, options, device, progress)
+        with found_beside(folder, data, options, children) as found:
+            with shown("coarse run") as progress:
+                train_coarse(folder, data, options, device, progress)
+            with shown("start of blocks") as progress:
+                if not found():
+                    find_dense_gaussians(folder, data, options, device, progress)
         partition, counts = cut_into_blocks(folder, data, options, cutting, device)
         if not quiet:  # trial steps would keep the other devices waiting
             several = workers > 1 or scheduler

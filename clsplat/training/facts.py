@@ -1,7 +1,7 @@
 """What a schedule knows about a scene before training."""
 
 from collections.abc import Sequence
-from functools import cache
+from weakref import WeakKeyDictionary
 
 from clsplat.covisibility.disagreement import colour_disagreement
 from clsplat.covisibility.source_views import photos_of_a_point
@@ -13,6 +13,7 @@ from clsplat.training.photos import decoded, with_side
 
 SMALL_SIDE = 256  # pixels of the photos whose colours are compared
 RUNS, RUN = 4, 12  # of photos that follow each other, and so show the same places
+_KNOWN = WeakKeyDictionary[Scene, dict[tuple[View, ...], float]]()
 
 
 def scene_facts(scene: Scene, views: Sequence[View]) -> SceneFacts:
@@ -26,7 +27,15 @@ def scene_facts(scene: Scene, views: Sequence[View]) -> SceneFacts:
     return SceneFacts(
         smallest_size(views), len(scene.points), mean_inverse_distance(scene.points) / scene.unit,
         lambda: (photo[:3] for photo in decoded(views)), seen_pixels(scene, views),
-        cache(lambda: _disagreement(scene, views)), photos_of_a_point(scene, views))
+        lambda: _known_disagreement(scene, tuple(views)), photos_of_a_point(scene, views))
+
+
+def _known_disagreement(scene: Scene, views: tuple[View, ...]) -> float:
+    """The result of `_disagreement`, for which several stages of a city ask."""
+    known = _KNOWN.setdefault(scene, {})
+    if views not in known:
+        known[views] = _disagreement(scene, views)
+    return known[views]
 
 
 def _disagreement(scene: Scene, views: Sequence[View]) -> float:

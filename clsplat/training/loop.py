@@ -187,7 +187,7 @@ class Training:
         """Take steps until the end, `stop_at` or Ctrl-C, which waits for its step; then save.
 
         What cannot be made again is written first: the checkpoint, the finished model, the final
-        evaluation, and last the report, whose failure does no harm. Parts of a city have no report,
+        evaluation, and last the report, whose failure does no harm. Parts of a city have neither,
         and once they are finished no checkpoint, which is three times as large as the model.
         """
         is_part = is_part_of_city(self.session.scene, self.session.options)
@@ -215,9 +215,9 @@ class Training:
                         self.checkpoint.remove()
         if not self.finished():
             raise self.stopped()
-        if self.evaluator.evaluated_at != self.session.iteration:
-            self.evaluator.evaluate(final=True)
         if not is_part:
+            if self.evaluator.evaluated_at != self.session.iteration:
+                self.evaluator.evaluate(final=True)
             draw_report(self.run, self.session, self.evaluator.per_view)
 
     @contextmanager
