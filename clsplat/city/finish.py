@@ -131,11 +131,13 @@ def _note_merge(city: CityFolder, scene: Scene, options: TrainOptions, device: D
     run = RunFolder(city.path)
     coarse, trained = RunFolder(city.coarse), RunFolder(city.joint)
     joint = joint and trained.has_model
+    jointly = cost([trained] * joint)
     spent = cost([coarse, *(RunFolder(block.run) for block in city.blocks()), *[trained] * joint])
     run.write_options({**run_record(scene, options, device), "blocks": len(merged.shares)})
     run.write_placement(scene)
     run.rewind(-1)
-    run.log({"event": "merge", **spent, "level": 1.0, **merged.record()})
+    run.log({"event": "merge", **spent, "level": 1.0, "joint_steps": jointly["iteration"],
+             **merged.record()})
     if responses := (trained if joint else coarse).load_exposures():
         run.save_exposures(responses)
 

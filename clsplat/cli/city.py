@@ -228,7 +228,7 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
             against: Path | None, tree: bool, quiet: bool, workers: int = 1, scheduler: str = "",
             devices: Sequence[str] = (), children: Children | None = None, joint: bool = True
             ) -> None:
-    from clsplat.city.finish import evaluate_city, merge_city, merge_city_tree
+    from clsplat.city.finish import evaluate_city, merge_city, merge_city_tree, merge_record
     from clsplat.cli.evaluate import summary
     from clsplat.io.tree import TREE
     from clsplat.report.city import seam_table, share_table
@@ -250,7 +250,7 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
         click.echo("--against: not used, since a single block has no seams", err=True)
     if quiet:
         return
-    click.echo(share_table(merged.record()).text())
+    click.echo(share_table(merge_record(folder)).text())
     if seams:
         click.echo(seam_table(seams).text())
     if scores:

@@ -10,13 +10,16 @@ def share_table(record: dict[str, Any]) -> Table:
 
     Parameters
     ----------
-    record : `city.merge.Merged.record`, as in the city's metrics.
+    record : of a merge in the city's metrics, or `city.merge.Merged.record`.
     """
+    steps = record.get("joint_steps")
+    jointly = [f"the merged model was then trained as a whole for {steps:,} steps"] if steps else []
     names = ("state", "gaussians", "trained", "views", "points", "note")
     rows = [(f"{share['block']:03d}", *(str(share[name]) for name in names))
             for share in record["blocks"]]
-    return Table("Blocks", ("block", *names), rows, range(2, 6), tuple(
-        f"{name}: in no block: {reason}" for name, reason in record["dropped"].items()))
+    return Table("Blocks", ("block", *names), rows, range(2, 6), (
+        *jointly,
+        *(f"{name}: in no block: {reason}" for name, reason in record["dropped"].items())))
 
 
 def seam_table(seams: dict[str, Any]) -> Table:

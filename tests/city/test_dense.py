@@ -1,13 +1,22 @@
 """Dense points of a city: when they are found, and that its blocks begin with them."""
 
+import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from clsplat.city import cut, dense
-from clsplat.city.dense import counted_where, dense_gaussians, find_dense_gaussians
-from clsplat.errors import InputError
+from clsplat.city.dense import (
+    counted_where,
+    dense_gaussians,
+    find_dense_gaussians,
+    found_beside,
+)
+from clsplat.city.stages import begin
+from clsplat.distribute import Children
+from clsplat.errors import InputError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
@@ -62,6 +71,48 @@ def test_they_were_requested_and_cannot_be_had(folder, scene):
     alone = replace(scene, observations=np.zeros((0, 2), np.int32))
     with pytest.raises(InputError, match="--init dense needs three photos"):
         find_dense_gaussians(folder, alone, resolve({}, {**LONG, "init": "dense"}), None)
+
+
+@pytest.mark.parametrize("options", [{"init": "dense"}, {"init": "sfm"}], ids=str)
+def test_a_child_does_the_same_beside_other_work(folder, item_device, monkeypatch, options):
+    whole = read_scene(CITY)
+    options = resolve({}, {**LONG, "downscale": 8.0, **options, "form": "item",
+                           "device": item_device.handle.name})
+    begin(folder, whole, options)
+    monkeypatch.delenv("CLSPLAT_DEVICE", raising=False)
+    with Children(1) as children, found_beside(folder, whole, options, children) as found:
+        assert found()
+    assert folder.dense.exists() == (options.init == "dense")
+    assert not (folder.path / dense.FOLDER).exists()
+    if folder.dense.exists():
+        by_child = folder.dense.read_bytes()
+        folder.dense.unlink()
+        find_dense_gaussians(folder, whole, options, item_device)
+        assert folder.dense.read_bytes() == by_child
+
+
+def test_what_a_child_cannot_do_is_left(folder, scene, monkeypatch):
+    monkeypatch.setattr(dense, "run", lambda *_, **__: [SimpleNamespace(ok=False)])
+    with found_beside(folder, scene, resolve({}, LONG), Children(1)) as found:
+        assert not found()
+
+
+def test_no_child_is_asked_for_what_is_there_or_where_there_is_none(folder, scene, monkeypatch):
+    monkeypatch.setattr(dense, "run", None)
+    with found_beside(folder, scene, resolve({}, LONG), None) as found:
+        assert not found()
+    folder.dense.touch()
+    with found_beside(folder, scene, resolve({}, LONG), Children(1)) as found:
+        assert not found()
+
+
+def test_the_child_ends_when_the_other_work_is_interrupted(folder, scene, monkeypatch):
+    told, children = threading.Event(), Children(1)
+    monkeypatch.setattr(dense, "run", lambda *_, **__: told.wait(60))
+    monkeypatch.setattr(children, "end", told.set)
+    with pytest.raises(Interrupted), found_beside(folder, scene, resolve({}, LONG), children):
+        raise Interrupted("Ctrl-C")
+    assert told.is_set()
 
 
 def test_they_count_where_the_nearest_coarse_gaussian_stands():

@@ -83,6 +83,18 @@ def test_photos_are_sampled_in_runs_that_show_the_same_places(monkeypatch):
     assert [view.name for view in chosen] == [view.name for view in many.views[:48]]
 
 
+def test_the_photos_of_a_scene_are_compared_once(monkeypatch):
+    asked = []
+    monkeypatch.setattr(facts, "colour_disagreement",
+                        lambda scene, views, photos: asked.append(len(views)) or 0.01)
+    scene, same = circle(0, 5, 10, 15), circle(0, 5, 10, 15)
+    for views in (scene.views, list(scene.views), scene.views[:2]):
+        for _ in range(2):
+            assert facts.scene_facts(scene, views).disagreement() == 0.01
+    facts.scene_facts(same, same.views).disagreement()
+    assert asked == [4, 2, 4]
+
+
 def test_how_many_photos_show_a_point():
     """Points that one photo shows tell nothing, and are not counted."""
     scene = circle(0, 5, 10, 15)

@@ -41,6 +41,19 @@ def test_a_child_may_be_started_before_its_first_task(tmp_path, module, same):
         worker.close()
 
 
+def test_a_child_that_is_started_early_calls_what_is_needed(tmp_path):
+    """It opens its device, for example; where that cannot be had, the tasks will tell."""
+    task, folder, worker = stub_tasks(tmp_path, 1)[0], tmp_path / "called", child.Child()
+    task.folder.mkdir()
+    try:
+        worker.start([f"os:makedirs:{folder}", "clsplat.io.scenes:read_scene:nowhere"])
+        early = worker._process
+        assert worker.work(task, PROGRAM).ending == DONE
+        assert folder.is_dir() and int(processes_of([task])[0]) == early.pid
+    finally:
+        worker.close()
+
+
 def test_children_serve_one_run_after_the_other(tmp_path):
     first, second, third = stub_tasks(tmp_path, 3)
     with Children(5, ("7",), ("json",)) as children:
@@ -54,3 +67,11 @@ def test_children_serve_one_run_after_the_other(tmp_path):
     assert processes_of([first, second]) == 2 * [str(process.pid)]
     assert run([third], workers=2, program=PROGRAM)[0].ok
     assert processes_of([third]) != [str(process.pid)]
+
+
+def test_children_end_when_there_are_no_more_tasks(tmp_path):
+    with Children(2, needed=("json",)) as children:
+        assert run([stub_tasks(tmp_path, 1)[0]], workers=2, program=PROGRAM, children=children)[0].ok
+        children.end()
+        assert [worker._process.wait(60) for worker in children._children if worker._process
+                ] == [0] * min(2, os.cpu_count())
