@@ -71,7 +71,7 @@ def test_children_serve_one_run_after_the_other(tmp_path):
 
 def test_children_end_when_there_are_no_more_tasks(tmp_path):
     with Children(2, needed=("json",)) as children:
-        assert run([stub_tasks(tmp_path, 1)[0]], workers=2, program=PROGRAM, children=children)[0].ok
+        assert run(stub_tasks(tmp_path, 1), workers=2, program=PROGRAM, children=children)[0].ok
         children.end()
         assert [worker._process.wait(60) for worker in children._children if worker._process
                 ] == [0] * min(2, os.cpu_count())
