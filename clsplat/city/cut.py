@@ -224,9 +224,7 @@ def options_of_joint(options: TrainOptions, steps: float, scene: Scene,
                      ) -> dict[str, Any]:
     """{option: value} of the joint training, for partition.json.
 
-    It has the levels of a block, but lowers opacities at the start of its second one, as any run
-    does: then it prunes what only one block needed. All degrees of the spherical harmonics are
-    active, as they are trained.
+    It has the levels and growth of one run that begins at dense points, with fewer steps.
 
     Parameters
     ----------
@@ -239,7 +237,7 @@ def options_of_joint(options: TrainOptions, steps: float, scene: Scene,
     given = block_steps(options, steps, smallest_size([scene.views[index] for index in views]),
                         facts)
     return {**options_of_blocks(given, decided), "depth": options.depth, "snapshots": False,
-            "level_reset": options.level_reset, "sh_every": 1}
+            "levels": options.levels, "level_reset": options.level_reset}
 
 
 def draw(city: CityFolder, partition: Partition, scene: Scene, counts: NDArray[np.integer]) -> None:

@@ -37,7 +37,7 @@ TRIAL_WORTH = 600.0  # seconds of training, for which trial steps of half a minu
 MOST_SHARING, CORES_SHARING, SHARED_MEMORY, PROCESS_BYTES = 4, 4, 0.5, 700 << 20
 COARSE_NOTE = "the coarse run, which tell it to a factor of two"
 DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
-LEAST_JOINT_STEPS = 300  # fewer are not worth it
+LEAST_JOINT_STEPS = 450  # fewer are not worth it
 PIXELS_PER_GAUSSIAN = 40  # of training photos, where the schedule has no limit
 
 

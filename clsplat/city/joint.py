@@ -1,8 +1,10 @@
-"""The joint training of a city: its last steps, in which the merged model is trained as a whole.
+"""The joint training of a city: its last steps, in which the whole is trained on one device.
 
 Blocks learn apart from each other, under surroundings that are those of the coarse run. Where a
-device holds the whole model, some steps on whole photos remove what that leaves: seams, and
-gaussians that only one block needed.
+device holds the whole model, steps on whole photos remove what that leaves: seams, and gaussians
+that only one block needed. The training begins where the gaussians of the blocks are, with their
+colours, as one run begins at dense points: with their shapes and opacities it ends in a worse model
+(docs/notebook/city.md).
 """
 
 import dataclasses
@@ -20,6 +22,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import PARTITION, CityFolder
 from clsplat.io.depth import with_depths
+from clsplat.io.model_values import colours_of, to_bytes
 from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.undistort import undistorted
@@ -34,7 +37,7 @@ from clsplat.training.progress import SilentProgress
 
 def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged: Merged,
                   device: Device, progress: SilentProgress | None = None) -> Merged:
-    """Train the merged model as a whole in CITY/joint, or continue that; return the result.
+    """Train a city as a whole in CITY/joint, or continue that; return the result.
 
     That of another merged model, or of another partition without one, is removed.
 
@@ -88,12 +91,15 @@ def by_block(merged: Merged, gaussians: Gaussians, partition: Partition, scene: 
 
 
 def begin_with(city: CityFolder, scene: Scene, merged: Gaussians) -> None:
-    """Write the merged model, with which the joint training begins; remove that of another one."""
-    new = city.merged.with_suffix(".new.ply")
-    write_ply(new, merged, scene.offset)
-    if not (city.merged.is_file() and filecmp.cmp(new, city.merged, shallow=False)):
+    """Write the points of a merged model, at which the joint training begins; remove that of
+    another one."""
+    new = city.joint_start.with_suffix(".new.ply")
+    points = Gaussians.from_points(
+        merged.positions, to_bytes(255 * colours_of(merged.sh_constant)), sh_degree=0)
+    write_ply(new, points, scene.offset)
+    if not (city.joint_start.is_file() and filecmp.cmp(new, city.joint_start, shallow=False)):
         shutil.rmtree(city.joint, ignore_errors=True)
-    os.replace(new, city.merged)
+    os.replace(new, city.joint_start)
 
 
 def joint_options(city: CityFolder, given: Any, count: int) -> TrainOptions:
@@ -110,6 +116,6 @@ def joint_options(city: CityFolder, given: Any, count: int) -> TrainOptions:
         raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "
                          f"it with `clsplat partition {city.path}`")
     values = {key: checked(str(path), key, value) for key, value in given.items()}
-    options = resolve(values, {"init": str(city.merged)})
+    options = resolve(values, {"init": str(city.joint_start)})
     most = options.max_gaussians and max(options.max_gaussians, count)
     return dataclasses.replace(options, max_gaussians=most)

@@ -53,8 +53,8 @@ class CityFolder:
     coarse, lod : folders of the coarse run and of the levels of detail.
     undistorted : folder of the undistorted photos of a scene that needs them.
     dense : the PLY of the gaussians at dense points, where the city has them.
-    joint, merged : the run of the joint training, and the PLY with which it begins, where the city
-        has one.
+    joint, joint_start : the run of the joint training, and the PLY of the points at which it
+        begins, where the city has one.
     map, picture : the partition as GeoJSON and as an image.
     """
 
@@ -62,7 +62,7 @@ class CityFolder:
         self.path = Path(path)
         self.coarse, self.lod = self.path / "coarse", self.path / "lod"
         self.undistorted, self.dense = self.path / UNDISTORTED, self.path / "dense.ply"
-        self.joint, self.merged = self.path / "joint", self.path / "merged.ply"
+        self.joint, self.joint_start = self.path / "joint", self.path / "joint_start.ply"
         self.map, self.picture = self.path / "partition.geojson", self.path / "partition.png"
 
     @property

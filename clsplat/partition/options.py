@@ -10,8 +10,8 @@ METHODS = ("citygs", "blockgs", "vastgs")
 LEAST_GAUSSIANS = 100  # a block with fewer is starved
 MOST_BLOCKS = 10_000
 # where `auto` leaves it open: without a joint training, and with one
-BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 0.5
-EXCHANGES, JOINT_STEPS = 3, 1 / 3
+BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 0.25
+EXCHANGES, JOINT_STEPS = 3, 0.5
 
 
 def check_up(up: tuple[float, ...]) -> None:
@@ -80,13 +80,13 @@ class PartitionOptions:
                             words={AUTO: AUTO}, minimum=0, maximum=20)
     block_steps: float = option(AUTO, "Blocks", "steps of all blocks together, as a multiple of "
                                 "those of one run; with more, each gaussian is seen more often, "
-                                "which is better and takes longer; auto: 0.5 before a joint "
+                                "which is better and takes longer; auto: 0.25 before a joint "
                                 "training, else 2", words={AUTO: AUTO}, minimum=0.1, maximum=100.0)
-    joint_steps: float = option(AUTO, "Blocks", "steps of the joint training, in which the merged "
-                                "model is trained as a whole on one device, as a multiple of those "
-                                "of one run; auto: a third, where that device holds the whole "
-                                "and one run takes all the steps that its photos allow "
-                                "(--visits), with --schedule sig",
+    joint_steps: float = option(AUTO, "Blocks", "steps of the joint training, in which the whole "
+                                "is trained on one device from the points at which the blocks have "
+                                "gaussians, as a multiple of those of one run; auto: 0.5, where "
+                                "that device holds the whole and one run takes all the steps that "
+                                "its photos allow (--visits), with --schedule sig",
                                 words={AUTO: AUTO, "none": 0.0}, minimum=0.01, maximum=10.0)
     least_views: int = option(8, "Blocks", "number of views below which a block has too few",
                               minimum=0)
