@@ -24,7 +24,8 @@ from clsplat.training.photos import THREADS
 from clsplat.training.progress import SilentProgress
 
 COARSE_FACTOR = 2  # the coarse run's photos are smaller by this
-COARSE_SHARE = 0.5  # of the steps of one run; at half size they cost a quarter of it or less
+# of the steps of one run; at half size they cost a quarter or less. A joint training needs fewer
+COARSE_SHARE, COARSE_SHARE_BEFORE_JOINT = 0.5, 0.25
 
 
 def begin(city: CityFolder, scene: Scene, options: TrainOptions) -> None:
@@ -91,34 +92,49 @@ def begin_from_coarse(city: CityFolder, scene_path: Path | None = None
 
 
 def train_coarse(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-                 progress: SilentProgress | None = None) -> RunFolder:
-    """Train the coarse model in CITY/coarse, or continue its training; return its folder."""
+                 progress: SilentProgress | None = None, joint: bool = False) -> RunFolder:
+    """Train the coarse model in CITY/coarse, or continue its training; return its folder.
+
+    Parameters
+    ----------
+    city : its folder.
+    scene, options : the whole.
+    device : an open device.
+    progress : receives steps, messages and phases.
+    joint : whether the city will be trained jointly.
+    """
     folder = RunFolder(city.coarse)
     if folder.is_begun and folder.read_options().get("fingerprint") != fingerprint(scene):
         raise InputError(f"{folder.path}: is a run of another scene; choose another --output")
     if folder.is_finished:
         return folder
     scene = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
+    coarse = coarse_options(options, scene, joint)
     with folder.locked():
-        start = resume if folder.is_begun else train
-        folder = folder if folder.is_begun else RunFolder.create(city.coarse)
-        start(scene, coarse_options(options, scene), device, folder, progress)
+        if folder.is_begun:  # as it was begun: on another device there may be no joint training
+            steps = Run.open(folder.path).options.iterations
+            resume(scene, dataclasses.replace(coarse, iterations=steps), device, folder, progress)
+        else:
+            folder = RunFolder.create(city.coarse)
+            train(scene, coarse, device, folder, progress)
     return folder
 
 
-def coarse_options(options: TrainOptions, scene: Scene) -> TrainOptions:
-    """The options of the coarse run: photos half as large as the blocks', and half of the steps of
-    one run; it begins at the sparse points.
+def coarse_options(options: TrainOptions, scene: Scene, joint: bool = False) -> TrainOptions:
+    """The options of the coarse run: photos half as large as the blocks', and a half or a quarter
+    of the steps of one run; it begins at the sparse points.
 
     Parameters
     ----------
     options, scene : the whole.
+    joint : whether the city will be trained jointly.
     """
     training, _ = scene.split(options.test_every, options.test_offset)
     one_run, _, _ = worthwhile_steps(options, scene_facts(scene, training), len(training))
+    share = COARSE_SHARE_BEFORE_JOINT if joint else COARSE_SHARE
     return dataclasses.replace(
         options, coarse=True, init=AUTO, downscale=COARSE_FACTOR * options.downscale,
         max_resolution=-(-options.max_resolution // COARSE_FACTOR),
         snapshots="levels" in schedule_of(options.schedule).parts,
-        iterations=max(1, int(COARSE_SHARE * one_run)), eval_at=(),
+        iterations=max(1, int(share * one_run)), eval_at=(),
         eval_every=0, lpips="")

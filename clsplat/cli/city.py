@@ -117,7 +117,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     try:
         with found_beside(folder, data, options, children) as found:
             with shown("coarse run") as progress:
-                train_coarse(folder, data, options, device, progress)
+                train_coarse(folder, data, options, device, progress, cutting.joint_steps > 0)
             with shown("start of blocks") as progress:
                 if not found():
                     find_dense_gaussians(folder, data, options, device, progress)

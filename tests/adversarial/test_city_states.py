@@ -332,10 +332,12 @@ def test_the_coarse_run_has_photos_half_as_large_as_the_blocks(limit, small):
 
 
 def test_the_coarse_run_takes_half_of_the_steps_that_photos_allow():
+    """And a quarter before a joint training."""
     scene = read_scene(CITY)
     for visits, steps in ((1.0, 14), (50.0, 700), (0.0, 4500)):  # of 28 training photos
         options = resolve({}, {"visits": visits, "iterations": 9000})
         assert stages.coarse_options(options, scene).iterations == steps
+        assert stages.coarse_options(options, scene, joint=True).iterations == steps // 2
 
 
 def test_a_city_from_its_coarse_run_alone_has_twice_its_resolution(city, capsys):

@@ -14,6 +14,7 @@ from clsplat.city.cut import JOINT
 from clsplat.city.finish import merge_city
 from clsplat.city.joint import begin_with, joint_options, train_jointly
 from clsplat.city.merge import Merged
+from clsplat.city.stages import train_coarse
 from clsplat.cli.city import partition_options
 from clsplat.device import choose_device
 from clsplat.errors import TOO_LARGE, DeviceError, InputError, Interrupted
@@ -245,3 +246,14 @@ def test_it_is_a_part_of_a_city():
     scene, options = read_scene(CITY), resolve({}, {})
     assert not is_part_of_city(scene, options)
     assert is_part_of_city(replace(scene, exposures={}), options)
+
+
+def test_a_coarse_run_goes_on_with_the_steps_with_which_it_began(tmp_path, item_device):
+    """On another device the city may have no joint training, and other steps."""
+    folder, scene = CityFolder(tmp_path), read_scene(CITY)
+    options = resolve({}, {"iterations": 24, "downscale": 8.0, "sh_degree": 0, "exposure": "off",
+                           "init": "sfm"})
+    with pytest.raises(Interrupted):
+        train_coarse(folder, scene, replace(options, stop_at=4), item_device, joint=True)
+    run = train_coarse(folder, scene, options, item_device)
+    assert run.records()[-1]["iteration"] == 6
