@@ -44,7 +44,7 @@ Image = NDArray[np.floating]  # [H, W, 3], 0 to 1
 Valid = NDArray[np.bool_] | None  # [H, W], the pixels that count; None: all
 PANELS = ("photo", "render", "render after the colour fit", "its error")  # of PNG files
 MOST_SAMPLED = 24  # training views from which to choose pictures, where no view is held out
-SCORING_BYTES = 640 << 20  # of host memory, for views that are scored at the same time
+SCORING_BYTES = 1 << 30  # of host memory, for views that are scored at the same time
 SCORED_PIXEL_BYTES = 300  # of the double precision of SSIM, FLIP and the colour fit
 SAMPLED_SIDE = 1600  # pixels of their photos' longer sides at most; a page shows fewer
 Metric = Callable[[Image, Image, Valid], float]  # of an image and its photo
@@ -155,7 +155,7 @@ def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[
                 predicted: Predicted | None = None) -> Pictures:
     """The pictures at the beginning of a model's report.
 
-    The chosen views are rendered again, so that only one view is in memory at full size.
+    The chosen views are rendered again, so that few views are in memory at full size.
 
     Parameters
     ----------
@@ -171,13 +171,15 @@ def pictures_of(renderer: ModelRenderer, rows: Any, degree: int, test: Sequence[
     if not (test and per_view):
         per_view = evaluate_views(renderer, rows, degree, views, predicted=predicted)["per_view"]
     shown: list[ShownView] = []
-    by_name = {view.name: view for view in views}
-    for place, index in chosen_views(per_view):
-        def keep(_view: View, _image: Image, fitted: Image, photo: Image, valid: Valid,
-                 place: str = place, scores: dict[str, Any] = per_view[index]) -> None:
-            shown.append(shown_view(place, scores, fitted, photo, valid))
-        evaluate_views(renderer, rows, degree, [by_name[per_view[index]["name"]]], keep,
-                       metrics={}, predicted=predicted)
+    chosen, by_name = chosen_views(per_view), {view.name: view for view in views}
+
+    def keep(_view: View, _image: Image, fitted: Image, photo: Image, valid: Valid) -> None:
+        place, index = chosen[len(shown)]
+        shown.append(shown_view(place, per_view[index], fitted, photo, valid))
+
+    evaluate_views(renderer, rows, degree, [by_name[per_view[index]["name"]]
+                                            for _, index in chosen], keep, metrics={},
+                   predicted=predicted)
     return Pictures(shown, bool(test), len(views))
 
 
