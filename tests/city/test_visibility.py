@@ -1,43 +1,54 @@
-"""Changes of views without a block's gaussians: exact, or bounds that decide as exact ones do."""
+"""Changes of views without some gaussians: those of the images, by the library's SSIM."""
 
 import numpy as np
 import pytest
 
-from clsplat.city.visibility import change
+from clsplat.city.visibility import DropTest
 from clsplat.evaluation.metrics import ssim
+from clsplat.evaluation.views import opened, render_view
+from clsplat.gaussians import Gaussians
+from clsplat.io.scenes import read_scene
+from clsplat.options import resolve
+from tests.data.tiny_training import CITY
 
 
-def pictures(seed, noise, rows=slice(None), size=(96, 64)):
-    """Two pictures that differ by noise in some rows."""
-    rng = np.random.default_rng(seed)
-    one = rng.random((*size, 3)).astype(np.float32)
-    other = one.copy()
-    other[rows] = np.clip(other[rows] + noise * rng.standard_normal(other[rows].shape), 0, 1)
-    return one, other
+@pytest.fixture(scope="module")
+def scene():
+    return read_scene(CITY).reduced(2)
 
 
-PARTS = [slice(None), slice(0, 9), slice(90, None), slice(40, 44), np.s_[30:60, :9],
-         np.s_[80:, 60:], np.s_[50, 40]]
+@pytest.fixture(scope="module")
+def gaussians(scene):
+    """Opaque ones, so that they are seen."""
+    found = Gaussians.from_points(scene.points, scene.colours, 1)
+    found.rows["opacity_logits"][:] = 2
+    return found
 
 
-@pytest.mark.parametrize("rows", PARTS)
-@pytest.mark.parametrize("noise", [0.001, 0.02, 0.3])
-def test_a_bound_decides_as_the_exact_change_does(rows, noise):
-    one, other = pictures(0, noise, rows)
-    exact = 1 - ssim(one, other)
-    for threshold in np.linspace(0, 2 * exact, 40):
-        found = change(one, other, threshold)
-        assert found <= exact * (1 + 1e-6) + 1e-12 and (found > threshold) == (exact > threshold)
-    assert change(one, other, 2 * exact) == pytest.approx(exact, rel=1e-6, abs=1e-12)
-    assert change(one, one, 0.003) == 0
+def images(device, gaussians, scene, index, keep):
+    """A view's image of all gaussians, and of some."""
+    some = Gaussians({name: rows[keep] for name, rows in gaussians.rows.items()}, 1)
+    return [render_view(*opened(device, model, scene, resolve({}, {})), scene.views[index].camera)
+            for model in (gaussians, some)]
 
 
-def test_few_rows_are_compared_where_these_suffice(monkeypatch):
-    """An image with less than two windows of rows is compared as a whole."""
-    compared = []
-    monkeypatch.setattr("clsplat.city.visibility.ssim",
-                        lambda one, other: compared.append(len(one)) or ssim(one, other))
-    change(*pictures(0, 0.3, size=(400, 64)), 0.003)
-    change(*pictures(0, 0.3, size=(20, 64)), 0.003)
-    change(*pictures(0, 0.3, slice(100, 110), (400, 64)), 1)
-    assert compared == [50, 20, 22, 30]
+def test_changes_are_those_of_the_images(float_device, scene, gaussians):
+    """The loss pads the images with zeros."""
+    x = np.sort(gaussians.positions[:, 0])
+    tests = [(index, gaussians.positions[:, 0] <= x[-last]) for index in (0, 9, 17)
+             for last in (1, 10, 30, 300, 1500, 4000)]
+    found = list(DropTest(float_device, gaussians, scene)(tests))
+    exact = [1 - ssim(*(np.pad(image, ((5, 5), (5, 5), (0, 0))) for image in images(
+        float_device, gaussians, scene, *test))) for test in tests]
+    assert found == pytest.approx(exact, rel=0.01, abs=1e-5)
+    assert sum(0 < change < 0.1 for change in exact) >= 4 and max(exact) > 0.9
+
+
+def test_a_view_that_stays_the_same_does_not_change(float_device, scene, gaussians):
+    """Though 8 bits do not hold the image exactly."""
+    gaussians = Gaussians({**gaussians.rows, "positions": gaussians.positions.copy()}, 1)
+    behind = np.arange(gaussians.count) < 9
+    camera = scene.views[3].camera
+    gaussians.positions[behind] = camera.position - 5 * camera.rotation[2]
+    drop = DropTest(float_device, gaussians, scene)
+    assert list(drop([(3, ~behind), (3, behind | ~behind)])) == [0, 0]
