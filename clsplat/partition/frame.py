@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ANGLE_STEPS = 90  # rectangles that are tried over a quarter turn
-MOST_SAMPLED = 200_000  # content points that the rectangles are tried on
+MOST_SAMPLED = 50_000  # content points that the rectangles are tried on
 RECTANGLE_QUANTILES = (0.002, 0.998)  # inside the rectangle; with fewer, corners would be cut off
 
 
