@@ -73,6 +73,7 @@ def test_they_were_requested_and_cannot_be_had(folder, scene):
         find_dense_gaussians(folder, alone, resolve({}, {**LONG, "init": "dense"}), None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"init": "dense"}, {"init": "sfm"}], ids=str)
 def test_a_child_does_the_same_beside_other_work(folder, item_device, monkeypatch, options):
     whole = read_scene(CITY)
