@@ -10,6 +10,7 @@ finds them; a city with several workers has this done by one of them during its 
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -21,10 +22,12 @@ from scipy.spatial import cKDTree
 
 from clsplat.city.stages import begin_from_coarse
 from clsplat.device import Device
-from clsplat.distribute import Children, Task, run
+from clsplat.distribute import Children, Task
+from clsplat.distribute.task import DONE
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.depth import with_depths
+from clsplat.io.folders import make_folder
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions
@@ -77,7 +80,7 @@ def found_beside(city: CityFolder, scene: Scene, options: TrainOptions, children
     ----------
     city : its folder, with its record.
     scene, options : the whole.
-    children : see `distribute.run`; None: nothing is done.
+    children : of which one does it; None: nothing is done.
 
     Yields
     ------
@@ -88,19 +91,17 @@ def found_beside(city: CityFolder, scene: Scene, options: TrainOptions, children
         return
     # else the child and the coarse run would both write the undistorted photos
     undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
-    folder = city.path / FOLDER
+    folder, stopping = city.path / FOLDER, threading.Event()
     shutil.rmtree(folder, ignore_errors=True)
+    make_folder(folder)
     task = Task("dense points", (str(city.path.resolve()),), folder / TRIED)
     with ThreadPoolExecutor(1) as beside:
-        outcomes = beside.submit(run, [task], len(children), retries=0,
-                                 program="clsplat.city.dense", children=children)
+        result = beside.submit(children.work, task, "clsplat.city.dense", stopping.is_set)
         try:
-            yield lambda: outcomes.result()[0].ok
-        except BaseException:
-            children.end()  # the child is interrupted
-            raise
+            yield lambda: result.result().ending == DONE
         finally:
-            outcomes.exception()  # waits
+            stopping.set()  # where the other work was interrupted, so is the child
+            result.exception()  # waits
             shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -104,6 +104,17 @@ class Children:
     def __exit__(self, *error: object) -> None:
         self.close()
 
+    def work(self, task: Task, program: str, stopping: Callable[[], bool] = lambda: False
+             ) -> Result:
+        """Try a task as soon as a child is free; for the parameters see `Child.work`."""
+        child = self.free.get()
+        try:
+            result = child.work(task, program, stopping)
+            return replace(result, worker=f"{HERE}, device {child.device}" if child.device
+                           else HERE)
+        finally:
+            self.free.put(child)
+
     def end(self) -> None:
         """Tell the processes to end, as there will be no more tasks."""
         for child in self._children:
@@ -134,13 +145,7 @@ class Processes:
 
     def _work(self, task: Task) -> Result:
         self._began(task.name)
-        child = self._children.free.get()
-        try:
-            result = child.work(task, self._program, self._stopping.is_set)
-            return replace(result, worker=f"{HERE}, device {child.device}" if child.device
-                           else HERE)
-        finally:
-            self._children.free.put(child)
+        return self._children.work(task, self._program, self._stopping.is_set)
 
     def finished(self, futures: Collection[Future[Result]]) -> list[tuple[Future[Result], Result]]:
         """Wait for the first of the futures, and return those that ended."""

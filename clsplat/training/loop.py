@@ -213,7 +213,7 @@ class Training:
                     if is_part:
                         self.recorder.log("end")  # a block has no evaluation that tells its steps
                         self.checkpoint.remove()
-        if not self.finished():
+        if not self.finished() or is_part and interrupted():  # else the city would go on
             raise self.stopped()
         if not is_part:
             if self.evaluator.evaluated_at != self.session.iteration:

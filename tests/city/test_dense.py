@@ -1,8 +1,7 @@
 """Dense points of a city: when they are found, and that its blocks begin with them."""
 
-import threading
+import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,14 +91,15 @@ def test_a_child_does_the_same_beside_other_work(folder, item_device, monkeypatc
         assert folder.dense.read_bytes() == by_child
 
 
-def test_what_a_child_cannot_do_is_left(folder, scene, monkeypatch):
-    monkeypatch.setattr(dense, "run", lambda *_, **__: [SimpleNamespace(ok=False)])
-    with found_beside(folder, scene, resolve({}, LONG), Children(1)) as found:
-        assert not found()
+def test_what_a_child_cannot_do_is_left(folder, scene):
+    with Children(1) as children, found_beside(
+            folder, scene, resolve({}, LONG), children) as found:
+        assert not found()  # the folder has no record of a city
+    assert list(folder.path.iterdir()) == []
 
 
 def test_no_child_is_asked_for_what_is_there_or_where_there_is_none(folder, scene, monkeypatch):
-    monkeypatch.setattr(dense, "run", None)
+    monkeypatch.setattr(Children, "work", None)
     with found_beside(folder, scene, resolve({}, LONG), None) as found:
         assert not found()
     folder.dense.touch()
@@ -107,13 +107,17 @@ def test_no_child_is_asked_for_what_is_there_or_where_there_is_none(folder, scen
         assert not found()
 
 
-def test_the_child_ends_when_the_other_work_is_interrupted(folder, scene, monkeypatch):
-    told, children = threading.Event(), Children(1)
-    monkeypatch.setattr(dense, "run", lambda *_, **__: told.wait(60))
-    monkeypatch.setattr(children, "end", told.set)
-    with pytest.raises(Interrupted), found_beside(folder, scene, resolve({}, LONG), children):
+def test_the_child_is_stopped_where_the_other_work_is_interrupted(folder, scene, monkeypatch):
+    def work(self, task, program, stopping):
+        while not stopping():
+            time.sleep(0.01)
+        stopped.append(task.name)
+
+    stopped = []
+    monkeypatch.setattr(Children, "work", work)
+    with pytest.raises(Interrupted), found_beside(folder, scene, resolve({}, LONG), Children(1)):
         raise Interrupted("Ctrl-C")
-    assert told.is_set()
+    assert stopped == ["dense points"] and list(folder.path.iterdir()) == []
 
 
 def test_they_count_where_the_nearest_coarse_gaussian_stands():

@@ -3,6 +3,7 @@
 
 import json
 import shutil
+import signal
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -27,6 +28,8 @@ from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from clsplat.training.decisions import is_part_of_city
+from clsplat.training.interrupt import handled_interrupts
+from clsplat.training.loop import train
 from tests.city.test_city import DEVICE, city, command, model
 from tests.city.test_merge import strewn
 from tests.data.tiny_training import CITY
@@ -257,3 +260,17 @@ def test_a_coarse_run_goes_on_with_the_steps_with_which_it_began(tmp_path, item_
         train_coarse(folder, scene, replace(options, stop_at=4), item_device, joint=True)
     run = train_coarse(folder, scene, options, item_device)
     assert run.records()[-1]["iteration"] == 6
+
+
+def test_an_interrupt_in_the_last_step_of_a_part_stops_the_city(tmp_path, item_device):
+    """The part is finished, but the city must not go on to the next one."""
+    def press(record):
+        if record["event"] == "end":
+            signal.raise_signal(signal.SIGINT)
+
+    options = resolve({}, {"iterations": 4, "downscale": 8.0, "sh_degree": 0, "exposure": "off",
+                           "init": "sfm", "coarse": True})
+    run = RunFolder.create(tmp_path / "coarse")
+    with handled_interrupts(), pytest.raises(Interrupted):
+        train(read_scene(CITY), options, item_device, run, callbacks=[press])
+    assert run.is_finished
