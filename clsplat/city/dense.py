@@ -132,7 +132,7 @@ def counted_where(coarse: Gaussians, dense: Gaussians | None) -> NDArray[np.floa
 
 
 def main(folder: str) -> None:
-    """Do this for CITY, on the device that CLSPLAT_DEVICE names, else on that of the city."""
+    """Find them for CITY, on the device that CLSPLAT_DEVICE names, else on that of the city."""
     city = CityFolder(folder)
     scene, options = begin_from_coarse(city)
     device = opened(os.environ.get("CLSPLAT_DEVICE") or options.device, options.form)
