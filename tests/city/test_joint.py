@@ -162,7 +162,7 @@ def test_a_device_that_cannot_hold_the_whole_leaves_it_as_merged(
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    return city(tmp_path_factory.mktemp("joint") / "city", "--joint-steps", "0.5")
+    return city(tmp_path_factory.mktemp("joint") / "city", "--joint-steps", "0.5", "--workers", "2")
 
 
 @pytest.mark.slow
