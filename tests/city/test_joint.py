@@ -268,9 +268,13 @@ def test_an_interrupt_in_the_last_step_of_a_part_stops_the_city(tmp_path, item_d
         if record["event"] == "end":
             signal.raise_signal(signal.SIGINT)
 
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs of a shell ignore it
     options = resolve({}, {"iterations": 4, "downscale": 8.0, "sh_degree": 0, "exposure": "off",
                            "init": "sfm", "coarse": True})
     run = RunFolder.create(tmp_path / "coarse")
-    with handled_interrupts(), pytest.raises(Interrupted):
-        train(read_scene(CITY), options, item_device, run, callbacks=[press])
+    try:
+        with handled_interrupts(), pytest.raises(Interrupted):
+            train(read_scene(CITY), options, item_device, run, callbacks=[press])
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert run.is_finished
