@@ -7,7 +7,6 @@ Blocks begin with those of them that stand in gaps of the coarse model (partitio
 finds them; a city with several workers has this done by one of them during its coarse run.
 """
 
-import os
 import shutil
 import sys
 import threading
@@ -32,7 +31,7 @@ from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
-from clsplat.training.block import opened
+from clsplat.training.block import device_of_tasks
 from clsplat.training.dense_start import first_gaussians
 from clsplat.training.photos import THREADS
 from clsplat.training.prepare import prepare
@@ -135,7 +134,7 @@ def main(folder: str) -> None:
     """Find them for CITY, on the device that CLSPLAT_DEVICE names, else on that of the city."""
     city = CityFolder(folder)
     scene, options = begin_from_coarse(city)
-    device = opened(os.environ.get("CLSPLAT_DEVICE") or options.device, options.form)
+    device = device_of_tasks(options.device, options.form)
     find_dense_gaussians(city, scene, options, device)
     (city.path / FOLDER / TRIED).touch()
 

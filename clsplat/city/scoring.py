@@ -8,7 +8,6 @@ that all shares together are what one process computes, to the bit where the dev
 
 import json
 import logging
-import os
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -33,7 +32,7 @@ from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
-from clsplat.training.block import opened
+from clsplat.training.block import device_of_tasks
 
 FOLDER = "scores"  # of the shares, in the city's folder while they are computed
 LEAST_PIXELS = 1_000_000  # of a share's views: with fewer, a process begins longer than it scores
@@ -168,7 +167,7 @@ def main(folder: str, share: str, shares: str, reference: str = "") -> None:
     """Compute one share on the device that CLSPLAT_DEVICE names, else on that of the city."""
     city = CityFolder(folder)
     options = Run.open(city.path).options
-    device = opened(os.environ.get("CLSPLAT_DEVICE") or options.device, options.form)
+    device = device_of_tasks(options.device, options.form)
     score_share(city, int(share), int(shares), Path(reference) if reference else None, device)
 
 

@@ -94,7 +94,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
         folder.check_free()
     ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
-    opens = f"clsplat.training.block:open_early:{options.device}:{options.form}"
+    opens = f"clsplat.training.block:device_of_tasks:{options.device}:{options.form}"
     # they are ready when blocks are
     children = (ctx.with_resource(Children(workers, devices, (opens, *IMPORTED_BY_CHILDREN)))
                 if workers > 1 and not scheduler else None)

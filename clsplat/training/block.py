@@ -120,10 +120,10 @@ def train_block(block: BlockFolder, options: TrainOptions,
     return "finished"
 
 
-def open_early(name: str, form: str) -> None:
-    """Open the device of the blocks that this process will train; arguments as for `opened`, but
+def device_of_tasks(name: str, form: str) -> Device:
+    """The device of all tasks of this process, which stays open; arguments as for `opened`, but
     CLSPLAT_DEVICE prevails, as in `clsplat block`."""
-    opened(os.environ.get("CLSPLAT_DEVICE") or name, form)
+    return opened(os.environ.get("CLSPLAT_DEVICE") or name, form)
 
 
 @lru_cache(maxsize=1)  # a process of `clsplat city` trains several parts of blocks
