@@ -200,7 +200,9 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     if len(counts) > 1:
         def model_of(number: int) -> Gaussians | None:
             block = RunFolder(city.block(number).run)
-            return block.load_model(scene.offset) if block.has_model else None
+            # after a joint training nothing is left of the blocks' own gaussians
+            shown = block.has_model and not record.get("joint_steps")
+            return block.load_model(scene.offset) if shown else None
 
         seams = find_seams(device, partition, scene, views, options, merged.gaussians, counts,
                            reference_model(city, scene, against), model_of,

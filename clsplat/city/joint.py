@@ -14,8 +14,10 @@ import shutil
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.city.cut import JOINT
+from clsplat.city.dense import dense_gaussians
 from clsplat.city.merge import Merged
 from clsplat.device import Device
 from clsplat.errors import InputError
@@ -64,16 +66,14 @@ def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged:
     if not given:
         shutil.rmtree(run.path, ignore_errors=True)
         return merged
-    begin_with(city, scene, merged.gaussians)
+    begin_with(city, scene, merged.gaussians, options.seed)
     if not run.has_model:
-        whole = undistorted(with_depths(scene, options.depth), city.undistorted, THREADS)
-        views = whole.split(options.test_every, options.test_offset)[0]
-        part = dataclasses.replace(
-            whole, views=tuple(views), observations=None, held_out=None, notes=(),
+        whole = dataclasses.replace(
+            undistorted(with_depths(scene, options.depth), city.undistorted, THREADS), notes=(),
             exposures=RunFolder(city.coarse).load_exposures() or {})
         with run.locked():
             start = resume if run.is_begun else train
-            start(part, joint_options(city, given, merged.count), device,
+            start(whole, joint_options(city, given, options, merged.count), device,
                   run if run.is_begun else RunFolder.create(city.joint), progress)
     return by_block(merged, run.load_model(scene.offset), city.partition(scene), scene)
 
@@ -90,25 +90,39 @@ def by_block(merged: Merged, gaussians: Gaussians, partition: Partition, scene: 
                      for share in merged.shares))
 
 
-def begin_with(city: CityFolder, scene: Scene, merged: Gaussians) -> None:
-    """Write the points of a merged model, at which the joint training begins; remove that of
-    another one."""
+def begin_with(city: CityFolder, scene: Scene, merged: Gaussians, seed: int = 0) -> None:
+    """Write the points at which the joint training begins; remove that of other ones.
+
+    They are half of the points of the merged gaussians and half of the dense points of the city,
+    drawn at random; where the city has no dense points, all of the former.
+
+    Parameters
+    ----------
+    merged : in the frame of the scene.
+    seed : of the training.
+    """
+    parts: list[tuple[NDArray[np.floating], NDArray[np.uint8]]] = []
+    dense, rng = dense_gaussians(city, scene, 0), np.random.default_rng([seed, 0])
+    for part in (merged, dense) if dense else (merged,):
+        chosen = rng.random(part.count) < (0.5 if dense else 1)
+        parts.append((part.positions[chosen],
+                      to_bytes(255 * colours_of(part.sh_constant[chosen]))))
+    positions, colours = (np.concatenate(each) for each in zip(*parts))
     new = city.joint_start.with_suffix(".new.ply")
-    points = Gaussians.from_points(
-        merged.positions, to_bytes(255 * colours_of(merged.sh_constant)), sh_degree=0)
-    write_ply(new, points, scene.offset)
+    write_ply(new, Gaussians.from_points(positions, colours, sh_degree=0), scene.offset)
     if not (city.joint_start.is_file() and filecmp.cmp(new, city.joint_start, shallow=False)):
         shutil.rmtree(city.joint, ignore_errors=True)
     os.replace(new, city.joint_start)
 
 
-def joint_options(city: CityFolder, given: Any, count: int) -> TrainOptions:
+def joint_options(city: CityFolder, given: Any, options: TrainOptions, count: int) -> TrainOptions:
     """The options of the joint training. A limit of gaussians is one of each block, so the merged
-    model may have more; it does not grow then.
+    model may have more; it does not grow then. The same views are held out as of one run.
 
     Parameters
     ----------
     given : {option: value}, from partition.json.
+    options : of the whole.
     count : gaussians with which it begins.
     """
     path = city.path / PARTITION
@@ -116,6 +130,7 @@ def joint_options(city: CityFolder, given: Any, count: int) -> TrainOptions:
         raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "
                          f"it with `clsplat partition {city.path}`")
     values = {key: checked(str(path), key, value) for key, value in given.items()}
-    options = resolve(values, {"init": str(city.joint_start)})
-    most = options.max_gaussians and max(options.max_gaussians, count)
-    return dataclasses.replace(options, max_gaussians=most)
+    joint = resolve(values, {"init": str(city.joint_start)})
+    most = joint.max_gaussians and max(joint.max_gaussians, count)
+    return dataclasses.replace(joint, max_gaussians=most, test_every=options.test_every,
+                               test_offset=options.test_offset)

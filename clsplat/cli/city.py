@@ -63,26 +63,30 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     failure, the same command continues. The folder is a run like any other, for `clsplat eval`,
     `render` and `compare`. For several devices, use --device 0,1 with --workers 2.
     """
+    from clsplat.distribute import Children, check_scheduler, check_workers
+    from clsplat.options import resolve
+    given = given_options(ctx)
+    devices = _devices(given.pop("device", ""), workers, scheduler)
+    options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
+    check_workers(workers)
+    if options.coarse or not (is_auto(options.init) or options.init in STARTS):
+        raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out, "
+                         f"or give --init {' or '.join(STARTS)}")
+    opens = f"clsplat.training.block:device_of_tasks:{options.device}:{options.form}"
+    # they start before the imports of this process, which take as long as theirs
+    children = (ctx.with_resource(Children(workers, devices, (opens, *IMPORTED_BY_CHILDREN)))
+                if workers > 1 and not scheduler else None)
     from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks, draw
     from clsplat.city.dense import find_dense_gaussians, found_beside
     from clsplat.city.forecast import block_table, one_block_note
     from clsplat.city.stages import begin, train_coarse
     from clsplat.device import choose_device
-    from clsplat.distribute import Children, check_scheduler, check_workers
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
-    from clsplat.options import resolve
     from clsplat.training.photos import size_note
-    given = given_options(ctx)
-    devices = _devices(given.pop("device", ""), workers, scheduler)
-    options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
-    check_workers(workers)
     against = _reference(against, tree)
-    if options.coarse or not (is_auto(options.init) or options.init in STARTS):
-        raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out, "
-                         f"or give --init {' or '.join(STARTS)}")
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
     device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
@@ -94,10 +98,6 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
         folder.check_free()
     ctx.with_resource(RunFolder(folder.path).locked())
     begin(folder, data, options)
-    opens = f"clsplat.training.block:device_of_tasks:{options.device}:{options.form}"
-    # they are ready when blocks are
-    children = (ctx.with_resource(Children(workers, devices, (opens, *IMPORTED_BY_CHILDREN)))
-                if workers > 1 and not scheduler else None)
     if not quiet:
         for note in (size_note(data.views, options), one_block_note(cutting, scene)):
             if note:

@@ -38,16 +38,18 @@ LOCK_SECONDS = 300  # to wait for another process in the folder that may be savi
 def main(needs: Iterable[str]) -> None:
     """Make ready what tasks need, and run the module of each task; raises SystemExit where that
     does, or with an exit code of task.py."""
-    working = threading.Event()
-    tasks = _follow_parent(working)
+    ready, working = threading.Event(), threading.Event()
+    tasks = _follow_parent(ready, working)
     with os.fdopen(os.dup(1), "wb", buffering=0) as answers, ExitStack() as stack:
         os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache(stack))
-        for needed in needs:
-            module, *call = needed.split(":")
-            found = importlib.import_module(module)
-            if call:
-                with suppress(ClsplatError):  # the tasks will tell
-                    getattr(found, call[0])(*call[1:])
+        with suppress(KeyboardInterrupt):  # there will be no task
+            for needed in needs:
+                module, *call = needed.split(":")
+                found = importlib.import_module(module)
+                if call:
+                    with suppress(ClsplatError):  # the tasks will tell
+                        getattr(found, call[0])(*call[1:])
+            ready.set()
         while (line := tasks.get()) is not None:
             module, done, *arguments = json.loads(line)
             _run(module, arguments, Path(done))
@@ -99,13 +101,14 @@ def _lock(stack: ExitStack, folder: Path) -> None:
                 raise
 
 
-def _follow_parent(working: threading.Event) -> SimpleQueue[bytes | None]:
+def _follow_parent(ready: threading.Event, working: threading.Event
+                   ) -> SimpleQueue[bytes | None]:
     """Read tasks from standard input in a thread; None is the last one, when that ends.
 
     Parameters
     ----------
-    working : set with each task; while it is set, the end of standard input interrupts this
-        process, which is ended after the grace period.
+    ready, working : until the first is set, and while the second is, the end of standard input
+        interrupts this process, which is ended after the grace period. Each task sets the second.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
     pipe = os.dup(0)
@@ -119,7 +122,7 @@ def _follow_parent(working: threading.Event) -> SimpleQueue[bytes | None]:
                 working.set()
                 tasks.put(line)
         tasks.put(None)
-        if working.is_set():
+        if working.is_set() or not ready.is_set():
             _interrupt()
         time.sleep(GRACE_SECONDS)
         os._exit(INTERRUPTED)

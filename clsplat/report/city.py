@@ -4,6 +4,15 @@ from typing import Any
 
 from clsplat.report.page import Table
 
+SEAM_COLUMNS = {  # figure of a border -> its title
+    "overlap_psnr": "overlap dB", "density_jump": "density jump", "pixels": "pixels",
+    "psnr": "PSNR", "elsewhere_psnr": "elsewhere", "seam_db": "seam dB"}
+EXPLAINED = {
+    "overlap_psnr": "overlap: one block against the other, uncropped, beside their border",
+    "density_jump": "density jump: ln of the gaussians on one side over those on the other, minus "
+    "that of the reference",
+    "seam_db": "seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
+    "minus the gain beside the border"}
 
 def share_table(record: dict[str, Any]) -> Table:
     """A row for each block.
@@ -23,18 +32,18 @@ def share_table(record: dict[str, Any]) -> Table:
 
 
 def seam_table(seams: dict[str, Any]) -> Table:
-    """A row for each border, from the result of `city.seams.find_seams`."""
+    """A row for each border, from the result of `city.seams.find_seams`; figures that no border
+    has are left out."""
+    borders = seams["borders"]
+    columns = [(name, title) for name, title in SEAM_COLUMNS.items()
+               if name == "seam_db" or any(record[name] is not None for record in borders)]
+
     def cell(value: float | None) -> str:
-        return "-" if value is None else f"{value:.2f}"
+        return "-" if value is None else str(value) if isinstance(value, int) else f"{value:.2f}"
 
     rows = [(" | ".join(f"{block:03d}" for block in record["blocks"]),
-             cell(record["overlap_psnr"]), cell(record["density_jump"]), str(record["pixels"]),
-             cell(record["psnr"]), cell(record["elsewhere_psnr"]), cell(record["seam_db"]))
-            for record in seams["borders"]]
-    rows.append(("all", "", "", "", "", "", cell(seams["seam_db"])))
-    return Table("Seams", ("blocks", "overlap dB", "density jump", "pixels", "PSNR", "elsewhere",
-                           "seam dB"), rows, (1, 2, 3, 4, 5, 6), (
-        "overlap: one block against the other, uncropped, beside their border; density jump: ln of "
-        "the gaussians on one side over those on the other, minus that of the reference; seam: "
-        "gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, minus the "
-        "gain beside the border.",))
+             *(cell(record[name]) for name, _ in columns)) for record in borders]
+    rows.append(("all", *[""] * (len(columns) - 1), cell(seams["seam_db"])))
+    explained = [text for name, text in EXPLAINED.items() if (name, SEAM_COLUMNS[name]) in columns]
+    return Table("Seams", ("blocks", *(title for _, title in columns)), rows,
+                 range(1, len(columns) + 1), ("; ".join(explained) + ".",))

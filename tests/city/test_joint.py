@@ -22,9 +22,9 @@ from clsplat.errors import TOO_LARGE, DeviceError, InputError, Interrupted
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run
 from clsplat.io.city import CityFolder
-from clsplat.io.ply import read_ply
+from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from clsplat.training.decisions import is_part_of_city
@@ -121,6 +121,28 @@ def test_it_begins_at_the_points_of_the_merged_model(folder):
     assert (start.log_scales == start.log_scales[:, :1]).all()
 
 
+def test_half_of_the_points_are_dense_ones(folder):
+    """Where the city has such; with another seed they are others."""
+    model, scene = strewn(2000), read_scene(CITY)
+    dense = strewn(1000)
+    dense.rows["positions"][:] += 1000
+    dense.rows["sh_constant"][:] = 0.25
+    write_ply(folder.dense, dense.with_sh_degree(0), scene.offset)
+    begin_with(folder, scene, model)
+    start = read_ply(folder.joint_start, scene.offset)
+    of_dense = start.positions[:, 0] > 500
+    for part, of_part in ((dense, of_dense), (model, ~of_dense)):
+        assert abs(of_part.sum() / part.count - 0.5) < 0.05
+        known = set(map(tuple, part.positions.round(2).tolist()))
+        assert known.issuperset(map(tuple, start.positions[of_part].round(2).tolist()))
+    assert abs(start.sh_constant[of_dense] - 0.25).max() <= 0.5 / 255 / 0.282 + 1e-6
+    before = folder.joint_start.read_bytes()
+    begin_with(folder, scene, model)
+    assert folder.joint_start.read_bytes() == before
+    begin_with(folder, scene, model, seed=1)
+    assert folder.joint_start.read_bytes() != before
+
+
 def test_without_one_the_merged_model_stays(folder, merged):
     folder.joint.mkdir()  # of an earlier partition
     blocks = Merged(merged, (), {}, folder.path)
@@ -130,7 +152,8 @@ def test_without_one_the_merged_model_stays(folder, merged):
 
 def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
     def most(limit):
-        return joint_options(folder, {"max_gaussians": limit}, merged.count).max_gaussians
+        return joint_options(folder, {"max_gaussians": limit}, resolve({}, {}),
+                             merged.count).max_gaussians
 
     assert (most(0), most(5), most(20)) == (0, 9, 20)
 
@@ -140,7 +163,7 @@ def test_a_limit_of_gaussians_is_one_of_each_block(folder, merged):
     ({"nothing": 1}, "nothing")])
 def test_damaged_options_are_named(folder, given, cause):
     with pytest.raises(InputError, match=f"partition.json: .*{cause}"):
-        joint_options(folder, given, 9)
+        joint_options(folder, given, resolve({}, {}), 9)
 
 
 @pytest.mark.parametrize("message, code", [(TOO_LARGE, None), ("another", DeviceError)])
@@ -190,12 +213,14 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
 
 @pytest.mark.slow
 def test_held_out_photos_are_not_trained_on(trained):
-    """The joint training holds out none, as it has only training photos."""
-    record = RunFolder(trained.joint).read_options()
-    assert record["test_every"] == 0
+    """The joint training has the scene of one run: the same extent, and the same views held out,
+    of which none is evaluated before the end."""
+    record, scene = RunFolder(trained.joint).read_options(), read_scene(CITY)
+    assert record["test_every"] == trained.read()["options"]["test_every"] == 8
+    assert record["fingerprint"] == fingerprint(scene)
+    assert record["extent"] == pytest.approx(scene.extent)
     seen = json.loads((trained.joint / "metrics.jsonl").read_text().splitlines()[0])
     assert seen["event"] == "plan" and "eval" not in (trained.joint / "metrics.jsonl").read_text()
-    assert trained.read()["options"]["test_every"] == 8
 
 
 @pytest.mark.slow

@@ -159,7 +159,7 @@ def test_blocks_that_agree_have_no_seam(item_device, photographed, model):
         assert abs(record["density_jump"]) < 1e-9  # the reference has the same gaussians
         assert min(record["gaussians"]) > 50
     table = seam_table(seams).text()
-    assert "000 | 001" in table and "all" in table
+    assert "000 | 001" in table and "all" in table and "overlap dB" in table
 
 
 def test_shares_of_the_views_make_the_same_report(item_device, photographed, model):
@@ -260,6 +260,7 @@ def test_what_cannot_be_said_is_left_open(item_device, photographed, model):
     seams = find_seams(item_device, partition, photographed, photographed.views[:1], OPTIONS,
                        merged, counts, model, lambda number: None)
     assert all(record["overlap_psnr"] is None for record in seams["borders"])
+    assert "overlap" not in seam_table(seams).text() and "density jump" in seam_table(seams).text()
     empty = find_seams(item_device, partition, photographed, (), OPTIONS, merged, counts, model,
                        lambda number: None)
     assert empty["worst_seam_db"] is None and empty["seam_db"] is None

@@ -4,6 +4,7 @@
 """
 
 import sys
+import threading
 from pathlib import Path
 
 from clsplat.distribute import Task, run
@@ -28,6 +29,11 @@ def lines(task, name):
 def processes_of(tasks):
     """The process of each task's last start."""
     return [lines(task, stub_command.STARTS)[-1].split()[-1] for task in tasks]
+
+
+def wait_for_ever():
+    """As a child does that opens a device which does not answer."""
+    threading.Event().wait()
 
 
 if __name__ == "__main__":

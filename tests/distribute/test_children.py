@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 
 import pytest
 
@@ -75,3 +76,15 @@ def test_children_end_when_there_are_no_more_tasks(tmp_path):
         children.end()
         assert [worker._process.wait(60) for worker in children._children if worker._process
                 ] == [0] * min(2, os.cpu_count())
+
+
+def test_a_child_without_a_task_ends_while_it_makes_ready(tmp_path):
+    """So an error that a command finds at once is not shown seconds later."""
+    worker = child.Child()
+    worker.start([f"os:makedirs:{tmp_path / 'called'}", "tests.distribute.driver:wait_for_ever"])
+    until = time.monotonic() + 60
+    while not (tmp_path / "called").is_dir():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    worker.end()
+    assert worker._process.wait(60) == 0
