@@ -115,8 +115,9 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
                        f"{'finished' if outcome.ok else 'failed'} after {outcome.seconds:.0f} s")
 
     try:
-        # a city with a joint training is so small that the host can hold the photos of both
-        helpers = children if cutting.joint_steps else None
+        # a city with a joint training is so small that the host can hold the photos of both; with
+        # several devices all but one would wait for the coarse run
+        helpers = children if cutting.joint_steps or len(devices) > 1 else None
         with found_beside(folder, data, options, helpers) as found:
             with shown("coarse run") as progress:
                 train_coarse(folder, data, options, device, progress, cutting.joint_steps > 0)

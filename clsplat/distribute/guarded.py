@@ -39,17 +39,16 @@ def main(needs: Iterable[str]) -> None:
     """Make ready what tasks need, and run the module of each task; raises SystemExit where that
     does, or with an exit code of task.py."""
     ready, working = threading.Event(), threading.Event()
-    tasks = _follow_parent(ready, working)
     with os.fdopen(os.dup(1), "wb", buffering=0) as answers, ExitStack() as stack:
+        tasks = _follow_parent(ready, working, stack)
         os.environ["POCL_CACHE_DIR"] = str(_own_kernel_cache(stack))
-        with suppress(KeyboardInterrupt):  # there will be no task
-            for needed in needs:
-                module, *call = needed.split(":")
-                found = importlib.import_module(module)
-                if call:
-                    with suppress(ClsplatError):  # the tasks will tell
-                        getattr(found, call[0])(*call[1:])
-            ready.set()
+        for needed in needs:
+            module, *call = needed.split(":")
+            found = importlib.import_module(module)
+            if call:
+                with suppress(ClsplatError):  # the tasks will tell
+                    getattr(found, call[0])(*call[1:])
+        ready.set()
         while (line := tasks.get()) is not None:
             module, done, *arguments = json.loads(line)
             _run(module, arguments, Path(done))
@@ -101,14 +100,16 @@ def _lock(stack: ExitStack, folder: Path) -> None:
                 raise
 
 
-def _follow_parent(ready: threading.Event, working: threading.Event
+def _follow_parent(ready: threading.Event, working: threading.Event, stack: ExitStack
                    ) -> SimpleQueue[bytes | None]:
     """Read tasks from standard input in a thread; None is the last one, when that ends.
 
     Parameters
     ----------
-    ready, working : until the first is set, and while the second is, the end of standard input
-        interrupts this process, which is ended after the grace period. Each task sets the second.
+    ready : until it is set, the end of standard input ends this process at once.
+    working : set with each task; while it is set, the end of standard input interrupts this
+        process, which is ended after the grace period.
+    stack : is closed where the process ends at once.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
     pipe = os.dup(0)
@@ -122,7 +123,10 @@ def _follow_parent(ready: threading.Event, working: threading.Event
                 working.set()
                 tasks.put(line)
         tasks.put(None)
-        if working.is_set() or not ready.is_set():
+        if not (ready.is_set() or working.is_set()):
+            stack.close()
+            os._exit(0)
+        if working.is_set():
             _interrupt()
         time.sleep(GRACE_SECONDS)
         os._exit(INTERRUPTED)

@@ -74,7 +74,8 @@ class Children:
     Parameters
     ----------
     number : how many.
-    devices : values of CLSPLAT_DEVICE that they use in turn.
+    devices : values of CLSPLAT_DEVICE that they use in turn, from the last one, as a process that
+        works on a device itself uses the first one.
     needed : MODULE or MODULE:CALL:ARG... that they import and call at once (guarded.py),
         so that they are ready when tasks come; at most as many are started before as the machine
         has cores. None: each is started for its first task.
@@ -86,7 +87,7 @@ class Children:
 
     def __init__(self, number: int, devices: Sequence[str] = (), needed: Sequence[str] = ()
                  ) -> None:
-        self._children = [Child(devices[place % len(devices)] if devices else "")
+        self._children = [Child(devices[-1 - place % len(devices)] if devices else "")
                           for place in range(number)]
         self.free: LifoQueue[Child] = LifoQueue()
         for child in reversed(self._children):

@@ -47,7 +47,7 @@ def steps(folder, device=LARGE, given=(), tree=False, **options):
 
 
 def test_a_city_that_a_device_holds_is_trained_jointly(tmp_path):
-    assert steps(tmp_path) == (0.5, 0, 0.25)
+    assert steps(tmp_path) == (0.5, 0, 0.1)
     apart = (0.0, 3, 2.0)
     assert steps(tmp_path, SMALL) == apart, "the device does not hold it"
     assert steps(tmp_path, given={"grid": (1, 1)}) == apart, "one block"
@@ -62,7 +62,7 @@ def test_a_city_that_a_device_holds_is_trained_jointly(tmp_path):
 
 def test_what_the_user_says_holds(tmp_path):
     assert steps(tmp_path, given={"joint_steps": 0.0}) == (0.0, 3, 2.0)
-    assert steps(tmp_path, SMALL, {"joint_steps": 0.3}) == (0.3, 0, 0.25)
+    assert steps(tmp_path, SMALL, {"joint_steps": 0.3}) == (0.3, 0, 0.1)
     assert steps(tmp_path, given={"exchanges": 2, "block_steps": 3.0})[1:] == (2, 3.0)
 
 
