@@ -2,8 +2,8 @@
 
 Blocks learn apart from each other, under surroundings that are those of the coarse run. Where a
 device holds the whole model, steps on whole photos remove what that leaves: seams, and gaussians
-that only one block needed. The training begins where the gaussians of the blocks are, with their
-colours, as one run begins at dense points: with their shapes and opacities it ends in a worse model
+that only one block needed. The training begins at points of the blocks' gaussians and at dense
+points, as one run does: with the shapes and opacities of the blocks it ends in a worse model
 (docs/notebook/city.md).
 """
 

@@ -83,8 +83,8 @@ class PartitionOptions:
                                 "which is better and takes longer; auto: 0.1 before a joint "
                                 "training, else 2", words={AUTO: AUTO}, minimum=0.1, maximum=100.0)
     joint_steps: float = option(AUTO, "Blocks", "steps of the joint training, in which the whole "
-                                "is trained on one device from the points at which the blocks have "
-                                "gaussians, as a multiple of those of one run; auto: 0.5, where "
+                                "is trained on one device from points of the blocks' gaussians and "
+                                "dense points, as a multiple of those of one run; auto: 0.5, where "
                                 "that device holds the whole and one run takes all the steps that "
                                 "its photos allow (--visits), with --schedule sig",
                                 words={AUTO: AUTO, "none": 0.0}, minimum=0.01, maximum=10.0)

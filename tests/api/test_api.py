@@ -189,6 +189,7 @@ def test_training_is_that_of_the_command_line(run, scene, item_device, tmp_path)
     assert clsplat.Run.open(run.path).model.count == run.model.count
 
 
+@pytest.mark.slow
 def test_callbacks_see_every_step_and_may_stop_it(run, scene, item_device, tmp_path):
     seen = []
 

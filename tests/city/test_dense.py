@@ -91,6 +91,7 @@ def test_a_child_does_the_same_beside_other_work(folder, item_device, monkeypatc
         assert folder.dense.read_bytes() == by_child
 
 
+@pytest.mark.slow
 def test_what_a_child_cannot_do_is_left(folder, scene):
     with Children(1) as children, found_beside(
             folder, scene, resolve({}, LONG), children) as found:

@@ -67,6 +67,7 @@ def test_blocks_that_share_a_device_fit_it_together(tmp_path):
     assert largest(8) == LEAST_GAUSSIANS
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("flags, devices", [
     ((), 1), (("--workers", "4"), 1), (("--workers", "4", "--device", "cpu,cpu"), 2),
     (("--workers", "4", "--scheduler", "tcp://127.0.0.1:1"), 4)])

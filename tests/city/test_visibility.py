@@ -32,6 +32,7 @@ def images(device, gaussians, scene, index, keep):
             for model in (gaussians, some)]
 
 
+@pytest.mark.one_in(2)
 def test_changes_are_those_of_the_images(float_device, scene, gaussians):
     """The loss pads the images with zeros."""
     x = np.sort(gaussians.positions[:, 0])

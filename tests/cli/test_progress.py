@@ -157,6 +157,7 @@ def test_silence_takes_all_that_progress_takes():
     SilentProgress().phase("planning")
 
 
+@pytest.mark.slow
 def test_synth_says_which_photo(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "clsplat", "synth", "-o", str(tmp_path / "city"), "--blocks", "1x1",

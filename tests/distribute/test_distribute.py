@@ -105,6 +105,7 @@ def test_a_task_that_loses_its_worker_is_tried_again_until_the_limit(tmp_path):
 # --- in children
 
 
+@pytest.mark.slow
 def test_as_many_children_as_workers_each_with_its_device_and_cache(tmp_path):
     tasks = stub_tasks(tmp_path, 4, "--steps", 8)
     outcomes = run(tasks, workers=2, devices=("0", "gpu"), program=PROGRAM)
@@ -231,6 +232,7 @@ def test_a_folder_at_work_is_waited_for(tmp_path, monkeypatch):
     assert next(changes, None) is None  # three tries
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="a process cannot be stopped here")
 def test_a_child_that_hangs_is_ended_and_tried_again(tmp_path, monkeypatch):
     [task] = stub_tasks(tmp_path, 1, "--fail", 1, "--code", -int(signal.SIGSTOP))

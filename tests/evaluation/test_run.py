@@ -102,6 +102,7 @@ def test_training_views_have_the_poses_that_the_run_corrected(run, scene):
             run.scene()
 
 
+@pytest.mark.slow
 def test_scores_from_aligned_poses_stand_beside_the_others(run, item_device):
     plain = run.evaluate(item_device)
     result = evaluate_run(run, item_device, save_images=False, align=True)
@@ -162,6 +163,7 @@ def test_a_renderer_draws_as_the_run_was_trained(run, scene, item_device):
     assert np.allclose(image, OPTIONS["background"], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_pictures_of_a_run_and_of_its_model(run, tmp_path, scene, item_device):
     def rendered(path, *words):
         out = tmp_path / f"out {len(list(tmp_path.iterdir()))}"

@@ -146,6 +146,7 @@ def command(tmp_path, monkeypatch):
     return film
 
 
+@pytest.mark.slow
 def test_frames_as_pictures(tmp_path, command):
     (tmp_path / "frames").mkdir()
     mine = ["frame_1_mine.png", "mine.txt"]

@@ -194,6 +194,7 @@ def test_what_points_need_is_asked_for_before_the_work(tmp_path, monkeypatch):
     assert not (tmp_path / "map").exists()
 
 
+@pytest.mark.slow
 def test_the_surface_as_points(item_device, tmp_path, monkeypatch):
     laspy = pytest.importorskip("laspy", reason="laspy is not installed (extra geo)")
     pytest.importorskip("lazrs", reason="lazrs is not installed (extra geo)")

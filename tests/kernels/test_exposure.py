@@ -354,6 +354,7 @@ def test_bends_stay_within_their_bound(device):
         assert np.abs(run.exposures.tones.download()).max() == TONE_MOST
 
 
+@pytest.mark.slow
 def test_a_made_curve_is_learned_from_photos_of_other_exposure(item_device):
     """Of an image, and three photos of it as another curve makes them. The bend of brightness is
     hardly seen: a transform has nearly the same effect."""

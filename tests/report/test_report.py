@@ -142,6 +142,7 @@ def test_the_report_of_a_run(tmp_path):
     assert "it rises as they become finer" in html[last:]
 
 
+@pytest.mark.slow
 def test_what_a_run_lacks_is_left_out(tmp_path):
     html = write_report(made_run(tmp_path / "constant", "constant")).read_text()
     assert headings(html) == ["Scores over training time", "Growth and loss"]
@@ -193,6 +194,7 @@ def test_a_figure_that_fails_is_a_line(tmp_path, monkeypatch):
     assert Balanced(html).pictures == 1
 
 
+@pytest.mark.slow
 def test_settings_of_matplotlib_do_not_reach_the_page(tmp_path):
     """A user's matplotlibrc asks for LaTeX, which is not there, and for other colours and fonts."""
     records = list(made_records("constant"))

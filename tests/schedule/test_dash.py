@@ -247,6 +247,7 @@ def test_the_final_number_keeps_to_the_limit(limit, last):
 
 # --- checkpoints
 
+@pytest.mark.slow
 def test_a_resumed_schedule_goes_on_as_if_it_had_never_stopped():
     def go_on(schedule, begin, end):
         record = []

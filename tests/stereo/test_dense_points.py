@@ -48,6 +48,7 @@ def photos(scene):
     return [np.stack([photo / 2, photo, photo]).round().astype(np.uint8) for photo in grey]
 
 
+@pytest.mark.one_in(2)
 def test_points_lie_on_the_plane_and_have_its_colours(float_device, scene, photos):
     positions, colours = dense_points(float_device, scene, scene.views, photos, MANY)
     assert len(positions) > 3 * len(scene.points) and colours.dtype == np.uint8
@@ -58,6 +59,7 @@ def test_points_lie_on_the_plane_and_have_its_colours(float_device, scene, photo
     assert np.array_equal(positions, again[0]) and np.array_equal(colours, again[1])
 
 
+@pytest.mark.slow
 def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, monkeypatch):
     together = dense_points(item_device, scene, scene.views, photos, MANY)
     done = []
@@ -67,6 +69,7 @@ def test_photos_that_do_not_fit_the_device_together(item_device, scene, photos, 
     assert done == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("together", [1, 4])
 def test_points_of_a_few_photos_are_merged_before(item_device, scene, photos, monkeypatch,
                                                   together):

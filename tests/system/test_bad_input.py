@@ -242,6 +242,7 @@ def test_configuration(tmp_path, healthy, text, naming):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_no_working_device(tmp_path, healthy):
     """The loader is shown an empty folder of drivers."""
     (tmp_path / "vendors").mkdir()
@@ -256,6 +257,7 @@ def test_no_working_device(tmp_path, healthy):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_resuming_what_cannot_be(tmp_path, healthy, finished):
     run = tmp_path / "run"
     resume = ("train", healthy, "-o", run, "-q", "--resume")

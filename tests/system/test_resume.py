@@ -140,6 +140,7 @@ def test_killed_right_after_a_checkpoint(item_device, city, tmp_path, monkeypatc
     assert history(run) == history(whole)
 
 
+@pytest.mark.slow
 def test_a_stopped_run_says_how_to_go_on_and_is_not_finished(item_device, city, tmp_path):
     run = RunFolder.create(tmp_path / "run")
     with pytest.raises(Interrupted, match=f"^stopped after step 30; .* --resume -o {run.path}$"):

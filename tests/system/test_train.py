@@ -86,6 +86,7 @@ def test_max_gaussians_is_reached_and_never_passed(item_device, city, tmp_path):
     assert len(counts) == 4 and max(counts) == cap and min(counts) > cap - 20, counts
 
 
+@pytest.mark.slow
 def test_opacities_are_reset(item_device, city, tmp_path):
     """One step after the reset behind step 50 nothing is opaque; without a reset much is."""
     opacities = []
@@ -217,6 +218,7 @@ def test_a_batch_takes_the_next_views_of_the_epochs(item_device, city, tmp_path,
     assert records(run, "step")[0]["loss"] == pytest.approx(np.mean(losses[0])) != losses[0][0]
 
 
+@pytest.mark.slow
 def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):
     def slow(*_, **__):
         time.sleep(0.5)
@@ -232,6 +234,7 @@ def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):
     assert 1.5 <= last["wall_seconds"] <= total
 
 
+@pytest.mark.slow
 def test_records_carry_what_reports_read(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, eval_every=50)
     every = run.records()

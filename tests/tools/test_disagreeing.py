@@ -32,6 +32,7 @@ def test_poses_change_as_asked_and_photos_disagree(tmp_path):
     assert disagreement(packed) > 1.3 * disagreement(scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["noise", "shadows"])
 def test_photos_to_train_on_change_as_asked(tmp_path, kind):
     scene = read_scene(CITY)

@@ -73,6 +73,7 @@ def reached_with_bodies(scene, rows):
     return reached
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [
     "constant", *(pytest.param(s, marks=pytest.mark.slow) for s in ("sig", "dash", "taming"))])
 def test_only_what_the_region_reaches_grows(item_device, city, tmp_path, rounds, schedule):

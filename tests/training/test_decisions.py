@@ -75,6 +75,7 @@ def test_the_number_of_steps_follows_the_photos(photos, steps):
     assert planned_steps(resolve({}, {"preset": "paper"}), photos)[0] == 30_000
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("photos, differ, most", [
     (32, 0.0, ENOUGH), (32, AGREEING, ENOUGH), (32, math.nan, ENOUGH), (32, 0.05, 2613),
     (32, 0.2, 1600), (12, 0.2, FEWEST), (100, 0.0, 15_000), (100, 0.05, 5599), (100, 0.2, 5000)])

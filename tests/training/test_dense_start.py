@@ -72,6 +72,7 @@ def test_the_number_of_points():
     assert planned_count(0, 0, resolve({}, {})) == 1
 
 
+@pytest.mark.one_in(2)
 def test_initial_gaussians_are_as_many_as_were_planned(city, float_device, monkeypatch):
     options = resolve({}, {"iterations": 700, "pixels_per_gaussian": 40.0})
     city = replace(city, views=city.views[8:18], observations=None)

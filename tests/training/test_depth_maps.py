@@ -92,6 +92,7 @@ def test_a_training_is_held_by_its_maps(item_device, folder):
     assert errors[30.0] < 0.9 * errors[0.01] and errors[3.0] < 0.95 * errors[0.01], errors
 
 
+@pytest.mark.slow
 def test_without_a_weight_maps_change_no_byte(item_device, folder):
     runs = [trained(folder.parent / name, read_scene(folder), item_device, **STILL, iterations=20,
                     **options) for name, options in (

@@ -102,6 +102,7 @@ class Eager(TrainingView):
         return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [
     {"iterations": 50}, pytest.param(LEVELLED, marks=pytest.mark.slow)], ids=["short", "levelled"])
 def test_watching_changes_no_byte(item_device, city, tmp_path, changes):
@@ -121,6 +122,7 @@ def test_watching_changes_no_byte(item_device, city, tmp_path, changes):
     assert np.abs(shown - last.image).mean() < 0.02 < last.image.std()
 
 
+@pytest.mark.slow
 def test_a_frame_that_cannot_be_drawn_harms_nothing(item_device, city, tmp_path, monkeypatch):
     changes = {"iterations": 60}
     plain = RunFolder.create(tmp_path / "plain")
