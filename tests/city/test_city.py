@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clsplat.city import blocks, cut, forecast, scoring, stages
+from clsplat.city import blocks, cut, dense, forecast, scoring, stages
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
-from clsplat.errors import TOO_LARGE, DeviceError
+from clsplat.errors import TOO_LARGE, DeviceError, InputError
 from clsplat.io.city import CityFolder
 from clsplat.io.images import read_image
 from clsplat.io.ply import read_ply
@@ -81,6 +81,21 @@ def test_the_folder_is_a_run_like_any_other(made):
     assert levels[-1][0] == 2  # the coarse model is the last but the whole
     coarse = read_ply(made.coarse / "point_cloud.ply")
     assert np.array_equal(read_ply(levels[-1][1]).positions, coarse.positions)
+
+
+@pytest.mark.parametrize("devices, flags, beside", [
+    (f"{DEVICE},{DEVICE}", ("--joint-steps", "none"), True), (DEVICE, (), False),
+    (DEVICE, ("--joint-steps", "0.5"), True)])
+def test_who_finds_dense_points(tmp_path, monkeypatch, devices, flags, beside):
+    """A child does beside the coarse run, where another device is free, or the city is small."""
+    def stop(_city, _scene, _options, children):
+        given.append(children)
+        raise InputError("enough")
+
+    given = []
+    monkeypatch.setattr(dense, "found_beside", stop)
+    city(tmp_path / "city", "--workers", "2", "--device", devices, *flags, code=2)
+    assert [children is not None for children in given] == [beside]
 
 
 def test_every_gaussian_is_owned_once(made):

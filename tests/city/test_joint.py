@@ -208,6 +208,7 @@ def test_the_model_of_a_city_is_that_of_the_joint_training(trained):
     assert scores["gaussians"] == joint.load_model(offset).count
     assert trained.read_partition()["asked"]["exchanges"] == 0
     assert "as a whole for 30 steps" in run.read_report()
+    assert "overlap" not in run.read_report()  # the blocks' own gaussians are not shown
     assert not any(record["event"] == "eval" for record in RunFolder(trained.coarse).records())
 
 

@@ -88,3 +88,11 @@ def test_a_child_without_a_task_ends_while_it_makes_ready(tmp_path):
         time.sleep(0.01)
     worker.end()
     assert worker._process.wait(60) == 0
+
+
+def test_the_first_task_leaves_the_first_device_to_the_command(tmp_path):
+    with Children(3, ("0", "1")) as children:
+        assert [worker.device for worker in children._children] == ["1", "0", "1"]
+        task = stub_tasks(tmp_path, 1)[0]
+        task.folder.mkdir()
+        assert children.work(task, PROGRAM).worker.endswith("device 1")
