@@ -1,13 +1,13 @@
 """The training of a city's blocks: as tasks of this process, of several, or of a cluster."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 from clsplat.city.cut import cut_into_blocks
 from clsplat.city.split import split_blocks, too_large
 from clsplat.device import Device
-from clsplat.distribute import Children, Outcome, Task, run
+from clsplat.distribute import ONE_WORKER, Outcome, Task, Workers
 from clsplat.io.city import DENSE, BlockFolder, CityFolder
 from clsplat.io.run import RunFolder
 from clsplat.options import TrainOptions
@@ -21,14 +21,12 @@ UNTIL = "--until-exchange"  # a task ends as soon as its file is there, for whic
 MOST_SPLITS = 4  # of a block, one after the other
 
 
-def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
-                 devices: Sequence[str] = (),
+def train_blocks(city: CityFolder, workers: Workers = ONE_WORKER,
                  progress: Callable[[str], AbstractContextManager[SilentProgress | None]]
                  | None = None,
                  ended: Callable[[Outcome, str], object] | None = None,
                  began: Callable[[str, str], object] | None = None,
-                 fill: bool = False, device: Device | None = None,
-                 children: Children | None = None) -> list[Outcome]:
+                 fill: bool = False, device: Device | None = None) -> list[Outcome]:
     """Train the blocks that are not finished, the longest first; return the outcome of every block.
 
     Where blocks exchange gaussians, a block goes on as soon as those with which it does so have
@@ -36,7 +34,7 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
 
     Parameters
     ----------
-    workers, scheduler, devices, children : see `distribute.run`.
+    workers : which train them.
     progress : called with a title such as "block 2 of 9", for a training in this process; returns
         the progress of that training.
     ended : called with each outcome and such a title.
@@ -47,7 +45,8 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
     blocks = {block.path.name: block
               for block in sorted(city.blocks(), key=expected_work, reverse=True)}
     places = {name: f"block {place} of {len(blocks)}" for place, name in enumerate(blocks, 1)}
-    chosen = ("--device", devices[0]) if len(devices) == 1 and not scheduler else ()
+    devices = workers.devices
+    chosen = ("--device", devices[0]) if len(devices) == 1 and not workers.scheduler else ()
 
     def title_of(task: str) -> str:
         return ", ".join(filter(None, (places[block_of(task)], task.partition(" ")[2])))
@@ -61,9 +60,9 @@ def train_blocks(city: CityFolder, workers: int = 1, scheduler: str = "",
                         until=until_of(task))
 
     def trained(tasks: Iterable[Task]) -> dict[str, Outcome]:
-        return by_block(run(
-            [replace(task, command=(*task.command, *chosen)) for task in tasks], workers,
-            scheduler, devices=devices, call=in_this_process, children=children,
+        return by_block(workers.run(
+            [replace(task, command=(*task.command, *chosen)) for task in tasks],
+            call=in_this_process,
             progress=ended and (lambda outcome: ended(named(outcome),
                                                       title_of(outcome.task.name))),
             began=began and (lambda task: began(block_of(task), title_of(task)))))

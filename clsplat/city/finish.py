@@ -2,7 +2,7 @@
 
 import logging
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from clsplat.city.seams import find_seams
 from clsplat.city.stages import COARSE_FACTOR
 from clsplat.city.tree import merge_tree
 from clsplat.device import Device
-from clsplat.distribute import Children
+from clsplat.distribute import ONE_WORKER, Workers
 from clsplat.errors import TOO_LARGE, DeviceError, InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run, final_metrics, training_pictures
@@ -158,8 +158,7 @@ def keep_coarse_levels(city: CityFolder, scene: Scene) -> None:
 
 
 def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merged: Merged,
-                  against: Path | None = None, workers: int = 1, scheduler: str = "",
-                  devices: Sequence[str] = (), children: Children | None = None
+                  against: Path | None = None, workers: Workers = ONE_WORKER
                   ) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
     """Score the merged model on the held-out views, measure its seams, and write the report.
 
@@ -170,8 +169,7 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     device : an open device.
     merged : the result of `merge_city`.
     against : the PLY file of the reference for seams; None: that of the coarse model.
-    workers, scheduler, devices, children : see `distribute.run`; each worker scores a share of the
-        views.
+    workers : each scores a share of the views.
 
     Returns
     -------
@@ -184,9 +182,9 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     scores = seams = None
     scene = run.scene()
     views, held_out = views_of(scene, options)
-    scored = score_in_shares(city, against, workers, scheduler, devices, views, children)
-    if children:
-        children.end()
+    scored = score_in_shares(city, against, views, workers)
+    if workers.children:
+        workers.children.end()
     if held_out:
         scores = evaluate_run(run, device, save_images=False,
                               metrics=final_metrics(options.lpips),

@@ -19,8 +19,7 @@ import numpy as np
 
 from clsplat.city.seams import Strips, inspect_views
 from clsplat.device import Device
-from clsplat.distribute import Children, Task
-from clsplat.distribute import run as run_tasks
+from clsplat.distribute import Task, Workers
 from clsplat.evaluation.held_out_responses import predicted_responses
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views, final_metrics
@@ -113,16 +112,15 @@ def done_file(city: CityFolder, share: int) -> Path:
     return city.path / FOLDER / f"{share:03d}" / "scores.npz"
 
 
-def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
-                    scheduler: str = "", devices: Sequence[str] = (), views: Sequence[View] = (),
-                    children: Children | None = None) -> Scored | None:
+def score_in_shares(city: CityFolder, reference: Path | None, views: Sequence[View],
+                    workers: Workers) -> Scored | None:
     """Score the views of a merged city on all workers.
 
     Parameters
     ----------
     reference : as for `score_share`.
-    workers, scheduler, devices, children : see `distribute.run`.
     views : those that are scored.
+    workers : which score them.
 
     Returns
     -------
@@ -130,16 +128,16 @@ def score_in_shares(city: CityFolder, reference: Path | None, workers: int = 1,
     share has failed.
     """
     pixels = sum(view.camera.width * view.camera.height for view in views)
-    shares = min(pixels // LEAST_PIXELS, len(views), MOST_SHARES if scheduler else workers)
+    shares = min(pixels // LEAST_PIXELS, len(views),
+                 MOST_SHARES if workers.scheduler else workers.number)
     if shares < 2:
         return None
     shutil.rmtree(city.path / FOLDER, ignore_errors=True)  # of another model
     try:
-        outcomes = run_tasks([Task(f"scores {share}", (
+        outcomes = workers.run([Task(f"scores {share}", (
             str(city.path.resolve()), str(share), str(shares),
             *((str(reference.resolve()),) if reference else ())), done_file(city, share))
-            for share in range(shares)], workers, scheduler, devices=devices,
-            program="clsplat.city.scoring", children=children)
+            for share in range(shares)], program="clsplat.city.scoring")
         for outcome in outcomes:
             if not outcome.ok:
                 log.warning("%s failed on %s (%s); one process scores all views",

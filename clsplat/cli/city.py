@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
@@ -21,7 +20,7 @@ from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 if TYPE_CHECKING:
     from clsplat.cli.progress import Progress
     from clsplat.device import Device
-    from clsplat.distribute import Children, Outcome
+    from clsplat.distribute import Outcome, Workers
     from clsplat.io.city import CityFolder
     from clsplat.options import TrainOptions
     from clsplat.scene import Scene
@@ -63,7 +62,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     failure, the same command continues. The folder is a run like any other, for `clsplat eval`,
     `render` and `compare`. For several devices, use --device 0,1 with --workers 2.
     """
-    from clsplat.distribute import Children, check_scheduler, check_workers
+    from clsplat.distribute import Children, Workers, check_scheduler, check_workers
     from clsplat.options import resolve
     given = given_options(ctx)
     devices = _devices(given.pop("device", ""), workers, scheduler)
@@ -76,6 +75,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     # they start before the imports of this process, which take as long as theirs
     children = (ctx.with_resource(Children(workers, devices, (opens, *IMPORTED_BY_CHILDREN)))
                 if workers > 1 and not scheduler else None)
+    tasks = Workers(workers, scheduler, devices, children)
     from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks, draw
     from clsplat.city.dense import find_dense_gaussians, found_beside
@@ -106,7 +106,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     shown = partial(_shown, quiet, options)
 
     def began(name: str, title: str) -> None:
-        if not quiet and (scheduler or workers > 1):
+        if not quiet and tasks.several:
             click.echo(f"{title}: training in blocks/{name}")
 
     def ended(outcome: Outcome, title: str) -> None:
@@ -126,12 +126,11 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
                     find_dense_gaussians(folder, data, options, device, progress)
         partition, counts = cut_into_blocks(folder, data, options, cutting, device)
         if not quiet:  # trial steps would keep the other devices waiting
-            several = workers > 1 or scheduler
-            click.echo(block_table(folder, None if several else device, counts).text())
+            click.echo(block_table(folder, None if tasks.several else device, counts).text())
         with ThreadPoolExecutor(1) as beside:
             drawn = beside.submit(draw, folder, partition, data, counts)
             outcomes = train_all_blocks(folder, data, options, device, lambda: train_blocks(
-                folder, workers, scheduler, devices, shown, ended, began, fill, device, children))
+                folder, tasks, shown, ended, began, fill, device))
             drawn.result()
     except Interrupted:
         raise _stopped(folder) from None
@@ -139,8 +138,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     for outcome in failed:
         click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
                    err=True)
-    _finish(folder, data, options, device, fill, against, tree, quiet, workers, scheduler, devices,
-            children)
+    _finish(folder, data, options, device, tasks, fill, against, tree, quiet)
 
 
 @click.command("partition", cls=SectionedCommand)
@@ -199,6 +197,7 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     """
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
+    from clsplat.distribute import ONE_WORKER
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     city = CityFolder(folder)
@@ -206,7 +205,8 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     against = _reference(against, tree)
     ctx.with_resource(RunFolder(folder).locked())
     data, options = begin_from_coarse(city, scene)
-    _finish(city, data, options, choose_device(device), fill, against, tree, False, joint=joint)
+    _finish(city, data, options, choose_device(device), ONE_WORKER, fill, against, tree,
+            joint=joint)
 
 
 def _shown(quiet: bool, options: TrainOptions, title: str
@@ -227,10 +227,9 @@ def _reference(against: Path | None, tree: bool) -> Path | None:
     return reference_file(against)
 
 
-def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device, fill: bool,
-            against: Path | None, tree: bool, quiet: bool, workers: int = 1, scheduler: str = "",
-            devices: Sequence[str] = (), children: Children | None = None, joint: bool = True
-            ) -> None:
+def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device,
+            workers: Workers, fill: bool, against: Path | None, tree: bool, quiet: bool = False,
+            joint: bool = True) -> None:
     from clsplat.city.finish import evaluate_city, merge_city, merge_city_tree, merge_record
     from clsplat.cli.evaluate import summary
     from clsplat.io.tree import TREE
@@ -247,8 +246,7 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
             merged = merge_city(folder, data, options, device, fill, progress, joint)
     except Interrupted:
         raise _stopped(folder) from None
-    scores, seams = evaluate_city(folder, options, device, merged, against, workers, scheduler,
-                                  devices, children)
+    scores, seams = evaluate_city(folder, options, device, merged, against, workers)
     if against and seams is None:
         click.echo("--against: not used, since a single block has no seams", err=True)
     if quiet:

@@ -14,6 +14,7 @@ exists is not started. Each child has its own kernel cache. Workers of a cluster
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from clsplat.distribute.cluster import Cluster, check_scheduler
@@ -22,7 +23,8 @@ from clsplat.distribute.local import Children, InProcess, Processes
 from clsplat.distribute.task import Outcome, Pool, Result, Task
 from clsplat.errors import InputError, Interrupted
 
-__all__ = ["Children", "Outcome", "Result", "Task", "check_scheduler", "check_workers", "run"]
+__all__ = ["ONE_WORKER", "Children", "Outcome", "Result", "Task", "Workers", "check_scheduler",
+           "check_workers", "run"]
 
 MOST_WORKERS = 1024  # children of one machine
 
@@ -88,6 +90,36 @@ def run(tasks: Sequence[Task], workers: int = 1, scheduler: str = "", retries: i
         if own:
             own.close()
     return ledger.in_order()
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where all tasks of a command run.
+
+    Attributes
+    ----------
+    number, scheduler, devices, children : as for `run`, where the first is called `workers`.
+    """
+
+    number: int = 1
+    scheduler: str = ""
+    devices: tuple[str, ...] = ()
+    children: Children | None = None
+
+    @property
+    def several(self) -> bool:
+        """Whether tasks run in other processes."""
+        return self.number > 1 or bool(self.scheduler)
+
+    def run(self, tasks: Sequence[Task], progress: Callable[[Outcome], object] | None = None,
+            call: Callable[[Task], object] | None = None, program: str = "clsplat",
+            began: Callable[[str], object] | None = None) -> list[Outcome]:
+        """Run tasks until each is finished or has failed; for all else see `run`."""
+        return run(tasks, self.number, self.scheduler, progress=progress, devices=self.devices,
+                   call=call, program=program, began=began, children=self.children)
+
+
+ONE_WORKER = Workers()
 
 
 def _drive(ledger: Ledger, pool: Pool) -> None:

@@ -13,7 +13,7 @@ from clsplat.city import blocks, finish, stages
 from clsplat.city.merge import NEVER_FILLED, TRAINS, merge
 from clsplat.cli.city import _beside
 from clsplat.cli.main import main
-from clsplat.distribute import Outcome, guarded, local, run
+from clsplat.distribute import Outcome, Workers, guarded, local, run
 from clsplat.errors import InputError
 from clsplat.io.lock import LockTaken
 from clsplat.io.run import RunFolder
@@ -231,10 +231,10 @@ def test_which_block_is_trained_is_told(city, monkeypatch, workers):  # noqa: F8
     """Before each block, and when it has ended, here and in children."""
     said = []
 
-    def run_here(tasks, workers, scheduler, progress=None, began=None, call=None, **_):
+    def run_here(given, tasks, progress=None, began=None, call=None):
         for task in tasks:
             began(task.name)
-            if workers == 1:
+            if given.number == 1:
                 call(task)
             progress(Outcome(task, True, 1.0, 1, "", ""))
         return []
@@ -244,11 +244,11 @@ def test_which_block_is_trained_is_told(city, monkeypatch, workers):  # noqa: F8
         said.append(title)
         yield
 
-    monkeypatch.setattr(blocks, "run", run_here)
+    monkeypatch.setattr(Workers, "run", run_here)
     monkeypatch.setattr(blocks, "expected_work", lambda block: 1)
     monkeypatch.setattr(blocks, "block_options", lambda block: None)
     monkeypatch.setattr(blocks, "train_block", lambda *_, **__: None)
-    blocks.train_blocks(city, workers, progress=shown,
+    blocks.train_blocks(city, Workers(workers), progress=shown,
                         ended=lambda outcome, place: said.append(("ended", place)),
                         began=lambda name, place: said.append((name, place)))
     shows = ["block 2 of 4"] if workers == 1 else []
@@ -267,7 +267,7 @@ def test_warnings_of_photos_are_shown_with_q(capsys):
 
 def test_blocks_with_most_work_begin_first(city, monkeypatch):  # noqa: F811
     ran = []
-    monkeypatch.setattr(blocks, "run", lambda tasks, *_, **__: ran.extend(tasks) or [])
+    monkeypatch.setattr(Workers, "run", lambda _, tasks, **__: ran.extend(tasks) or [])
     monkeypatch.setattr(blocks, "expected_work", lambda block: int(block.path.name))
     blocks.train_blocks(city)
     names = [block.path.name for block in city.blocks()]

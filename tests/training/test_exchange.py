@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from clsplat.city import blocks, cut
+from clsplat.distribute import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import BLOCK, EXCHANGES, LAYERS, OTHERS, CityFolder
@@ -212,9 +213,9 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
             raise InputError("no such photo")
         task.done.touch()
 
-    engine = blocks.run
-    monkeypatch.setattr(blocks, "run", lambda tasks, *args, call, **named: engine(
-        tasks, *args, call=train, **named))
+    engine = Workers.run
+    monkeypatch.setattr(Workers, "run", lambda workers, tasks, call, **named: engine(
+        workers, tasks, call=train, **named))
     outcomes = {outcome.task.name: outcome for outcome in blocks.train_blocks(city, fill=fill)}
     firsts = [f"00{n} part 1 of 3" for n in range(4)]
     seconds = [f"00{n} part 2 of 3" for n in range(4)]
@@ -224,7 +225,7 @@ def test_a_block_goes_on_once_those_have_come_as_far_with_which_it_exchanges(
     assert {name: outcome.ok for name, outcome in outcomes.items()} == {
         "000": True, "001": False, "002": True, "003": True}
     assert outcomes["001"].message == "no such photo"
-    monkeypatch.setattr(blocks, "run", lambda tasks, *args, call, **named: engine(
-        tasks, *args, call=lambda task: task.done.touch(), **named))
+    monkeypatch.setattr(Workers, "run", lambda workers, tasks, call, **named: engine(
+        workers, tasks, call=lambda task: task.done.touch(), **named))
     assert all(outcome.ok for outcome in blocks.train_blocks(city))
     assert all((block.run / "point_cloud.ply").exists() for block in found.values())
