@@ -75,7 +75,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     # they start before the imports of this process, which take as long as theirs
     children = (ctx.with_resource(Children(workers, devices, (opens, *IMPORTED_BY_CHILDREN)))
                 if workers > 1 and not scheduler else None)
-    tasks = Workers(workers, scheduler, devices, children)
+    all_workers = Workers(workers, scheduler, devices, children)
     from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks, draw
     from clsplat.city.dense import find_dense_gaussians, found_beside
@@ -106,7 +106,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     shown = partial(_shown, quiet, options)
 
     def began(name: str, title: str) -> None:
-        if not quiet and tasks.several:
+        if not quiet and all_workers.several:
             click.echo(f"{title}: training in blocks/{name}")
 
     def ended(outcome: Outcome, title: str) -> None:
@@ -126,11 +126,11 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
                     find_dense_gaussians(folder, data, options, device, progress)
         partition, counts = cut_into_blocks(folder, data, options, cutting, device)
         if not quiet:  # trial steps would keep the other devices waiting
-            click.echo(block_table(folder, None if tasks.several else device, counts).text())
+            click.echo(block_table(folder, None if all_workers.several else device, counts).text())
         with ThreadPoolExecutor(1) as beside:
             drawn = beside.submit(draw, folder, partition, data, counts)
             outcomes = train_all_blocks(folder, data, options, device, lambda: train_blocks(
-                folder, tasks, shown, ended, began, fill, device))
+                folder, all_workers, shown, ended, began, fill, device))
             drawn.result()
     except Interrupted:
         raise _stopped(folder) from None
@@ -138,7 +138,7 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     for outcome in failed:
         click.echo(f"block {outcome.task.name} failed on {outcome.worker}: {outcome.message}",
                    err=True)
-    _finish(folder, data, options, device, tasks, fill, against, tree, quiet)
+    _finish(folder, data, options, device, all_workers, fill, against, tree, quiet)
 
 
 @click.command("partition", cls=SectionedCommand)

@@ -14,6 +14,7 @@ EXPLAINED = {
     "seam_db": "seam: gain in PSNR (colour-corrected, mean of views) over the reference elsewhere, "
     "minus the gain beside the border"}
 
+
 def share_table(record: dict[str, Any]) -> Table:
     """A row for each block.
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import clsplat
-from clsplat.distribute import Task, child, cluster, guarded, run
+from clsplat.distribute import Task, Workers, child, cluster, guarded, local, run
 from clsplat.distribute.ledger import MOST_LOSSES, Ledger
 from clsplat.distribute.task import FAILED, INTERRUPTED, LOCKED, LOG, LOST, Result
 from clsplat.errors import InputError, Interrupted
@@ -341,3 +341,12 @@ def test_a_real_training_saves_when_its_parent_goes_and_ends_in_the_same_bytes(t
     assert run([Task("stopped", ("train", str(CITY), "-q", "-o", str(stopped), "--resume"),
                      tasks[1].done)])[0].ok
     assert tasks[0].done.read_bytes() == tasks[1].done.read_bytes()
+
+
+def test_all_tasks_of_a_command_run_where_its_workers_are(tmp_path):
+    assert [each.several for each in (Workers(), Workers(2), Workers(scheduler="tcp://a:1"))] == [
+        False, True, True]
+    here = Workers().run(stub_tasks(tmp_path / "here", 1), call=lambda task: task.done.touch())
+    assert [(outcome.ok, outcome.worker) for outcome in here] == [(True, local.HERE)]
+    outcomes = Workers(2, devices=("0", "gpu")).run(stub_tasks(tmp_path, 2), program=PROGRAM)
+    assert {outcome.worker.split()[-1] for outcome in outcomes} == {"0", "gpu"}
