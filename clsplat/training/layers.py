@@ -28,6 +28,7 @@ from clsplat.training.model import GROWTH_ROOM
 if TYPE_CHECKING:
     from clsplat.options import TrainOptions
 
+LOOKED_AT = 4096  # gaussians at a time, until one is found that a view shows
 HIDDEN = -100.0  # opacity logit of gaussians that are not drawn
 Planes = NDArray[np.uint8]  # [3 or 7, H, W], see cl/include/layers.h
 
@@ -121,8 +122,13 @@ def has_front(view: View, surroundings: Gaussians, behind: NDArray[np.bool_], ne
     surroundings : of the block.
     behind : bool[N], those behind the block (`Sides`).
     """
-    deviations = np.exp(np.maximum.reduce(surroundings.log_scales[~behind].T))
-    return bool(largest_sizes(surroundings.positions[~behind], deviations, [view], near).any())
+    front = np.flatnonzero(~behind)
+    for begin in range(0, len(front), LOOKED_AT):
+        rows = front[begin:begin + LOOKED_AT]
+        deviations = np.exp(np.maximum.reduce(surroundings.log_scales[rows].T))
+        if largest_sizes(surroundings.positions[rows], deviations, [view], near).any():
+            return True
+    return False
 
 
 def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, exposes: bool

@@ -60,16 +60,33 @@ def test_all_gaussians_are_in_the_block_or_around_it(block, city):
     assert not reached.any()
 
 
+def test_one_gaussian_in_front_is_found(block, monkeypatch):
+    """Wherever it stands among those in front that the view does not show."""
+    _, scene, _ = block
+    monkeypatch.setattr(layers, "LOOKED_AT", 3)
+    view = scene.views[0]
+    hidden, shown = (view.camera.position + depth * view.camera.rotation[2] for depth in (-5, 5))
+    behind = np.zeros(10, bool)
+    for place in range(10):
+        around = Gaussians.from_points(np.linspace(hidden, hidden + 0.1, 10),
+                                       np.zeros((10, 3), np.uint8), 0)
+        around.rows["log_scales"][:] = np.log(0.01)
+        assert not layers.has_front(view, around, behind, 0.01)
+        around.rows["positions"][place] = shown
+        assert layers.has_front(view, around, behind, 0.01)
+        assert not layers.has_front(view, around, np.arange(10) == place, 0.01), "it is behind"
+
+
 def test_a_block_takes_whichever_is_smaller(block):
     """Layers of 7 bytes a pixel, and the image exposed and its gradient, or gaussians with moments
     and room; what decided is recorded."""
     start, scene, _ = block
     small, views = scene.reduced(4), len(scene.views)
     pixels, sums = [view.camera.width * view.camera.height for view in small.views], 4 * 12 * 8
-    layers, gaussians = compared_bytes(small, start.around, 1, exposes=True)
-    assert 3 * sum(pixels) < layers <= 7 * sum(pixels)
+    drawn, gaussians = compared_bytes(small, start.around, 1, exposes=True)
+    assert 3 * sum(pixels) < drawn <= 7 * sum(pixels)
     assert gaussians == 1.5 * 3 * 4 * (3 + 3 + 4 + 1 + 3 + 9) * start.around.count
-    exposed = compared_bytes(small, start.around, 1, exposes=False)[0] - layers
+    exposed = compared_bytes(small, start.around, 1, exposes=False)[0] - drawn
     assert 24 * max(pixels) < exposed < 24 * max(pixels) + sums * views
     decided = {"sh_degree": 1, "exposure": "off"}
     for chosen, compared in ((small, {}), (scene, {})):
