@@ -6,7 +6,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 from typing import Any
 
@@ -19,8 +18,7 @@ class Interrupts:
     """A signal handler that counts signals, and raises KeyboardInterrupt unless told to wait.
 
     The count remains where C code replaces or swallows the exception, so the end of a command
-    checks `number`. An exception while C++ code of an extension module is being imported would
-    abort the process (OpenImageIO); the signal is sent again then.
+    checks `number`.
 
     Attributes
     ----------
@@ -33,9 +31,6 @@ class Interrupts:
         self._waits = self._ended = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        if _imports_extension(frame):
-            _send_again(number)
-            return
         self.count += 1
         self.number = self.number or number
         if not self._ended and (not self._waits or self.count > 1):
@@ -55,31 +50,6 @@ class Interrupts:
             self._waits = False
 
 
-def _imports_extension(frame: FrameType | None) -> bool:
-    """Whether a frame, or one that has called it, executes an extension module."""
-    while frame:
-        if frame.f_code.co_name == "exec_module" and isinstance(frame.f_locals.get("self"),
-                                                                ExtensionFileLoader):
-            return True
-        frame = frame.f_back
-    return False
-
-
-def _send_again(number: int) -> None:
-    """Send a signal to this process a little later, which ends a system call of the main thread
-    where that is possible."""
-    def send() -> None:
-        main_thread = threading.main_thread().ident
-        if hasattr(signal, "pthread_kill") and main_thread is not None:
-            signal.pthread_kill(main_thread, number)
-        else:  # Windows
-            _thread.interrupt_main(signal.Signals(number))
-
-    again = threading.Timer(AGAIN, send)
-    again.daemon = True
-    again.start()
-
-
 @contextmanager
 def handled_interrupts() -> Iterator[Interrupts]:
     """Handle the signals that end a command during the block, except ignored ones.
@@ -92,7 +62,9 @@ def handled_interrupts() -> Iterator[Interrupts]:
         """Where an exception in a destructor would be shown and lost: send the signal once more, a
         little later, when the destructor is done."""
         if isinstance(what.exc_value, KeyboardInterrupt):
-            _send_again(handler.number)
+            again = threading.Timer(AGAIN, _thread.interrupt_main, (handler.number,))
+            again.daemon = True
+            again.start()
         else:
             hook(what)
     if threading.current_thread() is threading.main_thread():

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from importlib.machinery import ExtensionFileLoader
 
 import click
 import pytest
@@ -132,21 +131,3 @@ def test_an_interrupt_in_a_destructor_is_not_lost(capfd, request):
         Ending()
         time.sleep(5)
     assert interrupts.number == signal.SIGINT and not capfd.readouterr().err
-
-
-def test_ctrl_c_waits_for_the_import_of_an_extension():
-    """An exception in the C++ code of OpenImageIO's import would abort the process."""
-    class Loader(ExtensionFileLoader):
-        def exec_module(self, module):
-            signal.raise_signal(signal.SIGINT)
-            module.append("imported")
-
-    before, module = signal.signal(signal.SIGINT, signal.default_int_handler), []
-    try:
-        with handled_interrupts() as handler, pytest.raises(KeyboardInterrupt):
-            Loader("name", "name.so").exec_module(module)
-            module.append("after")
-            time.sleep(60)
-        assert module == ["imported", "after"] and handler.count == 1
-    finally:
-        signal.signal(signal.SIGINT, before)
