@@ -14,7 +14,6 @@ import shutil
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clsplat.city.cut import JOINT
 from clsplat.city.dense import dense_gaussians
@@ -101,15 +100,15 @@ def begin_with(city: CityFolder, scene: Scene, merged: Gaussians, seed: int = 0)
     merged : in the frame of the scene.
     seed : of the training.
     """
-    parts: list[tuple[NDArray[np.floating], NDArray[np.uint8]]] = []
     dense, rng = dense_gaussians(city, scene, 0), np.random.default_rng([seed, 0])
-    for part in (merged, dense) if dense else (merged,):
-        chosen = rng.random(part.count) < (0.5 if dense else 1)
-        parts.append((part.positions[chosen],
-                      to_bytes(255 * colours_of(part.sh_constant[chosen]))))
-    positions, colours = (np.concatenate(each) for each in zip(*parts))
+    parts = [merged, dense] if dense else [merged]
+    chosen = [rng.random(part.count) < 1 / len(parts) for part in parts]
+    positions, constant = (np.concatenate([part.rows[name][which]
+                                           for part, which in zip(parts, chosen)])
+                           for name in ("positions", "sh_constant"))
     new = city.joint_start.with_suffix(".new.ply")
-    write_ply(new, Gaussians.from_points(positions, colours, sh_degree=0), scene.offset)
+    write_ply(new, Gaussians.from_points(positions, to_bytes(255 * colours_of(constant)),
+                                         sh_degree=0), scene.offset)
     if not (city.joint_start.is_file() and filecmp.cmp(new, city.joint_start, shallow=False)):
         shutil.rmtree(city.joint, ignore_errors=True)
     os.replace(new, city.joint_start)

@@ -36,15 +36,15 @@ def seam_table(seams: dict[str, Any]) -> Table:
     """A row for each border, from the result of `city.seams.find_seams`; figures that no border
     has are left out."""
     borders = seams["borders"]
-    columns = [(name, title) for name, title in SEAM_COLUMNS.items()
-               if name == "seam_db" or any(record[name] is not None for record in borders)]
+    names = [name for name in SEAM_COLUMNS
+             if name == "seam_db" or any(record[name] is not None for record in borders)]
 
     def cell(value: float | None) -> str:
         return "-" if value is None else str(value) if isinstance(value, int) else f"{value:.2f}"
 
     rows = [(" | ".join(f"{block:03d}" for block in record["blocks"]),
-             *(cell(record[name]) for name, _ in columns)) for record in borders]
-    rows.append(("all", *[""] * (len(columns) - 1), cell(seams["seam_db"])))
-    explained = [text for name, text in EXPLAINED.items() if (name, SEAM_COLUMNS[name]) in columns]
-    return Table("Seams", ("blocks", *(title for _, title in columns)), rows,
-                 range(1, len(columns) + 1), ("; ".join(explained) + ".",))
+             *(cell(record[name]) for name in names)) for record in borders]
+    rows.append(("all", *[""] * (len(names) - 1), cell(seams["seam_db"])))
+    explained = "; ".join(text for name, text in EXPLAINED.items() if name in names)
+    return Table("Seams", ("blocks", *(SEAM_COLUMNS[name] for name in names)), rows,
+                 range(1, len(names) + 1), (f"{explained}.",))
