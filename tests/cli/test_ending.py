@@ -10,7 +10,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from clsplat.training.interrupt import handled_interrupts
+from clsplat.interrupt import handled_interrupts, signals_held
 from tests.cli.test_cli import python, raising
 
 
@@ -131,3 +131,49 @@ def test_an_interrupt_in_a_destructor_is_not_lost(capfd, request):
         Ending()
         time.sleep(5)
     assert interrupts.number == signal.SIGINT and not capfd.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+@pytest.mark.parametrize("statement", ["from clsplat.io.openimageio import openimageio as run",
+                                       "import clsplat.device; run = int"])
+def test_ctrl_c_amid_an_import_does_not_abort(statement):
+    """Python code that C++ code of an extension module calls must not raise: the process aborts."""
+    result = python("-c", f"""
+import os, signal, sys
+from importlib.machinery import ExtensionFileLoader as Loader
+from clsplat.interrupt import handled_interrupts
+signal.signal(signal.SIGINT, signal.default_int_handler)
+calls = 0
+
+def trace(frame, event, argument):
+    global calls
+    while (frame := frame.f_back) and not isinstance(frame.f_locals.get("self"), Loader):
+        if frame.f_code.co_name == "exec_module":
+            return
+    calls += frame is not None
+    if frame and calls == at:
+        signal.raise_signal(signal.SIGINT)
+
+for at in range(100, 700, 100):
+    if not (child := os.fork()):
+        try:
+            with handled_interrupts():
+                sys.settrace(trace)
+                {statement}
+                run()
+        except KeyboardInterrupt:
+            os._exit(3)
+        os._exit(0)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+""")
+    assert result.stdout.split() == ["3"] * 6, result.stdout + result.stderr
+
+
+def test_a_held_signal_arrives_after_the_block():
+    done = []
+    with handled_interrupts() as handler, pytest.raises(KeyboardInterrupt):
+        with signals_held():
+            signal.raise_signal(signal.SIGTERM)
+            done.append("held")
+        time.sleep(60)
+    assert done == ["held"] and handler.count == 1 and handler.number == signal.SIGTERM

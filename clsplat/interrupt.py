@@ -96,6 +96,29 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
             yield interrupted
 
 
+@contextmanager
+def signals_held() -> Iterator[None]:
+    """Hold signals back until the block ends, also the second one.
+
+    For an import of C++ code that an exception of a signal handler would abort (nanobind's enums).
+    Signals do not interrupt threads other than the main one, where this does nothing.
+    """
+    arrived: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: handler for number in signal.valid_signals()
+                  if callable(handler := signal.getsignal(number))}
+    for number in before:
+        signal.signal(number, lambda number, frame: arrived.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in reversed(before.items()):  # Ctrl-C last, as it may raise
+            signal.signal(number, handler)
+        for number in arrived:
+            signal.raise_signal(number)
+
+
 def was_interrupted(error: BaseException) -> bool:
     """Whether Ctrl-C caused an exception, even if C code replaced the KeyboardInterrupt."""
     return isinstance(error, KeyboardInterrupt) or bool(
