@@ -30,7 +30,7 @@ from clsplat.rendering.project import CAMERA
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
 from clsplat.training.depth_maps import depth_array
-from clsplat.training.layers import has_front, layer_array
+from clsplat.training.layers import Front, layer_array
 from clsplat.training.model import ENGINES, Model, grown_capacity
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.prepare import PreparedScene
@@ -199,11 +199,10 @@ def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], 
     assert around is not None
     near, most = prepared.near, 0
     sizes, widest = [], max(shown, key=lambda view: view.camera.width * view.camera.height)
-    sides = Sides(prepared.scene, around.positions)
+    sides, front = Sides(prepared.scene, around.positions), Front(around, near)
     for view in shown:
         behind = sides.behind(view.camera.position)
-        in_front = has_front(view, around, behind, near)
-        sizes.append(layer_array(view, in_front).nbytes(device.real))
+        sizes.append(layer_array(view, front.is_shown(view, behind)).nbytes(device.real))
         most = max(most, int(behind.sum()), int((~behind).sum()))
     count = sum(layer_array(view, True).nbytes(device.real) for view in shown)
     size = FrameSize(most, most, int(PAIRS_A_SPLAT * most) + 1, widest.camera.width,

@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from clsplat.gaussians import Gaussians
+from clsplat.partition.clusters import Clusters
 from clsplat.partition.surroundings import enters_reach
 
 if TYPE_CHECKING:
+    from clsplat.camera import Camera
     from clsplat.partition.region import Region
     from clsplat.scene import Scene, View
 
@@ -141,30 +143,42 @@ def largest_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floati
                   ) -> NDArray[np.float64]:
     """Two standard deviations of each gaussian in the view that shows it largest, in pixels.
 
-    A gaussian that no view shows has size 0. A view shows a gaussian that is farther away than
-    `near` and lies within VISIBLE_DEVIATIONS standard deviations of the image.
-
     Parameters
     ----------
-    positions : [N, 3], in the views' frame.
-    deviations : [N], in the same unit; the largest of a gaussian's three standard deviations.
+    positions, deviations, near : as for `shown_sizes`.
     views : with cameras of the size that counts.
-    near : depth of the near plane.
     enough : pixels; a gaussian that has this size in a view is not looked for in others.
     """
     largest = np.zeros(len(positions))
-    small = np.arange(len(positions))
+    clusters = Clusters(positions, VISIBLE_DEVIATIONS * deviations)
+    positions, deviations = positions[clusters.order], deviations[clusters.order]
     for view in views:
-        camera = view.camera
-        pixels, depths = camera.project(positions)
-        deviation = deviations * max(camera.focal) / np.maximum(depths, near)
-        shown = (depths > near) & camera.contains(pixels, VISIBLE_DEVIATIONS * deviation)
-        sizes = np.maximum(largest[small], np.where(shown, 2 * deviation, 0))
-        largest[small] = sizes
-        left = sizes < enough
-        if not left.all():
-            small, positions, deviations = small[left], positions[left], deviations[left]
+        rows = clusters.near_view(view.camera, near)
+        rows = rows[largest[rows] < enough]
+        largest[rows] = np.maximum(largest[rows], shown_sizes(positions[rows], deviations[rows],
+                                                              view.camera, near))
+    largest[clusters.order] = largest.copy()
     return largest
+
+
+def shown_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating], camera: Camera,
+                near: float) -> NDArray[np.float64]:
+    """Two standard deviations of each gaussian in a view, in pixels; 0 where it is not shown.
+
+    A view shows a gaussian that is farther away than `near` and lies within VISIBLE_DEVIATIONS
+    standard deviations of the image.
+
+    Parameters
+    ----------
+    positions : [N, 3], in the camera's frame of the world.
+    deviations : [N], in the same unit; the largest of a gaussian's three standard deviations.
+    camera : of the size that counts.
+    near : depth of the near plane.
+    """
+    pixels, depths = camera.project(positions)
+    deviation = deviations * max(camera.focal) / np.maximum(depths, near)
+    shown = (depths > near) & camera.contains(pixels, VISIBLE_DEVIATIONS * deviation)
+    return np.where(shown, 2 * deviation, 0)
 
 
 def trainable(scene: Scene, positions: NDArray[np.floating], log_scales: NDArray[np.floating]

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 # drawn before or after layers to which it belongs (docs/notebook/city.md).
 HELD_DEVIATIONS = 1.0
 
+ROUNDING = 1e-6
+
 PARTS_OF_AXES = np.array([9, 3, 1])  # the planes of the reach divide space into 27 parts
 SIDES = np.indices((3, 3, 3)).reshape(3, -1).T  # [27, 3]: of each part along each axis
 
@@ -54,6 +56,10 @@ def enters_reach(scene: Scene, gaussians: Gaussians, deviations: float = HELD_DE
         next_to = space.world(np.clip(space.to(centres), np.maximum(grown.low, ends[0]),
                                       np.minimum(grown.high, ends[1])))
         gaps = np.abs(turned(space.rotation, next_to - centres))
+    # few are so close that it matters how they are turned
+    largest = np.exp(np.maximum.reduce(gaussians.log_scales[outside].T).astype(np.float64))
+    close = gaps.max(axis=0) <= scene.unit * deviations * largest * (1 + ROUNDING)
+    outside, gaps = outside[close], gaps[:, close]
     extents = scene.unit * deviations * deviations_along(
         gaussians.quaternions[outside], gaussians.log_scales[outside], space.rotation)
     entering[outside] = (gaps <= extents).all(axis=0)

@@ -18,7 +18,8 @@ from clsplat.device import Array, ArraySpec, Device
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.loss.exposure import Exposures
-from clsplat.partition.blocks import largest_sizes
+from clsplat.partition.blocks import VISIBLE_DEVIATIONS, shown_sizes
+from clsplat.partition.clusters import Clusters
 from clsplat.partition.surroundings import Sides
 from clsplat.rendering.blend import BACK_PLANES, FRONT_AND_BACK_PLANES
 from clsplat.rendering.slabs import Parts, open_model
@@ -113,22 +114,34 @@ def layer_array(view: View, has_front: bool) -> ArraySpec:
     return ArraySpec((planes, view.camera.height, view.camera.width), np.uint8)
 
 
-def has_front(view: View, surroundings: Gaussians, behind: NDArray[np.bool_], near: float) -> bool:
-    """Whether a view may show surroundings in front of the block, even if faintly.
+class Front:
+    """Tells whether views may show surroundings in front of the block, even if faintly.
 
     Parameters
     ----------
-    view, near : as for `drawn_layers`.
     surroundings : of the block.
-    behind : bool[N], those behind the block (`Sides`).
+    near : as for `drawn_layers`.
     """
-    front = np.flatnonzero(~behind)
-    for begin in range(0, len(front), LOOKED_AT):
-        rows = front[begin:begin + LOOKED_AT]
-        deviations = np.exp(np.maximum.reduce(surroundings.log_scales[rows].T))
-        if largest_sizes(surroundings.positions[rows], deviations, [view], near).any():
-            return True
-    return False
+
+    def __init__(self, surroundings: Gaussians, near: float) -> None:
+        deviations = np.exp(np.maximum.reduce(surroundings.log_scales.T)).astype(np.float64)
+        self._clusters = Clusters(surroundings.positions, VISIBLE_DEVIATIONS * deviations)
+        self._positions = surroundings.positions[self._clusters.order]
+        self._deviations, self._near = deviations[self._clusters.order], near
+
+    def is_shown(self, view: View, behind: NDArray[np.bool_]) -> bool:
+        """Whether a view may show some of it.
+
+        Parameters
+        ----------
+        view : of the block, at its level.
+        behind : bool[N], those of the surroundings behind the block (`Sides`).
+        """
+        rows = self._clusters.near_view(view.camera, self._near)
+        rows = rows[~behind[self._clusters.order[rows]]]
+        return any(shown_sizes(self._positions[some], self._deviations[some], view.camera,
+                               self._near).any()
+                   for some in np.split(rows, range(LOOKED_AT, len(rows), LOOKED_AT)))
 
 
 def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, exposes: bool
@@ -145,10 +158,10 @@ def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, expose
     """
     real, near = np.dtype(np.float32), scene.near_plane
     layers = step = 0
-    sides = Sides(scene, surroundings.positions)
+    sides, front = Sides(scene, surroundings.positions), Front(surroundings, near)
     for view in scene.views:
-        behind = sides.behind(view.camera.position)
-        layers += layer_array(view, has_front(view, surroundings, behind, near)).nbytes(real)
+        in_front = front.is_shown(view, sides.behind(view.camera.position))
+        layers += layer_array(view, in_front).nbytes(real)
         step = max(step, sum(array.nbytes(real) for array in Exposures.frame_arrays(
             view.camera.width, view.camera.height, vignetting=False, tone=False)))
     floats = sum(field.width(sh_degree) for field in LEARNED)

@@ -71,10 +71,11 @@ def test_one_gaussian_in_front_is_found(block, monkeypatch):
         around = Gaussians.from_points(np.linspace(hidden, hidden + 0.1, 10),
                                        np.zeros((10, 3), np.uint8), 0)
         around.rows["log_scales"][:] = np.log(0.01)
-        assert not layers.has_front(view, around, behind, 0.01)
+        assert not layers.Front(around, 0.01).is_shown(view, behind)
         around.rows["positions"][place] = shown
-        assert layers.has_front(view, around, behind, 0.01)
-        assert not layers.has_front(view, around, np.arange(10) == place, 0.01), "it is behind"
+        front = layers.Front(around, 0.01)
+        assert front.is_shown(view, behind)
+        assert not front.is_shown(view, np.arange(10) == place), "it is behind"
 
 
 def test_a_block_takes_whichever_is_smaller(block):

@@ -1,0 +1,72 @@
+"""Points in clusters of neighbours, so that a view is compared with those alone that it may show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.camera import turned
+
+if TYPE_CHECKING:
+    from clsplat.camera import Camera
+
+SIZE = 256  # points of a cluster
+ROUNDING = 1e-6  # of the lengths compared: a cluster is never missed by it
+
+
+class Clusters:
+    """Equal numbers of points that lie close together, with spheres around them.
+
+    They are cut across the two longest sides of all points: into strips, and these into clusters
+    (the packing of R-trees of Leutenegger, Lopez and Edgington 1997, Sort-Tile-Recursive).
+
+    Parameters
+    ----------
+    positions : [N, 3].
+    reach : [N], how far each of the points extends, in the same unit.
+
+    Attributes
+    ----------
+    order : int[N], the points in the order of their clusters.
+    """
+
+    def __init__(self, positions: NDArray[np.floating], reach: NDArray[np.floating]) -> None:
+        count = len(positions)
+        across, along = np.argsort(-np.ptp(positions, axis=0))[:2] if count else (0, 1)
+        strips = max(1, round((count / SIZE) ** 0.5))
+        rank = np.empty(count, np.int64)
+        rank[np.argsort(positions[:, across], kind="stable")] = np.arange(count)
+        strip = rank * strips // max(count, 1)
+        self.order = np.lexsort((positions[:, along], strip))
+        starts = np.arange(0, count, SIZE)
+        self._cluster = np.arange(count) // SIZE
+        packed = positions[self.order]
+        low, high = (each.reduceat(packed, starts, axis=0) if count else packed
+                     for each in (np.minimum, np.maximum))
+        self._centres = (low.astype(np.float64) + high) / 2
+        self._radii = np.linalg.norm(high - low, axis=1) / 2
+        self._reaches = np.maximum.reduceat(reach[self.order], starts) if count else reach
+
+    def near_view(self, camera: Camera, near: float) -> NDArray[np.integer]:
+        """The places in `order` of points that a view may show; all others it certainly does not.
+
+        Parameters
+        ----------
+        camera : a pinhole, in the frame of the points.
+        near : depth of the near plane.
+        """
+        x, y, z = turned(camera.rotation, self._centres) + camera.translation[:, None]
+        (fx, fy), (cx, cy) = camera.focal, camera.centre
+        shown = z + self._radii > near - ROUNDING * abs(z)
+        # a point at the pixel u = fx x / z + cx reaches the image if u > -max(fx, fy) reach / z
+        for focal, place, from_left, length in ((fx, x, cx, camera.width),
+                                                (fy, y, cy, camera.height)):
+            for sign, centre in ((1, from_left), (-1, length - from_left)):
+                inside = sign * focal * place + centre * z
+                slack = (np.hypot(focal, centre) * self._radii + max(fx, fy) * self._reaches
+                         + ROUNDING * (focal * abs(place) + abs(centre * z)))
+                shown &= inside + slack > 0
+        found: NDArray[np.integer] = np.flatnonzero(shown[self._cluster])
+        return found

@@ -1,0 +1,56 @@
+"""Clusters of points: what a view shows is always among what it is compared with, and little else."""
+
+import numpy as np
+import pytest
+
+from clsplat.camera import Camera
+from clsplat.partition.blocks import VISIBLE_DEVIATIONS, largest_sizes, shown_sizes
+from clsplat.partition.clusters import SIZE, Clusters
+from clsplat.scene import View
+
+
+def cameras(count, seed=0):
+    """Above a plain of 100 x 100 x 5, some within it, looking to all sides."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        position = rng.uniform((0, 0, 1), (100, 100, 30))
+        yield Camera.looking_at(position + rng.normal(size=3), position, width=64, height=40,
+                                degrees=rng.uniform(20, 100))
+
+
+def strewn(count, seed=0):
+    rng = np.random.default_rng(seed)
+    deviations = np.exp(rng.normal(-3, 1.5, count))  # some are as large as the plain
+    return rng.uniform((0, 0, 0), (100, 100, 5), (count, 3)), deviations
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, SIZE, SIZE + 1, 40 * SIZE + 7])
+def test_no_view_misses_a_point(count):
+    positions, deviations = strewn(count)
+    clusters = Clusters(positions, VISIBLE_DEVIATIONS * deviations)
+    assert np.array_equal(np.sort(clusters.order), np.arange(count))
+    for camera in cameras(30):
+        for near in (0.01, 5.0):
+            expected = shown_sizes(positions, deviations, camera, near) > 0
+            near_view = np.zeros(count, bool)
+            near_view[clusters.order[clusters.near_view(camera, near)]] = True
+            assert not (expected & ~near_view).any()
+
+
+def test_a_view_is_compared_with_few():
+    positions, _ = strewn(100 * SIZE)
+    clusters = Clusters(positions, np.full(len(positions), 0.01))
+    for camera in cameras(10):
+        below = camera.position * (1, 1, 0)
+        camera = Camera.looking_at(below, below + (0.1, 0.1, 20), width=64, height=40)
+        shown = (shown_sizes(positions, np.full(len(positions), 0.003), camera, 0.01) > 0).sum()
+        compared = len(clusters.near_view(camera, 0.01))
+        assert shown <= compared < 0.2 * len(positions)
+
+
+def test_the_largest_of_all_views():
+    positions, deviations = strewn(4 * SIZE)
+    views = [View(str(number), camera, b"") for number, camera in enumerate(cameras(8))]
+    every = [shown_sizes(positions, deviations, view.camera, 0.01) for view in views]
+    assert np.array_equal(largest_sizes(positions, deviations, views, 0.01), np.max(every, axis=0))
+    assert sum(sizes.any() for sizes in every) > len(views) / 2
