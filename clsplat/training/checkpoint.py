@@ -156,8 +156,12 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
                          "start again with --overwrite") from None
 
 
-def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
+def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussians:
     """The gaussians in the arrays of a checkpoint.
+
+    Parameters
+    ----------
+    moments : whether the arrays include Adam's moments, which then must fit.
 
     Raises
     ------
@@ -168,7 +172,7 @@ def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
     gaussians = Gaussians(_fields(arrays, "row", carried), sh_degree)
     count = arrays["statistics.seen_count"].size
     shapes = {f"{kind}.{field.name}": field.row_shape(sh_degree)
-              for kind, fields in (("row", carried), ("m", LEARNED), ("v", LEARNED))
+              for kind, fields in (("row", carried), *(("m", LEARNED), ("v", LEARNED)) * moments)
               for field in fields}
     for name, shape in {**shapes, "statistics.grad_norm_sum": ()}.items():
         values = arrays[name]
