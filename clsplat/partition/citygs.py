@@ -3,19 +3,19 @@ et al. 2024, CityGaussian, section 3.2)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.partition.clusters import Clusters
 from clsplat.partition.input import CONTENT_QUANTILES
 from clsplat.partition.partition import Cells
 from clsplat.partition.region import Region
 from clsplat.partition.tracks import seen_by_tracks
 
 if TYPE_CHECKING:
-    from clsplat.camera import Camera
     from clsplat.partition.input import PartitionInput
     from clsplat.partition.make import DropTest
     from clsplat.partition.options import PartitionOptions
@@ -54,10 +54,10 @@ def citygs(data: PartitionInput, grid: tuple[int, int], options: PartitionOption
     tested = _tested(regions, content)
     owner = Cells(regions).at(content)
     pairs: list[tuple[int, int]] = []  # block, view
-    for view, index in enumerate(data.views):
-        visible = np.unique(owner[_visible(data, data.scene.views[index].camera)])
+    for view, visible in enumerate(_visible_cells(data, owner)):
         pairs += [(block, view) for block in visible[~assigned[visible, view]].tolist()]
-    changes = drop((int(data.views[view]), ~tested[block].holds(content))
+    inside = [np.flatnonzero(region.holds(content)) for region in tested]
+    changes = drop((int(data.views[view]), _all_but(inside[block], len(content)))
                    for block, view in pairs)
     for (block, view), change in zip(pairs, changes):
         assigned[block, view] = change > options.threshold
@@ -96,9 +96,28 @@ def _tested(regions: Sequence[Region], content: NDArray[np.float64]) -> list[Reg
     return tested
 
 
-def _visible(data: PartitionInput, camera: Camera) -> NDArray[np.bool_]:
-    """Which content lies in a camera's image or close beside it, as bool[M]."""
-    pixel, depth = camera.project((data.content - data.scene.offset) / data.scene.unit)
-    size = np.array([camera.width, camera.height])
-    return ((depth > 0) & (pixel > -IMAGE_MARGIN * size).all(axis=1)
-            & (pixel < (1 + IMAGE_MARGIN) * size).all(axis=1))
+def _visible_cells(data: PartitionInput, owner: NDArray[np.integer]
+                   ) -> Iterator[NDArray[np.integer]]:
+    """For each view, the cells that have content in its image or close beside it.
+
+    Parameters
+    ----------
+    owner : [M], the cell of each content, -1 for none.
+    """
+    places = (data.content - data.scene.offset) / data.scene.unit
+    clusters = Clusters(places, np.zeros(len(places)))
+    places, owner = places[clusters.order], owner[clusters.order]
+    for index in data.views:
+        camera = data.scene.views[index].camera
+        beside_x, beside_y = IMAGE_MARGIN * camera.width, IMAGE_MARGIN * camera.height
+        near = clusters.near_view(camera, 0.0, max(beside_x, beside_y))
+        (x, y), depth = (each.T for each in camera.project(places[near]))
+        shown = ((depth > 0) & (x > -beside_x) & (x < camera.width + beside_x)
+                 & (y > -beside_y) & (y < camera.height + beside_y))
+        yield np.flatnonzero(np.bincount(owner[near[shown]] + 1)[1:])
+
+
+def _all_but(indices: NDArray[np.integer], count: int) -> NDArray[np.bool_]:
+    others = np.ones(count, bool)
+    others[indices] = False
+    return others

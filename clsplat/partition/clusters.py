@@ -24,7 +24,7 @@ class Clusters:
 
     Parameters
     ----------
-    positions : [N, 3].
+    positions : [N, 3]; those that are not finite are in no view.
     reach : [N], how far each of the points extends, in the same unit.
 
     Attributes
@@ -34,28 +34,33 @@ class Clusters:
 
     def __init__(self, positions: NDArray[np.floating], reach: NDArray[np.floating]) -> None:
         count = len(positions)
-        across, along = np.argsort(-np.ptp(positions, axis=0))[:2] if count else (0, 1)
+        positions = np.where(np.isfinite(positions), positions, np.nan)
+        low, high = (each.reduce(positions, axis=0, initial=np.nan) for each in (np.fmin, np.fmax))
+        across, along = np.argsort(low - high)[:2]  # the longest sides first
         strips = max(1, round((count / SIZE) ** 0.5))
         rank = np.empty(count, np.int64)
         rank[np.argsort(positions[:, across], kind="stable")] = np.arange(count)
         strip = rank * strips // max(count, 1)
-        self.order = np.lexsort((positions[:, along], strip))
+        there_and_back = np.where(strip % 2, -1, 1)  # so that clusters of two strips are small, too
+        self.order = np.lexsort((there_and_back * positions[:, along], strip))
         starts = np.arange(0, count, SIZE)
         self._cluster = np.arange(count) // SIZE
         packed = positions[self.order]
         low, high = (each.reduceat(packed, starts, axis=0) if count else packed
-                     for each in (np.minimum, np.maximum))
+                     for each in (np.fmin, np.fmax))
         self._centres = (low.astype(np.float64) + high) / 2
         self._radii = np.linalg.norm(high - low, axis=1) / 2
         self._reaches = np.maximum.reduceat(reach[self.order], starts) if count else reach
 
-    def near_view(self, camera: Camera, near: float) -> NDArray[np.integer]:
+    def near_view(self, camera: Camera, near: float, beside: float = 0.0
+                  ) -> NDArray[np.integer]:
         """The places in `order` of points that a view may show; all others it certainly does not.
 
         Parameters
         ----------
         camera : a pinhole, in the frame of the points.
         near : depth of the near plane.
+        beside : pixels outside of the image that count, too.
         """
         x, y, z = turned(camera.rotation, self._centres) + camera.translation[:, None]
         (fx, fy), (cx, cy) = camera.focal, camera.centre
@@ -63,7 +68,8 @@ class Clusters:
         # a point at the pixel u = fx x / z + cx reaches the image if u > -max(fx, fy) reach / z
         for focal, place, from_left, length in ((fx, x, cx, camera.width),
                                                 (fy, y, cy, camera.height)):
-            for sign, centre in ((1, from_left), (-1, length - from_left)):
+            for sign, centre in ((1, beside + from_left),
+                                 (-1, beside + length - from_left)):
                 inside = sign * focal * place + centre * z
                 slack = (np.hypot(focal, centre) * self._radii + max(fx, fy) * self._reaches
                          + ROUNDING * (focal * abs(place) + abs(centre * z)))

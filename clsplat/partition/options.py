@@ -10,7 +10,7 @@ METHODS = ("citygs", "blockgs", "vastgs")
 LEAST_GAUSSIANS = 100  # a block with fewer is starved
 MOST_BLOCKS = 10_000
 # where `auto` leaves it open: without a joint training, and with one
-BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 0.1
+BLOCK_STEPS, BLOCK_STEPS_BEFORE_JOINT = 2.0, 0.25
 EXCHANGES, JOINT_STEPS = 3, 0.5
 
 
@@ -80,7 +80,7 @@ class PartitionOptions:
                             words={AUTO: AUTO}, minimum=0, maximum=20)
     block_steps: float = option(AUTO, "Blocks", "steps of all blocks together, as a multiple of "
                                 "those of one run; with more, each gaussian is seen more often, "
-                                "which is better and takes longer; auto: 0.1 before a joint "
+                                "which is better and takes longer; auto: 0.25 before a joint "
                                 "training, else 2", words={AUTO: AUTO}, minimum=0.1, maximum=100.0)
     joint_steps: float = option(AUTO, "Blocks", "steps of the joint training, in which the whole "
                                 "is trained on one device from points of the blocks' gaussians and "

@@ -1,5 +1,7 @@
 """Clusters of points: a view is compared with all that it shows, and with few others."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,10 +32,13 @@ def test_no_view_misses_a_point(count):
     clusters = Clusters(positions, VISIBLE_DEVIATIONS * deviations)
     assert np.array_equal(np.sort(clusters.order), np.arange(count))
     for camera in cameras(30):
-        for near in (0.01, 5.0):
-            expected = shown_sizes(positions, deviations, camera, near) > 0
+        for near, beside in ((0.01, 0), (5.0, 0), (0.01, 7)):
+            wider = replace(camera, width=camera.width + 2 * beside,
+                            height=camera.height + 2 * beside,
+                            centre=tuple(beside + place for place in camera.centre))
+            expected = shown_sizes(positions, deviations, wider, near) > 0
             near_view = np.zeros(count, bool)
-            near_view[clusters.order[clusters.near_view(camera, near)]] = True
+            near_view[clusters.order[clusters.near_view(camera, near, beside)]] = True
             assert not (expected & ~near_view).any()
 
 
@@ -46,6 +51,17 @@ def test_a_view_is_compared_with_few():
         shown = (shown_sizes(positions, np.full(len(positions), 0.003), camera, 0.01) > 0).sum()
         compared = len(clusters.near_view(camera, 0.01))
         assert shown <= compared < 0.2 * len(positions)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_points_that_are_not_finite_hide_no_others(value):
+    positions, deviations = strewn(4 * SIZE)
+    positions[::50, 0] = value
+    for camera in cameras(10):
+        with np.errstate(invalid="ignore"):
+            expected = shown_sizes(positions, deviations, camera, 0.01)
+        assert np.array_equal(
+            largest_sizes(positions, deviations, [View("a", camera, b"")], 0.01), expected)
 
 
 def test_the_largest_of_all_views():
