@@ -156,12 +156,8 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
                          "start again with --overwrite") from None
 
 
-def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussians:
+def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
     """The gaussians in the arrays of a checkpoint.
-
-    Parameters
-    ----------
-    moments : whether the arrays include Adam's moments, which then must fit.
 
     Raises
     ------
@@ -172,7 +168,7 @@ def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussi
     gaussians = Gaussians(_fields(arrays, "row", carried), sh_degree)
     count = arrays["statistics.seen_count"].size
     shapes = {f"{kind}.{field.name}": field.row_shape(sh_degree)
-              for kind, fields in (("row", carried), *(("m", LEARNED), ("v", LEARNED)) * moments)
+              for kind, fields in (("row", carried), ("m", LEARNED), ("v", LEARNED))
               for field in fields}
     for name, shape in {**shapes, "statistics.grad_norm_sum": ()}.items():
         values = arrays[name]

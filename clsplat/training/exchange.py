@@ -11,9 +11,8 @@ What a block goes on from follows from parts alone, and a part is written once: 
 killed during an exchange repeats it, and ends in the same bytes.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +121,7 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
 
     Returns the checkpoint from which the block goes on; that of its run stays as it is. What its
     views show as layers is written into its run. Gaussians of the margin bring the moments of their
-    owner; those of a block of which it trains nothing have none, and need none.
+    owner.
 
     Parameters
     ----------
@@ -139,30 +138,23 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
     region = scene.region
     assert region is not None
     own, degree, _ = _read_part(block.part(number), record)
-    own |= _read_moments(block.part(number), own, degree)
 
     def taken_from(other: BlockFolder) -> tuple[Arrays, Arrays]:
         """What the block holds of another one, and what it draws as layers."""
-        path = other.part(number)
-        part, _, frame = _read_part(path, record)
+        part, _, frame = _read_part(other.part(number), record)
         placed = _in_frame_of(scene, {name: part[name] for name in PLACED}, frame)
         start = block_start(Gaussians({name.removeprefix("row."): values
                                        for name, values in placed.items()}, degree),
                             scene, region, scene.views, lambda _: LAYERS in record)
-        held, layered = np.split(start.indices, [start.gaussians.count])
-        taken = _in_frame_of(scene, {name: values[held] for name, values in part.items()}, frame)
-        around = _in_frame_of(scene, {name: values[layered] for name, values in part.items()
+        held = start.gaussians.count
+        taken = _in_frame_of(scene, {name: values[start.indices[:held]]
+                                     for name, values in part.items()}, frame)
+        around = _in_frame_of(scene, {name: values[start.indices[held:]]
+                                      for name, values in part.items()
                                       if name.startswith("row.")}, frame)
         for rows, gaussians in ((taken, start.gaussians), (around, start.around)):
             if gaussians:  # which may be thinned
                 rows[SCALES] = gaussians.log_scales.astype(part[SCALES].dtype)
-        if trainable(scene, taken["row.positions"], taken[SCALES]).any():
-            moments = {name: values[held]
-                       for name, values in _read_moments(path, part, degree).items()}
-            taken |= _in_frame_of(scene, moments, frame)
-        else:
-            taken |= {name: np.zeros((len(held), *values.shape[1:]), values.dtype)
-                      for name, values in own.items() if _is_moment(name)}
         return taken, around
 
     with ThreadPoolExecutor(PARTS_TOGETHER) as threads:
@@ -179,36 +171,21 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
 
 
 def _read_part(path: Path, record: dict[str, Any]) -> tuple[Arrays, int, dict[str, Any]]:
-    """The arrays of a part without moments, the degree of its harmonics and its state; InputError
-    if it is damaged or of another city."""
-    with _named(path) as (complaint, cure):
-        arrays = read_npz(path, complaint, cure, lambda name: not _is_moment(name))
+    """The arrays of a part, the degree of its harmonics and its state; InputError if it is damaged
+    or of another city."""
+    complaint, cure = "damaged", f"remove {path.parent}, and train that block again"
+    arrays = read_npz(path, complaint, cure)
+    try:
         state = object_of(arrays.pop(STATE).tobytes())
         degree = int(np.sqrt(arrays["row.sh_rest"].shape[1] + 1)) - 1
-        gaussians_of(arrays, degree, moments=False)
+        gaussians_of(arrays, degree)
         if not (state["unit"] > 0 and np.shape(state["offset"]) == (3,)):
             raise ValueError("its frame")
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: {complaint} ({error}); {cure}") from None
     if state.get(CITY) != record[CITY]:
         raise InputError(f"{path}: of another city; {cure}")
     return arrays, degree, state
-
-
-def _read_moments(path: Path, part: Arrays, degree: int) -> Arrays:
-    """The moments of a part, two thirds of its bytes; arguments and errors as of `_read_part`."""
-    with _named(path) as (complaint, cure):
-        moments = read_npz(path, complaint, cure, _is_moment)
-        gaussians_of({**part, **moments}, degree)
-    return moments
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[tuple[str, str]]:
-    """Turn what is wrong with the arrays of a part into an InputError; yields its words."""
-    complaint, cure = "damaged", f"remove {path.parent}, and train that block again"
-    try:
-        yield complaint, cure
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: {complaint} ({error}); {cure}") from None
 
 
 def _in_frame_of(scene: Scene, part: Arrays, frame: dict[str, Any]) -> Arrays:
@@ -232,11 +209,6 @@ def _in_frame_of(scene: Scene, part: Arrays, frame: dict[str, Any]) -> Arrays:
     if SCALES in part:
         moved[SCALES] = (part[SCALES] + np.log(factor)).astype(part[SCALES].dtype)
     return moved
-
-
-def _is_moment(name: str) -> bool:
-    """Whether an array of a part holds moments of Adam."""
-    return name.startswith(("m.", "v."))
 
 
 def _is_by_gaussian(name: str) -> bool:

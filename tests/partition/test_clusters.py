@@ -1,4 +1,4 @@
-"""Clusters of points: a view is compared with all that it shows, and with few others."""
+"""Clusters of points: what a view shows is always among what it is compared with, and little else."""
 
 from dataclasses import replace
 

@@ -131,13 +131,13 @@ def test_a_kill_during_an_exchange_changes_nothing(city, monkeypatch):
         raise SystemExit(9)
 
     # in the exchange, after it, and where the training ends that follows it
-    for owner, name in ((exchange_module, "write_ply"), (training_block, "resume"),
+    for owner, name in ((exchange_module, "trainable"), (training_block, "resume"),
                         (Checkpoint, "check_model"), (RunFolder, "save_model")):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, dies)
             with pytest.raises(SystemExit):
                 train_block(killed, block_options(killed))
-        assert killed.around.is_file() == (name != "write_ply")
+        assert killed.around.is_file()
     assert train_block(killed, block_options(killed)) == "finished"
     assert model_digest(RunFolder(killed.run)) == model_digest(RunFolder(block.run))
     assert train_block(killed, block_options(killed)) == "was finished before"
@@ -158,22 +158,6 @@ def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
     assert train_block(block, block_options(block)) == "finished"
     with pytest.raises(InputError, match="no exchange 1, as .* 0 times"):
         train_block(block, block_options(block), alone=True, until=1)
-
-
-def test_what_is_not_trained_needs_no_moments(city, monkeypatch):
-    """They are two thirds of a part, and most blocks of a large city only look at each other."""
-    block, run, read = city.block(0), RunFolder(city.block(0).run), []
-    read_moments = exchange_module._read_moments
-    monkeypatch.setattr(exchange_module, "trainable", lambda scene, positions, _: np.zeros(
-        len(positions), bool))
-    monkeypatch.setattr(exchange_module, "_read_moments", lambda path, *rest: (
-        read.append(path), read_moments(path, *rest))[1])
-    after, _ = exchange(block, read_scene(block.path), other_blocks(block), block_options(block),
-                        1, run)
-    own = len(read_npz(block.part(1), "", "")["row.positions"])
-    assert read == [block.part(1)]
-    assert len(after["m.positions"]) == len(after["row.positions"]) > own
-    assert after["m.sh_constant"][:own].any() and not after["m.sh_constant"][own:].any()
 
 
 @pytest.mark.slow
