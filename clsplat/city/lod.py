@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from clsplat.camera import Camera
-from clsplat.city.merge import cropped, joined
+from clsplat.city.merge import READ_TOGETHER, cropped, joined
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.io.ahead import called_ahead
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
@@ -222,8 +223,9 @@ def merge_levels(city: CityFolder, scene: Scene) -> list[float]:
         for factor, path in RunFolder(block.run).snapshots():
             parts.setdefault(factor, []).append((block.read()["number"], path))
     for factor, blocks in parts.items():
-        pieces = [cropped(read_ply(path, scene.offset), partition, number, scene.offset)
-                  for number, path in blocks]
-        RunFolder(city.path).save_snapshot(factor, joined(pieces), scene.offset,
+        pieces = called_ahead(lambda number, path: cropped(
+            read_ply(path, scene.offset), partition, number, scene.offset),
+            blocks, READ_TOGETHER, READ_TOGETHER)
+        RunFolder(city.path).save_snapshot(factor, joined(list(pieces)), scene.offset,
                                            (f"level {factor:g}",))
     return sorted(parts, reverse=True)
