@@ -2,8 +2,9 @@
 
 import logging
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -53,12 +54,14 @@ def reference_file(against: Path | None) -> Path | None:
     return path
 
 
-def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
-               fill: bool = False, progress: SilentProgress | None = None, joint: bool = True
-               ) -> Merged:
+@contextmanager
+def merged_city(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
+                fill: bool = False, progress: SilentProgress | None = None, joint: bool = True
+                ) -> Iterator[Merged]:
     """Merge the blocks of a city into its model and its levels of detail, and train that jointly.
 
-    A tree of an earlier merge is removed, since it may be of other blocks.
+    The model is there during the `with` block, its levels of detail at the end of that. A tree of
+    an earlier merge is removed, since it may be of other blocks.
 
     Parameters
     ----------
@@ -70,8 +73,8 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     progress : of the joint training.
     joint : whether there is one, where the partition includes it.
 
-    Returns
-    -------
+    Yields
+    ------
     The blocks, with the gaussians of the joint training where there is one.
 
     Raises
@@ -81,18 +84,18 @@ def merge_city(city: CityFolder, scene: Scene, options: TrainOptions, device: De
     """
     merged = merge(city, scene, fill)
     merged.check()
+    run = RunFolder(city.path)
     with ThreadPoolExecutor(1) as beside:  # while the device is busy
         levels = beside.submit(_write_levels, city, scene)
         if joint:
             merged = _trained_jointly(city, scene, options, device, merged, progress)
+        (run.path / TREE).unlink(missing_ok=True)
+        _note_merge(city, scene, options, device, merged, joint)
+        run.save_model(merged.gaussians, scene.offset, (
+            f"merged of {len(merged.shares)} blocks",
+            *placement_comments(scene.up, scene.georeference)))
+        yield merged
         levels.result()
-    run = RunFolder(city.path)
-    (run.path / TREE).unlink(missing_ok=True)
-    _note_merge(city, scene, options, device, merged, joint)
-    run.save_model(merged.gaussians, scene.offset, (
-        f"merged of {len(merged.shares)} blocks",
-        *placement_comments(scene.up, scene.georeference)))
-    return merged
 
 
 def _trained_jointly(city: CityFolder, scene: Scene, options: TrainOptions, device: Device,
@@ -112,7 +115,7 @@ def merge_city_tree(city: CityFolder, scene: Scene, options: TrainOptions, devic
                     fill: bool = False) -> Merged:
     """Merge the blocks of a city into its tree, with one block at a time in memory.
 
-    A model and scores of an earlier merge stay. Arguments and errors as for `merge_city`.
+    A model and scores of an earlier merge stay. Arguments and errors as for `merged_city`.
     """
     merged = merge_tree(city.path / TREE, city, scene, options.sh_degree, fill)
     if not RunFolder(city.path).has_model:
@@ -167,7 +170,7 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     city : its folder, merged.
     options : of the whole.
     device : an open device.
-    merged : the result of `merge_city`.
+    merged : that of `merged_city`.
     against : the PLY file of the reference for seams; None: that of the coarse model.
     workers : each scores a share of the views.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -230,7 +230,7 @@ def _reference(against: Path | None, tree: bool) -> Path | None:
 def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Device,
             workers: Workers, fill: bool, against: Path | None, tree: bool, quiet: bool = False,
             joint: bool = True) -> None:
-    from clsplat.city.finish import evaluate_city, merge_city, merge_city_tree, merge_record
+    from clsplat.city.finish import evaluate_city, merge_city_tree, merge_record, merged_city
     from clsplat.cli.evaluate import summary
     from clsplat.io.tree import TREE
     from clsplat.report.city import seam_table, share_table
@@ -241,12 +241,14 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
             click.echo(f"{folder.path / TREE}: {merged.count:,} gaussians of "
                        f"{len(merged.shares)} blocks")
         return
-    try:
-        with _shown(quiet, options, "joint training") as progress:
-            merged = merge_city(folder, data, options, device, fill, progress, joint)
-    except Interrupted:
-        raise _stopped(folder) from None
-    scores, seams = evaluate_city(folder, options, device, merged, against, workers)
+    with ExitStack() as stack:
+        try:
+            with _shown(quiet, options, "joint training") as progress:
+                merged = stack.enter_context(
+                    merged_city(folder, data, options, device, fill, progress, joint))
+        except Interrupted:
+            raise _stopped(folder) from None
+        scores, seams = evaluate_city(folder, options, device, merged, against, workers)
     if against and seams is None:
         click.echo("--against: not used, since a single block has no seams", err=True)
     if quiet:

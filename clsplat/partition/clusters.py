@@ -1,4 +1,4 @@
-"""Points in clusters of neighbours, so that a view is compared with those alone that it may show."""
+"""Points in clusters of neighbours; a view is compared with few of them."""
 
 from __future__ import annotations
 

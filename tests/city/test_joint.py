@@ -12,7 +12,7 @@ import pytest
 
 from clsplat.city import finish
 from clsplat.city.cut import JOINT
-from clsplat.city.finish import merge_city
+from clsplat.city.finish import merged_city
 from clsplat.city.joint import begin_with, joint_options, train_jointly
 from clsplat.city.merge import Merged
 from clsplat.city.stages import train_coarse
@@ -47,7 +47,7 @@ def steps(folder, device=LARGE, given=(), tree=False, **options):
 
 
 def test_a_city_that_a_device_holds_is_trained_jointly(tmp_path):
-    assert steps(tmp_path) == (0.5, 0, 0.1)
+    assert steps(tmp_path) == (0.5, 0, 0.25)
     apart = (0.0, 3, 2.0)
     assert steps(tmp_path, SMALL) == apart, "the device does not hold it"
     assert steps(tmp_path, given={"grid": (1, 1)}) == apart, "one block"
@@ -62,7 +62,7 @@ def test_a_city_that_a_device_holds_is_trained_jointly(tmp_path):
 
 def test_what_the_user_says_holds(tmp_path):
     assert steps(tmp_path, given={"joint_steps": 0.0}) == (0.0, 3, 2.0)
-    assert steps(tmp_path, SMALL, {"joint_steps": 0.3}) == (0.3, 0, 0.1)
+    assert steps(tmp_path, SMALL, {"joint_steps": 0.3}) == (0.3, 0, 0.25)
     assert steps(tmp_path, given={"exchanges": 2, "block_steps": 3.0})[1:] == (2, 3.0)
 
 
@@ -264,10 +264,12 @@ def test_a_stopped_joint_training_goes_on(trained, tmp_path, monkeypatch):
     monkeypatch.setattr(CityFolder, "identity", lambda _: trained_identity)
     trained_identity = {key: copy.blocks()[0].read()[key] for key in ("city", "partition")}
     with pytest.raises(Interrupted):
-        merge_city(copy, scene, options, device)
+        with merged_city(copy, scene, options, device):
+            pass
     assert RunFolder(copy.joint).checkpoint_iteration() == 11 and not RunFolder(copy.path).has_model
     copy.write_partition(partition)
-    merge_city(copy, scene, options, device)
+    with merged_city(copy, scene, options, device):
+        pass
     assert model(copy) == before
 
 

@@ -1,4 +1,4 @@
-"""Clusters of points: what a view shows is always among what it is compared with, and little else."""
+"""Clusters of points: a view is compared with all that it shows, and with few others."""
 
 from dataclasses import replace
 
