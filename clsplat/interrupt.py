@@ -100,8 +100,9 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
 def signals_held() -> Iterator[None]:
     """Hold signals back until the block ends, also the second one.
 
-    For an import of C++ code that an exception of a signal handler would abort (nanobind's enums).
-    Signals do not interrupt threads other than the main one, where this does nothing.
+    For imports of modules in C++ that make enums by pybind11 or nanobind: where a signal handler
+    raises an exception amid that, the process aborts. Signals do not interrupt other threads than
+    the main one; there this does nothing.
     """
     arrived: list[int] = []
     before: dict[int, Any] = {}

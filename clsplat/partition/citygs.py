@@ -118,6 +118,7 @@ def _visible_cells(data: PartitionInput, owner: NDArray[np.integer]
 
 
 def _all_but(indices: NDArray[np.integer], count: int) -> NDArray[np.bool_]:
+    """bool[count], false at these indices."""
     others = np.ones(count, bool)
     others[indices] = False
     return others
