@@ -20,7 +20,7 @@ BUILD_OUTPUTS = {"out", "build", "dist", "clsplat.egg-info", "__pycache__"}
 
 # a module imports from its own package and from the lines above its own
 LAYERS = (
-    {"constants", "errors", "interrupt"},
+    {"constants", "errors"},
     {"device"},
     {"primitives"},
     {"camera", "config", "georeference"},
@@ -45,7 +45,7 @@ LAYERS = (
     {"__main__"},
 )
 NOUNS = {"__init__", "__main__", "camera", "constants", "errors", "gaussians", "georeference",
-         "interrupt", "options", "response", "scene"}
+         "options", "response", "scene"}
 LAYER_OF = {unit: number for number, units in enumerate(LAYERS) for unit in units}
 
 # tested without OpenCL, though they stand above the device layer
@@ -58,7 +58,7 @@ WALLS = {
     "pycolmap": ("clsplat/io/", "clsplat/sfm/"),
     **dict.fromkeys(("laspy", "lazrs"), ("clsplat/io/",)),
     "pyproj": ("clsplat/io/georeference/crs.py",),
-    "OpenImageIO": ("clsplat/io/openimageio.py",),
+    "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/flip.py"),
     "onnxruntime": ("clsplat/evaluation/lpips.py",),
     "click": ("clsplat/cli/",),
     "skimage": ("clsplat/io/", "clsplat/evaluation/"),
@@ -71,7 +71,7 @@ WALLS = {
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
 FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None,
                     "clsplat/io/": {"laspy", "lazrs", "pycolmap", "OpenImageIO", "pyproj"},
-                    "clsplat/evaluation/": {"onnxruntime"},
+                    "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
                     "clsplat/bench/": {"gsplat", "torch"},  # to compare with, where they are
                     "clsplat/distribute/": {"distributed"}}  # an extra, seldom asked for
 

@@ -35,7 +35,7 @@ from clsplat.cli.synth import synth
 from clsplat.cli.train import train
 from clsplat.cli.view import view
 from clsplat.errors import ClsplatError, Interrupted
-from clsplat.interrupt import handled_interrupts
+from clsplat.training.interrupt import handled_interrupts
 
 BUG = 1  # exit code
 SIGPIPE = 13  # its number where it exists; Windows has none

@@ -1,4 +1,4 @@
-"""Makes OpenCL runtimes from PyPI visible, and then imports pyopencl, the first in a process.
+"""Makes OpenCL runtimes from PyPI visible. Must run before pyopencl is first imported.
 
 The wheel `intel-opencl-rt` brings a fast CPU runtime, but its ICD file has the path of the
 machine it was built on, and the loader reads only one folder. So a private folder is made with the
@@ -14,8 +14,6 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
-
-from clsplat.interrupt import signals_held
 
 SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 
@@ -86,5 +84,3 @@ def ignore_file_limits() -> None:
 register()
 # pyopencl's own cache of binaries: see clsplat/device/binaries.py
 os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
-with signals_held():  # Ctrl-C amid this import would abort the process
-    import pyopencl  # noqa: F401

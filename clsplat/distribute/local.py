@@ -15,8 +15,8 @@ from queue import LifoQueue
 from clsplat.distribute.child import Child
 from clsplat.distribute.task import DONE, FAILED, REFUSED, Result, Task
 from clsplat.errors import ClsplatError, Interrupted
-from clsplat.interrupt import was_interrupted
 from clsplat.io.lock import exclusive
+from clsplat.training.interrupt import was_interrupted
 
 HERE = "this machine"
 

@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.io.openimageio import openimageio
-
 # of a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m: the default of Andersson et al. (2020)
 PIXELS_PER_DEGREE = 67.02
 
@@ -22,7 +20,8 @@ def flip_map(image: ArrayLike, photo: ArrayLike) -> NDArray[np.float32]:
     -------
     [H, W], 0 (no visible difference) to 1.
     """
-    oiio = openimageio()
+    import OpenImageIO as oiio
+
     difference = oiio.ImageBufAlgo.FLIP_diff(_srgb(oiio, photo), _srgb(oiio, image), hdr=0,
                                              ppd=PIXELS_PER_DEGREE)
     pixels = difference.get_pixels()

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.openimageio import openimageio
 from clsplat.io.photo import Photo, opened, reason_of
 from clsplat.io.resample import joined, resampled_bands
 
@@ -70,7 +69,8 @@ def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
     ------
     InputError : the format is unknown, or its writer fails.
     """
-    oiio = openimageio()
+    import OpenImageIO as oiio
+
     if pixels.dtype != np.uint8:
         pixels = eight_bits(pixels)
     height, width, channels = pixels.shape

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
-from clsplat.io.openimageio import openimageio
 from clsplat.io.reason import MOST_CHARACTERS, clean
 from clsplat.io.regular import memory_file, open_regular, utf8_path
 from clsplat.io.resample import band_rows
@@ -181,7 +180,8 @@ def _input(source: str | Path | bytes) -> Iterator[tuple[str | Path, Any]]:
 
 
 def _checked_input(path: str, name: str | Path, size: int) -> Iterator[tuple[str | Path, Any]]:
-    oiio = openimageio()
+    import OpenImageIO as oiio
+
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)  # keep colours as stored, whatever their alpha
     image = oiio.ImageInput.open(path, config)

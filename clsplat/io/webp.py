@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from clsplat.io.images import encode_image
 from clsplat.io.model_values import check_expansion
-from clsplat.io.openimageio import openimageio
 from clsplat.io.photo import reason_of
 from clsplat.io.regular import memory_file
 
@@ -22,7 +21,8 @@ def encode_webp(pixels: NDArray[np.uint8]) -> bytes:
 
 def decode_webp(data: bytes) -> NDArray[np.uint8]:
     """The pixels uint8[H, W, 4] of a WebP file; ValueError if it is damaged or too large."""
-    oiio = openimageio()
+    import OpenImageIO as oiio
+
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)  # as stored, not multiplied by the last channel
     with memory_file("WebP", data) as path:
@@ -33,7 +33,7 @@ def decode_webp(data: bytes) -> NDArray[np.uint8]:
         try:
             spec = image.spec()
             check_expansion(len(data), spec.width * spec.height * 4)
-            pixels: NDArray[np.uint8] | None = image.read_image("uint8")
+            pixels = image.read_image("uint8")
             reason = reason_of(image)
         finally:
             image.close()

@@ -8,7 +8,6 @@ from typing import Any
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted
-from clsplat.interrupt import was_interrupted
 from clsplat.io.city import BlockFolder
 from clsplat.io.linked import DEPTH
 from clsplat.io.run import OPTIONS, RunFolder
@@ -17,6 +16,7 @@ from clsplat.options import EARLIER, TrainOptions, checked, resolve
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Saved
 from clsplat.training.exchange import exchange, lacking_blocks, other_blocks, write_part
+from clsplat.training.interrupt import was_interrupted
 from clsplat.training.loop import resume, train
 from clsplat.training.progress import NotedProgress, SilentProgress
 

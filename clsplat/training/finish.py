@@ -5,7 +5,6 @@ from typing import Any
 
 from clsplat.errors import ClsplatError
 from clsplat.evaluation.views import pictures_of
-from clsplat.interrupt import was_interrupted
 from clsplat.io.georeference.files import placement_comments
 from clsplat.io.model_values import mode_comment
 from clsplat.io.poses import write_poses
@@ -14,6 +13,7 @@ from clsplat.io.run import RunFolder
 from clsplat.placement.corrections import Correction
 from clsplat.report.run import write_report
 from clsplat.training.frequency import VARIANTS, scene_frequency
+from clsplat.training.interrupt import was_interrupted
 from clsplat.training.session import Session
 
 

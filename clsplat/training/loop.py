@@ -17,7 +17,6 @@ from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.gaussians import Gaussians
-from clsplat.interrupt import deferred_interrupt, was_interrupted
 from clsplat.io.depth import with_depths
 from clsplat.io.run import PART_OF_CITY, RunFolder
 from clsplat.io.scenes import fingerprint
@@ -33,6 +32,7 @@ from clsplat.training.decisions import is_part_of_city
 from clsplat.training.evaluator import Evaluator
 from clsplat.training.finish import draw_report, save_model, save_snapshot
 from clsplat.training.frequency import scene_frequency
+from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.photos import THREADS, epoch_order, size_note
 from clsplat.training.progress import WARNING, SilentProgress
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken

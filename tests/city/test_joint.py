@@ -21,7 +21,6 @@ from clsplat.device import choose_device
 from clsplat.errors import TOO_LARGE, DeviceError, InputError, Interrupted
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run
-from clsplat.interrupt import handled_interrupts
 from clsplat.io.city import CityFolder
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.run import RunFolder
@@ -29,6 +28,7 @@ from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from clsplat.training.decisions import is_part_of_city
+from clsplat.training.interrupt import handled_interrupts
 from clsplat.training.loop import train
 from tests.city.test_city import DEVICE, city, command, model
 from tests.city.test_merge import strewn

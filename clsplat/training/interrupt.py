@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 from typing import Any
 
@@ -51,6 +52,52 @@ class Interrupts:
 
 
 @contextmanager
+def signals_held() -> Iterator[None]:
+    """Hold signals back until the block ends, also the second one.
+
+    Outside the main thread this does nothing, as Python delivers no signals there.
+    """
+    arrived: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: handler for number in signal.valid_signals()
+                  if callable(handler := signal.getsignal(number))}
+    for number in before:
+        signal.signal(number, lambda number, frame: arrived.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in reversed(before.items()):  # Ctrl-C last, as it may raise
+            signal.signal(number, handler)
+        for number in arrived:
+            signal.raise_signal(number)
+
+
+@contextmanager
+def whole_imports() -> Iterator[None]:
+    """Let signals wait for imports of extension modules that begin during the block.
+
+    Modules in C++ that make enums by pybind11 or nanobind (OpenImageIO, pyopencl, matplotlib) call
+    Python for it; where a signal handler raises an exception amid that, the process aborts.
+    """
+    def held(method: Callable[[ExtensionFileLoader, Any], Any]
+             ) -> Callable[[ExtensionFileLoader, Any], Any]:
+        def whole(loader: ExtensionFileLoader, argument: Any) -> Any:
+            with signals_held():
+                return method(loader, argument)
+        return whole
+
+    before = {name: getattr(ExtensionFileLoader, name) for name in ("create_module", "exec_module")}
+    for name, method in before.items():
+        setattr(ExtensionFileLoader, name, held(method))
+    try:
+        yield
+    finally:
+        for name, method in before.items():
+            setattr(ExtensionFileLoader, name, method)
+
+
+@contextmanager
 def handled_interrupts() -> Iterator[Interrupts]:
     """Handle the signals that end a command during the block, except ignored ones.
 
@@ -73,7 +120,8 @@ def handled_interrupts() -> Iterator[Interrupts]:
         before = {number: signal.signal(number, handler) for number in numbers
                   if signal.getsignal(number) is not signal.SIG_IGN}
     try:
-        yield handler
+        with whole_imports():
+            yield handler
     finally:
         handler.end()
         for number, was in before.items():
@@ -94,30 +142,6 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     else:
         with handled_interrupts() as handler, handler.waiting() as interrupted:
             yield interrupted
-
-
-@contextmanager
-def signals_held() -> Iterator[None]:
-    """Hold signals back until the block ends, also the second one.
-
-    For imports of modules in C++ that make enums by pybind11 or nanobind: where a signal handler
-    raises an exception amid that, the process aborts. Signals do not interrupt other threads than
-    the main one; there this does nothing.
-    """
-    arrived: list[int] = []
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {number: handler for number in signal.valid_signals()
-                  if callable(handler := signal.getsignal(number))}
-    for number in before:
-        signal.signal(number, lambda number, frame: arrived.append(number))
-    try:
-        yield
-    finally:
-        for number, handler in reversed(before.items()):  # Ctrl-C last, as it may raise
-            signal.signal(number, handler)
-        for number in arrived:
-            signal.raise_signal(number)
 
 
 def was_interrupted(error: BaseException) -> bool:
