@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clsplat.city import finish
 from clsplat.city.finish import merged_city
 from clsplat.city.merge import joined, merge
 from clsplat.errors import InputError
@@ -252,6 +253,19 @@ def test_a_city_of_another_scene_is_refused(city, scene):
     city.write({"fingerprint": "another"})
     with pytest.raises(InputError, match="is a city of another scene than"):
         merge(city, scene)
+
+
+def test_levels_of_detail_that_cannot_be_written_are_told_at_the_end(city, scene, monkeypatch):
+    """They are written beside what follows the merge."""
+    def fails(*_):
+        raise InputError("lod: no space left")
+
+    monkeypatch.setattr(finish, "merge_levels", fails)
+    device, has_model = SimpleNamespace(name="none", form="item"), []
+    with pytest.raises(InputError, match="no space left"), merged_city(
+            city, scene, resolve({}, {}), device):
+        has_model.append(RunFolder(city.path).has_model)
+    assert has_model == [True]
 
 
 def test_the_merged_run_has_the_exposures_of_the_coarse_run(city, scene):
