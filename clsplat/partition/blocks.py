@@ -170,7 +170,7 @@ def shown_sizes(positions: NDArray[np.floating], deviations: NDArray[np.floating
 
     Parameters
     ----------
-    positions : [N, 3], in the camera's frame of the world.
+    positions : [N, 3], in the camera's world.
     deviations : [N], in the same unit; the largest of a gaussian's three standard deviations.
     camera : of the size that counts.
     near : depth of the near plane.

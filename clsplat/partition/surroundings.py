@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # drawn before or after layers to which it belongs (docs/notebook/city.md).
 HELD_DEVIATIONS = 1.0
 
-ROUNDING = 1e-6
+ROUNDING = 1e-6  # of a gaussian's extent, which is computed in two ways
 
 PARTS_OF_AXES = np.array([9, 3, 1])  # the planes of the reach divide space into 27 parts
 SIDES = np.indices((3, 3, 3)).reshape(3, -1).T  # [27, 3]: of each part along each axis

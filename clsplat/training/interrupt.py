@@ -79,6 +79,7 @@ def whole_imports() -> Iterator[None]:
 
     Modules in C++ that make enums by pybind11 or nanobind (OpenImageIO, pyopencl, matplotlib) call
     Python for it; where a signal handler raises an exception amid that, the process aborts.
+    Outside the main thread this does nothing.
     """
     def held(method: Callable[[ExtensionFileLoader, Any], Any]
              ) -> Callable[[ExtensionFileLoader, Any], Any]:
@@ -87,7 +88,9 @@ def whole_imports() -> Iterator[None]:
                 return method(loader, argument)
         return whole
 
-    before = {name: getattr(ExtensionFileLoader, name) for name in ("create_module", "exec_module")}
+    names = ("create_module", "exec_module") * (
+        threading.current_thread() is threading.main_thread())
+    before = {name: getattr(ExtensionFileLoader, name) for name in names}
     for name, method in before.items():
         setattr(ExtensionFileLoader, name, held(method))
     try:

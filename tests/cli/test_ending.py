@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from importlib.machinery import ExtensionFileLoader
 
@@ -169,6 +170,22 @@ for at in range(100, {most}, 100):
 """)
     codes = result.stdout.split()  # 0 where a version makes fewer calls
     assert codes[:2] == ["3", "3"] and set(codes) <= {"3", "0"}, result.stdout + result.stderr
+
+
+def test_imports_are_changed_by_the_main_thread_alone():
+    """Two other threads could end in another order than they began."""
+    imports, found = dict(vars(ExtensionFileLoader)), []
+
+    def other():
+        with handled_interrupts():
+            found.append(dict(vars(ExtensionFileLoader)))
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    thread.join()
+    with handled_interrupts():
+        assert vars(ExtensionFileLoader) != imports
+    assert found == [imports]
 
 
 def test_a_held_signal_arrives_after_the_block():
