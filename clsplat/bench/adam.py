@@ -85,9 +85,7 @@ def gradients_of(device: Device, count: int, share: float) -> Gradients:
 def lazy(bench: Bench, city: CityFrame, moments: str) -> DeviceAdam:
     """An engine whose sums by which rows catch up are not zero."""
     adam = DeviceAdam(bench.device, city.rows, True, moments)
-    count = len(city.rows["positions"])
-    adam.load_lag({**adam.lag(count), "coefficients": np.full((CATCH_UP_EVERY, LAG_TERMS), 1e-9)},
-                  0)
+    adam.load_lag({**adam.lag(), "coefficients": np.full((CATCH_UP_EVERY, LAG_TERMS), 1e-9)}, 0)
     return adam
 
 

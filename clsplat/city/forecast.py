@@ -22,7 +22,6 @@ from clsplat.scene import Scene
 from clsplat.schedule import SceneFacts, schedule_of, worthwhile_steps
 from clsplat.training.block import block_options
 from clsplat.training.facts import scene_facts
-from clsplat.training.model import GROWTH_ROOM
 
 GIB = 2**30
 COARSE_COST = 0.25  # time of the coarse run, as a share of the time of one run of the whole
@@ -69,7 +68,7 @@ def gaussians_that_fit(device: Device, options: TrainOptions, memory_bytes: int 
     """
     degree = options.sh_degree if isinstance(options.sh_degree, int) else 3  # auto
     floats = sum(field.width(degree) for field in LEARNED)
-    each = 3 * floats * GROWTH_ROOM * device.real.itemsize
+    each = 3 * floats * device.real.itemsize
     return max(1, int(MODEL_SHARE * (memory_bytes or device.handle.global_mem_size) / each))
 
 

@@ -31,7 +31,7 @@ from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
 from clsplat.training.depth_maps import depth_array
 from clsplat.training.layers import Front, layer_array
-from clsplat.training.model import ENGINES, Model, grown_capacity
+from clsplat.training.model import ENGINES, Model
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.prepare import PreparedScene
 from clsplat.training.rooms import pairs_room, visible_room
@@ -133,15 +133,15 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
     segments : the simulated run.
     """
     options, views = prepared.options, prepared.train_views
-    names, capacity = list(gaussians.rows), gaussians.count
+    names = list(gaussians.rows)
     neighbours = prepared.decisions.neighbours
     terms, pool = terms_of(device, options), Pool(device.real, ENGINES[options.engine].RECORDS)
     photo_budget = DEVICE_SHARE * device.handle.global_mem_size
     total = steps = most_photos = 0
     level, count, resident = None, gaussians.count, True
 
-    def model_of(capacity: int) -> list[ArraySpec]:
-        return model_arrays(names, options.sh_degree, capacity, options.engine, options.moments)
+    def model_of(count: int) -> list[ArraySpec]:
+        return model_arrays(names, options.sh_degree, count, options.engine, options.moments)
 
     for segment in segments:
         if segment.level != level:
@@ -159,11 +159,10 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
                 drawn, drawing = layer_bytes(device, prepared, shown, photo_budget - sum(sizes))
                 photos += drawn  # they come and go with photos
                 total = max(total, photos + drawing + (
-                    0 if steps == 0 else _bytes(device, model_of(capacity))))
+                    0 if steps == 0 else _bytes(device, model_of(count))))
         others = photos + _bytes(device, other_arrays(prepared, segment.gaussians))
         if segment.gaussians != count:
-            old, capacity = model_of(capacity), grown_capacity(capacity, segment.gaussians)
-            growing = _while_replaced(device, old, model_of(capacity))
+            growing = _while_replaced(device, model_of(count), model_of(segment.gaussians))
             total = max(total, others + growing + ArraySpec((segment.gaussians,)).nbytes(
                 np.dtype(np.uint32)))
             count, pool = segment.gaussians, Pool(device.real, ENGINES[options.engine].RECORDS)
@@ -177,10 +176,10 @@ def predicted_memory(device: Device, prepared: PreparedScene, gaussians: Gaussia
             image = size.width, size.height
             results[image] = max(results.get(image, 0),
                                  _bytes(device, result_arrays(device, prepared, used, *image)))
-        steps = max(steps, others + _bytes(device, model_of(capacity)) + pool.nbytes
+        steps = max(steps, others + _bytes(device, model_of(count)) + pool.nbytes
                     + sum(results.values()))
     return Memory(max(total, steps), steps, most_photos, resident,
-                  _bytes(device, model_of(capacity)))
+                  _bytes(device, model_of(count)))
 
 
 def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], spare: float
@@ -215,10 +214,10 @@ def layer_bytes(device: Device, prepared: PreparedScene, shown: Sequence[View], 
             _bytes(device, list(rows.values())) + pool.nbytes)
 
 
-def model_arrays(names: Iterable[str], sh_degree: int, capacity: int,
+def model_arrays(names: Iterable[str], sh_degree: int, count: int,
                  engine: str, moments: str) -> list[ArraySpec]:
     """The arrays of rows and moments, in the order in which growth replaces them."""
-    rows = Model.arrays(names, sh_degree, capacity)
+    rows = Model.arrays(names, sh_degree, count)
     learned = {field.name: rows[field.name] for field in LEARNED}
     moments_of = ENGINES[engine].arrays(learned, moments)
     return [spec for fields in (rows, *moments_of) for spec in fields.values()]

@@ -93,7 +93,7 @@ class DeviceAdam:
 
     def __init__(self, device: Device, rows: Mapping[str, Array], dense: bool = False,
                  moments: str = "float") -> None:
-        self.device, self.dense, self.count = device, dense, len(rows["positions"])
+        self.device, self.dense = device, dense
         self.half, self.harmonics = moments == "half", rows["sh_rest"].shape[1]
         self._m, self._v, self._others = (
             {name: device.zeros(*spec) for name, spec in specs.items()}
@@ -235,38 +235,34 @@ class DeviceAdam:
     def _defines(self, degree: int) -> tuple[tuple[str, int], ...]:
         return _defines(self.harmonics, degree, self.half)
 
-    def _moments(self, count: int) -> list[dict[str, Array]]:
-        return [{name: array.narrow(count) for name, array in moments.items()}
-                for moments in (self._m, self._v)]
-
     def _state_of(self, rows: Mapping[str, Array]) -> dict[str, Array]:
         """Rows and moments by the names that they have in the kernels."""
-        count = len(rows["positions"])
-        m, v = self._moments(count)
+        m, v = self._m, self._v
         return {**{field.name: rows[field.name] for field in LEARNED}, "m": m["small"],
                 "v": v["small"], "m_rest": m["rest"], "v_rest": v["rest"],
-                "last_step": self._others["last_step"].narrow(count),
+                "last_step": self._others["last_step"],
                 "coefficients": self._others["coefficients"]}
 
-    def regrow(self, source: Array, kept: int, capacity: int) -> None:
+    def regrow(self, source: Array, kept: int) -> None:
         """Rearrange the moments as growth rearranged the rows, which must have caught up.
 
         Parameters
         ----------
         source : uint[M], the old row of each new row.
         kept : how many rows keep their moments, from the first; the moments of others begin at 0.
-        capacity : rows to allocate, at least M.
         """
-        device = self.device
         for moments in (self._m, self._v):
             for name, old in moments.items():
-                new = device.zeros((capacity, *old.shape[1:]), old.dtype)
-                gather(device, self._as_reals(old.narrow(self.count)), source.narrow(kept),
-                       self._as_reals(new))
+                new = self.device.zeros((len(source), *old.shape[1:]), old.dtype)
+                gather(self.device, self._as_reals(old), source.narrow(kept), self._as_reals(new))
                 moments[name] = new
-        self._others["last_step"] = device.allocate((capacity,), np.uint32)
+        self._start_lag(len(source))
+
+    def _start_lag(self, count: int) -> None:
+        """From now on there are `count` rows, and none lags."""
+        self._others["last_step"] = self.device.allocate((count,), np.uint32)
         self._others["last_step"].fill(self.steps)
-        self.count = len(source)
+        self.is_current = True
 
     def _as_reals(self, array: Array) -> Array:
         """Memory of moments as reals, to be copied; rows of halves fill whole reals."""
@@ -281,17 +277,18 @@ class DeviceAdam:
             return
         begin = _begin(name)
         width = next(field.width(0) for field in SMALL if field.name == name)
-        m, v = self._moments(self.count)
-        self.device.launch(CLEAR, self._defines(0), count=self.count, begin=begin,
-                           end=begin + width, m=m["small"], v=v["small"])
+        m, v = self._m["small"], self._v["small"]
+        self.device.launch(CLEAR, self._defines(0), count=len(m), begin=begin, end=begin + width,
+                           m=m, v=v)
 
-    def download(self, count: int) -> tuple[HostArrays, HostArrays]:
-        """The first `count` rows of m and v in host memory, by field, each after its last step."""
-        small = [moments["small"].narrow(count).download() for moments in (self._m, self._v)]
-        rest = [moments["rest"].narrow(count).download() for moments in (self._m, self._v)]
+    def download(self) -> tuple[HostArrays, HostArrays]:
+        """m and v in host memory, by field, each row after its last step."""
+        small = [moments["small"].download() for moments in (self._m, self._v)]
+        rest = [moments["rest"].download() for moments in (self._m, self._v)]
         if self.half:
             rest = [values.astype(self.device.real)[:, :3 * self.harmonics]
                     for values in decoded(*rest)]
+        count = len(small[0])
         return tuple({  # type: ignore[return-value]  # two of them
             field.name: others.reshape(count, self.harmonics, 3) if field.name == "sh_rest" else
             np.ascontiguousarray(columns[:, _begin(field.name):][:, :field.width(0)]).reshape(
@@ -299,22 +296,25 @@ class DeviceAdam:
             for field in LEARNED} for columns, others in zip(small, rest))
 
     def upload(self, m: HostArrays, v: HostArrays) -> None:
-        """Overwrite the moments with host arrays by field, those of rows that have caught up."""
-        count = self.count = len(m["positions"])
+        """Take over moments from host arrays by field, for rows that have caught up.
+
+        Where their number is another, the parameters must change to it, too.
+        """
+        count = len(m["positions"])
         rest: list[NDArray[Any]] = [
             moments["sh_rest"].reshape(count, 3 * self.harmonics) for moments in (m, v)]
         if self.half:
             rest = list(encoded(rest[0], rest[1], self._m["rest"].shape[1]))
         for own, source, others in zip((self._m, self._v), (m, v), rest):
-            own["small"].write(np.column_stack([
+            own.clear()  # so that new moments take the memory of the old ones
+            own["small"] = self.device.upload(np.column_stack([
                 source[field.name].reshape(count, -1) for field in SMALL]))
-            own["rest"].write(others)
-        self._others["last_step"].fill(self.steps)
-        self.is_current = True
+            own["rest"] = self.device.upload(others)
+        self._start_lag(count)
 
-    def lag(self, count: int) -> dict[str, NDArray[Any]]:
+    def lag(self) -> dict[str, NDArray[Any]]:
         """How far each row has come, in host memory, for a checkpoint."""
-        return {"last_step": self._others["last_step"].narrow(count).download(),
+        return {"last_step": self._others["last_step"].download(),
                 "coefficients": self._others["coefficients"].download(),
                 "is_current": np.array([self.is_current], np.uint8)}
 

@@ -126,12 +126,12 @@ class NumpyAdam:
         """As `DeviceAdam.current`: the rows themselves."""
         return dict(rows)
 
-    def regrow(self, source: Array, kept: int, capacity: int) -> None:
+    def regrow(self, source: Array, kept: int) -> None:
         """As `DeviceAdam.regrow`."""
         kept_rows = source.narrow(kept).download()
         for moments in (self.m, self.v):
             for name, old in moments.items():
-                moments[name] = np.zeros((capacity, *old.shape[1:]), old.dtype)
+                moments[name] = np.zeros((len(source), *old.shape[1:]), old.dtype)
                 moments[name][:kept] = old[kept_rows]
 
     def reset(self, name: str) -> None:
@@ -139,21 +139,20 @@ class NumpyAdam:
         self.m[name][:] = 0
         self.v[name][:] = 0
 
-    def download(self, count: int) -> tuple[HostArrays, HostArrays]:
+    def download(self) -> tuple[HostArrays, HostArrays]:
         """As `DeviceAdam.download`."""
-        m, v = ({name: array[:count].copy() for name, array in moments.items()}
+        m, v = ({name: array.copy() for name, array in moments.items()}
                 for moments in (self.m, self.v))
         return m, v
 
     def upload(self, m: HostArrays, v: HostArrays) -> None:
         """As `DeviceAdam.upload`."""
-        for own, source in ((self.m, m), (self.v, v)):
-            for name, values in source.items():
-                own[name][:len(values)] = values
+        self.m, self.v = ({name: np.array(values, self.device.real)
+                           for name, values in moments.items()} for moments in (m, v))
 
-    def lag(self, count: int) -> dict[str, NDArray[Any]]:
+    def lag(self) -> dict[str, NDArray[Any]]:
         """As `DeviceAdam.lag`."""
-        return {"last_step": np.full(count, self.steps, np.uint32),
+        return {"last_step": np.full(len(self.m["positions"]), self.steps, np.uint32),
                 "coefficients": np.zeros((CATCH_UP_EVERY, LAG_TERMS), self.device.real),
                 "is_current": np.ones(1, np.uint8)}
 

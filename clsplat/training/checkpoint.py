@@ -46,9 +46,9 @@ class Checkpoint:
         Raises InputError where a value is not finite, and so keeps the previous checkpoint.
         """
         session, step = self.session, self.session.step
-        m, v = step.model.adam.download(step.model.count)
+        m, v = step.model.adam.download()
         parts = {"row": step.model.download(stored=True).rows, "m": m, "v": v,
-                 "adam": step.model.adam.lag(step.model.count), "statistics": {
+                 "adam": step.model.adam.lag(), "statistics": {
             "grad_norm_sum": step.statistics.grad_norm_sum.download(),
             "seen_count": step.statistics.seen_count.download()}}
         if step.frozen is not None:

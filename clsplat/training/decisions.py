@@ -29,7 +29,7 @@ from clsplat.schedule.simulate import largest, simulate
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training.dense_start import chosen_start, planned_count
 from clsplat.training.facts import scene_facts
-from clsplat.training.model import DEVICE_SHARE, GROWTH_ROOM, model_bytes
+from clsplat.training.model import DEVICE_SHARE, model_bytes
 from clsplat.training.photos import decoded, with_side
 
 SAMPLED_PHOTOS = 64
@@ -259,12 +259,12 @@ def _neighbours(scene: Scene, views: Sequence[View], options: TrainOptions
 
 
 def _engine(facts: SceneFacts, options: TrainOptions, device: Device) -> Decision:
-    """The Adam engine: on the device if the largest model, with room to grow, fits."""
+    """The Adam engine: on the device if the largest model fits."""
     if options.engine != AUTO:
         return _requested(options.engine)
     unseen = dataclasses.replace(facts, photos=lambda: iter(()))  # reading them would take long
     count = largest(simulate(schedule_of(options.schedule)(options, unseen)))
-    needed = model_bytes(device, options.sh_degree, int(GROWTH_ROOM * count), options.moments)
+    needed = model_bytes(device, options.sh_degree, count, options.moments)
     available = device.handle.global_mem_size
     value = "device" if needed < DEVICE_SHARE * available else "numpy"
     return Decision(value, f"{value}: parameters and moments take up to {needed / 2**20:,.0f} MiB "

@@ -24,7 +24,6 @@ from clsplat.partition.surroundings import Sides
 from clsplat.rendering.blend import BACK_PLANES, FRONT_AND_BACK_PLANES
 from clsplat.rendering.slabs import Parts, open_model
 from clsplat.scene import Scene, View
-from clsplat.training.model import GROWTH_ROOM
 
 if TYPE_CHECKING:
     from clsplat.options import TrainOptions
@@ -153,7 +152,7 @@ def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, expose
     Parameters
     ----------
     scene, surroundings : as for `Layers`; its views are those of the block's finest level.
-    sh_degree : of the block's model, which keeps room to grow for these gaussians and moments too.
+    sh_degree : of the block's model, which would have parameters and moments of them.
     exposes : whether a step exposes its image without layers too.
     """
     real, near = np.dtype(np.float32), scene.near_plane
@@ -165,8 +164,7 @@ def compared_bytes(scene: Scene, surroundings: Gaussians, sh_degree: int, expose
         step = max(step, sum(array.nbytes(real) for array in Exposures.frame_arrays(
             view.camera.width, view.camera.height, vignetting=False, tone=False)))
     floats = sum(field.width(sh_degree) for field in LEARNED)
-    return (layers + (0 if exposes else step),
-            int(3 * 4 * floats * GROWTH_ROOM * surroundings.count))
+    return layers + (0 if exposes else step), 3 * real.itemsize * floats * surroundings.count
 
 
 def drawn_layers(device: Device, scene: Scene, surroundings: Gaussians, views: Sequence[View],

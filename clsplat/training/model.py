@@ -14,7 +14,6 @@ from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
 from clsplat.primitives.gather import gather
 
-GROWTH_ROOM = 1.5  # capacity over need, so that most growth needs no reallocation
 DEVICE_SHARE = 0.5  # of the device's memory; beyond it, the moments are kept on the host
 Adam = DeviceAdam | NumpyAdam
 ENGINES: dict[str, type[Adam]] = {"device": DeviceAdam, "numpy": NumpyAdam}
@@ -34,7 +33,6 @@ class Model:
     Attributes
     ----------
     count : number of gaussians.
-    capacity : number of rows that are allocated.
     adam : the engine.
     layout : another object after each change of the arrays or of the number of gaussians.
     frozen : uint[count], not 0 for gaussians that are not trained; None: all are trained.
@@ -43,11 +41,10 @@ class Model:
     def __init__(self, device: Device, gaussians: Gaussians, engine: str = "auto",
                  dense: bool = False, moments: str = "float") -> None:
         self.device, self.sh_degree = device, gaussians.sh_degree
-        self.capacity = 0
         self.frozen: Array | None = None
         self.adopt(gaussians)
         if engine == "auto":
-            needed = model_bytes(device, self.sh_degree, self.capacity, moments)
+            needed = model_bytes(device, self.sh_degree, self.count, moments)
             fits = needed < DEVICE_SHARE * device.handle.global_mem_size
             engine = "device" if fits else "numpy"
         self.adam: Adam = ENGINES[engine](
@@ -55,28 +52,25 @@ class Model:
             moments)
 
     @staticmethod
-    def arrays(names: Iterable[str], sh_degree: int, capacity: int) -> dict[str, ArraySpec]:
+    def arrays(names: Iterable[str], sh_degree: int, count: int) -> dict[str, ArraySpec]:
         """The device arrays of the named fields."""
         shapes = {field.name: field.row_shape(sh_degree) for field in FIELDS}
-        return {name: ArraySpec((capacity, *shapes[name])) for name in names}
+        return {name: ArraySpec((count, *shapes[name])) for name in names}
 
     def adopt(self, gaussians: Gaussians) -> None:
         """Take rows from the host; moments stay as they are."""
         self.count = gaussians.count
-        self.capacity = max(self.count, self.capacity)
-        self._arrays = {name: self.device.allocate(*spec) for name, spec in self.arrays(
-            gaussians.rows, self.sh_degree, self.capacity).items()}
-        for name, values in gaussians.rows.items():
-            self._arrays[name].write(values)
+        self._arrays = {name: self.device.upload(values)
+                        for name, values in gaussians.rows.items()}
         self.layout = object()
 
     @property
     def rows(self) -> dict[str, Array]:
-        """Field name -> real[count, *row shape]; views of the arrays.
+        """Field name -> real[count, *row shape], the arrays of the model.
 
         Gaussians that no view saw may lag behind the last step (`catch_up`, `current_rows`).
         """
-        return {name: array.narrow(self.count) for name, array in self._arrays.items()}
+        return dict(self._arrays)
 
     def catch_up(self) -> None:
         """Bring all gaussians up to the last step.
@@ -96,16 +90,19 @@ class Model:
         return Gaussians({name: array.download() for name, array in rows.items()}, self.sh_degree)
 
     def regrow(self, growth: Growth) -> None:
-        """Replace the rows as a round of growth requires; new rows have no moments."""
+        """Replace the rows as a round of growth requires; new rows have no moments.
+
+        All rows are copied, field by field, into arrays of the new size: room for later rounds
+        would save no copy.
+        """
         self.catch_up()
         count = len(growth.source)
-        self.capacity = grown_capacity(self.capacity, count)
         self.device.trim()  # frames of another number of gaussians need other sizes
         source = self.device.upload(growth.source)
-        for name, spec in self.arrays(self._arrays, self.sh_degree, self.capacity).items():
-            self._arrays[name] = gather(self.device, self._arrays[name].narrow(self.count), source,
+        for name, spec in self.arrays(self._arrays, self.sh_degree, count).items():
+            self._arrays[name] = gather(self.device, self._arrays[name], source,
                                         self.device.allocate(*spec))
-        self.adam.regrow(source, growth.kept, self.capacity)
+        self.adam.regrow(source, growth.kept)
         self.count, self.layout = count, object()
         for name, (first, values) in growth.changes.items():
             self._arrays[name].write(values, first)
@@ -130,11 +127,6 @@ def model_bytes(device: Device, sh_degree: int, count: int, moments: str) -> int
     rows = Model.arrays([field.name for field in LEARNED], sh_degree, count)
     return sum(spec.nbytes(device.real) for specs in (rows, *DeviceAdam.arrays(rows, moments))
                for spec in specs.values())
-
-
-def grown_capacity(capacity: int, count: int) -> int:
-    """Number of rows that are allocated after growth to `count`."""
-    return int(count * GROWTH_ROOM) if count > capacity else capacity
 
 
 def checkpoint_bytes(count: int, sh_degree: int) -> int:

@@ -26,7 +26,7 @@ class Rollback:
         model = step.model
         self.iteration = iteration
         model.catch_up()
-        self._gaussians, self._moments = model.download(), model.adam.download(model.count)
+        self._gaussians, self._moments = model.download(), model.adam.download()
 
     def restore_if_better(self, step: Step, samples: Sequence[TrainingSample]) -> bool:
         """Restore the copy if its loss is smaller than that of the present model.

@@ -41,7 +41,7 @@ from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.schedule import OURS, SceneFacts, scaled_steps, schedule_of
 from clsplat.schedule.simulate import Segment, largest, simulate
-from clsplat.training.model import ENGINES, grown_capacity
+from clsplat.training.model import ENGINES
 from clsplat.training.photos import photo_array, size_note
 from clsplat.training.prepare import prepare
 from tests.data.tiny_training import CITY, options_of, records, trained
@@ -181,7 +181,6 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
         return frame
 
     session.renderer.render = noted
-    capacity = 3000
     for level, count in ((2.0, 3000), (1.0, 3000), (1.0, 5000)):
         session.photos = SizedPhotos(device, views, level)
         session.use_level(level)
@@ -189,9 +188,8 @@ def test_what_a_training_allocates_is_counted(own_device, tmp_path, options):
         if count != session.model.count:
             session.model.regrow(Growth(np.zeros(count, np.uint32), 3000, 0, 0, 0, {}))
             session.step.statistics.clear(count)
-            capacity = grown_capacity(capacity, count)
         lasting = [photo_array(session.photos.views[0])] + other_arrays(prepared, count)
-        lasting += model_arrays(LEARNED_NAMES, degree, capacity, prepared.options.engine,
+        lasting += model_arrays(LEARNED_NAMES, degree, count, prepared.options.engine,
                                 prepared.options.moments)
         for index in (0, 3):
             trial.prepare(index, regularises)()

@@ -75,7 +75,7 @@ class Run:
     def check(self, what=""):
         precision = precision_of(self.device)
         self.engine.catch_up(self.rows, self.frozen)
-        m, v = self.engine.download(self.count)
+        m, v = self.engine.download()
         for name in WIDTHS:
             close(self.rows[name].download(), self.expected[name], precision, f"{what} {name}")
             close(m[name], self.first[name], precision, f"{what} m of {name}")
@@ -140,7 +140,7 @@ def test_both_engines_agree_to_rounding(device):
     for run in runs:
         for _ in range(3):
             run.step(20)
-    (m, v), (other_m, other_v) = (run.engine.download(30) for run in runs)
+    (m, v), (other_m, other_v) = (run.engine.download() for run in runs)
     tolerance = 8 * np.finfo(device.real).eps
     for name in WIDTHS:
         assert np.allclose(v[name], other_v[name], rtol=tolerance, atol=0), name
@@ -164,9 +164,9 @@ def test_moments_follow_their_rows(device, engine):
     run = Run(device, engine, 20)
     run.step(20)
     source = np.array([3, 0, 19, 7, 7, 2], np.uint32)
-    old = run.engine.download(20)
-    run.engine.regrow(device.upload(source), 4, 9)
-    for before, after in zip(old, run.engine.download(9)):
+    old = run.engine.download()
+    run.engine.regrow(device.upload(source), 4)
+    for before, after in zip(old, run.engine.download()):
         for name in WIDTHS:
             assert np.array_equal(after[name][:4], before[name][source[:4]]), name
             assert not after[name][4:].any(), name
@@ -176,11 +176,11 @@ def test_moments_follow_their_rows(device, engine):
 def test_moments_are_saved_taken_over_and_forgotten(device, engine):
     run, other = (Run(device, engine, 6, seed=seed) for seed in (0, 1))
     run.step(6)
-    saved = run.engine.download(6)
+    saved = run.engine.download()
     other.engine.upload(*saved)
-    for before, after in zip(saved, other.engine.download(6)):
+    for before, after in zip(saved, other.engine.download()):
         assert all(np.array_equal(before[name], after[name]) for name in WIDTHS)
     other.engine.reset("opacity_logits")
-    m, v = other.engine.download(6)
+    m, v = other.engine.download()
     assert not m["opacity_logits"].any() and not v["opacity_logits"].any()
     assert m["positions"].any() and v["positions"].any()

@@ -63,7 +63,7 @@ class Lazy:
         current, _ = cull(self.device, self.engine.current(self.rows, self.frozen), camera, DEFINES)
         seen = np.flatnonzero(flags.download()).astype(np.uint32)
         assert np.array_equal(seen, np.flatnonzero(current.download()))
-        last = self.engine.lag(self.count)["last_step"]
+        last = self.engine.lag()["last_step"]
         assert self.frozen is not None or (last[seen] == self.engine.steps).all()
         return seen
 
@@ -123,7 +123,7 @@ class Lazy:
         self.engine.catch_up(self.rows, self.frozen)
         self.check(self.rows)
         bound = BOUND[precision_of(self.device)]
-        for moments, expected in zip(self.engine.download(self.count), (self.first, self.second)):
+        for moments, expected in zip(self.engine.download(), (self.first, self.second)):
             for name, values in moments.items():
                 scale = np.abs(expected[name]).max(axis=0)  # a moment may cancel
                 assert (np.abs(values - expected[name]) <= bound * scale).all(), name
@@ -142,10 +142,10 @@ def test_lazy_rows_come_to_what_dense_adam_does_in_every_step(device, by_colour)
             run.check(run.engine.current(run.rows))
             assert all(np.array_equal(run.rows[name].download(), values)
                        for name, values in before.items())
-    lag = run.steps - run.engine.lag(run.count)["last_step"]
+    lag = run.steps - run.engine.lag()["last_step"]
     assert lag.min() == 0 and lag.max() == 30
     run.check_moments()
-    assert (run.engine.lag(run.count)["last_step"] == run.steps).all()
+    assert (run.engine.lag()["last_step"] == run.steps).all()
 
 
 @pytest.mark.parametrize("by_position, by_scale", [(0.03, 0.0), (0.0, 0.1)])
@@ -175,7 +175,7 @@ def test_rows_that_will_be_seen_catch_up_however_far_they_coast(float_device, by
                    for given in (rows, engine.current(rows)))
     engine.catch_up_seen(rows, engine.numbers(missed + 1, RATES), DEGREE, None, camera,
                          new_counts(float_device))
-    moved = engine.lag(count)["last_step"] == missed
+    moved = engine.lag()["last_step"] == missed
     assert moved[seen].all() and (seen & ~stale).sum() > 100
     assert not moved.all()  # or nothing is gained
 
@@ -212,7 +212,7 @@ def coasted(device, begun, missed, scale):
     nothing = Gradients({field.name: device.empty((0, *field.row_shape(DEGREE)))
                          for field in LEARNED}, None, device.empty(0, np.uint32),
                         device.empty(0, np.uint32), new_counts(device))
-    run.engine.load_lag({**run.engine.lag(1), "last_step": np.array([begun], np.uint32)}, begun)
+    run.engine.load_lag({**run.engine.lag(), "last_step": np.array([begun], np.uint32)}, begun)
     expected = run.expected["opacity_logits"]
     m, v = m["opacity_logits"], v["opacity_logits"]
     for step in range(begun + 1, begun + missed + 1):
@@ -260,7 +260,7 @@ def test_a_checkpoint_keeps_what_rows_have_missed(device):
         for run in runs:
             run.step()
     whole, stopped = runs
-    saved = stopped.engine.download(stopped.count), stopped.engine.lag(stopped.count)
+    saved = stopped.engine.download(), stopped.engine.lag()
     stopped.engine = DeviceAdam(device, stopped.rows, True)
     stopped.engine.upload(*saved[0])
     stopped.engine.load_lag(saved[1], stopped.steps)
@@ -288,13 +288,13 @@ def test_halves_come_back_as_they_are(device):
     m = {name: values * rng.uniform(-7, 7, values.shape) for name, values in roots.items()}
     v = {name: values**2 for name, values in roots.items()}
     engine.upload(m, v)
-    saved = engine.download(50)
+    saved = engine.download()
     assert np.allclose(saved[1]["sh_rest"], v["sh_rest"], rtol=2**-9, atol=0)
     assert np.allclose(saved[0]["sh_rest"], m["sh_rest"], rtol=2**-9, atol=0)
     engine.upload(*saved)
     source = rng.permutation(50).astype(np.uint32)
-    engine.regrow(device.upload(source), 30, 70)
-    for before, after in zip(saved, engine.download(50)):
+    engine.regrow(device.upload(source), 30)
+    for before, after in zip(saved, engine.download()):
         for name in shapes:
             assert np.array_equal(after[name][:30], before[name][source[:30]]), name
             assert not after[name][30:].any(), name
@@ -316,7 +316,7 @@ def test_halves_decay_as_they_should(device, lazy):
         if not lazy:
             engine.catch_up(rows)
     engine.catch_up(rows)
-    m, v = (moments["sh_rest"] for moments in engine.download(200))
+    m, v = (moments["sh_rest"] for moments in engine.download())
     assert abs(np.sqrt(v).mean() / 0.999**(steps / 2) - 1) < 5e-4
     assert abs(np.sqrt(v) / 0.999**(steps / 2) - 1).max() < (0.003 if lazy else 0.05)
     early = rows["sh_rest"].download()
@@ -338,6 +338,6 @@ def test_halves_learn_nearly_as_floats(device):
     for name in RATES:  # others have reals
         if name != "sh_rest":
             assert np.array_equal(*(run.rows[name].download() for run in runs)), name
-    roots = [np.sqrt(run.engine.download(run.count)[1]["sh_rest"]) for run in runs]
+    roots = [np.sqrt(run.engine.download()[1]["sh_rest"]) for run in runs]
     seen = roots[0] > 0
     assert np.abs(roots[1][seen] / roots[0][seen] - 1).max() < 0.03

@@ -79,14 +79,14 @@ def test_one_gaussian_in_front_is_found(block, monkeypatch):
 
 
 def test_a_block_takes_whichever_is_smaller(block):
-    """Layers of 7 bytes a pixel, and the image exposed and its gradient, or gaussians with moments
-    and room; what decided is recorded."""
+    """Layers of 7 bytes a pixel, and the image exposed and its gradient, or gaussians with
+    moments; what decided is recorded."""
     start, scene, _ = block
-    small, views = scene.reduced(4), len(scene.views)
+    small, views = scene.reduced(5), len(scene.views)
     pixels, sums = [view.camera.width * view.camera.height for view in small.views], 4 * 12 * 8
     drawn, gaussians = compared_bytes(small, start.around, 1, exposes=True)
     assert 3 * sum(pixels) < drawn <= 7 * sum(pixels)
-    assert gaussians == 1.5 * 3 * 4 * (3 + 3 + 4 + 1 + 3 + 9) * start.around.count
+    assert gaussians == 3 * 4 * (3 + 3 + 4 + 1 + 3 + 9) * start.around.count
     exposed = compared_bytes(small, start.around, 1, exposes=False)[0] - drawn
     assert 24 * max(pixels) < exposed < 24 * max(pixels) + sums * views
     decided = {"sh_degree": 1, "exposure": "off"}

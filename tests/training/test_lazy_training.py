@@ -37,7 +37,7 @@ def test_lazy_training_is_dense_training(item_device, tmp_path, monkeypatch):
 
     def eager(self, step, degree, rows, frozen, counts):
         advance(self, step, degree, rows, frozen, counts)
-        lags.append((self.lag(self.count)["last_step"] != self.steps).mean())
+        lags.append((self.lag()["last_step"] != self.steps).mean())
         self._coast(rows(), frozen, None, True, step, degree, counts)  # not after a failed frame
 
     lags = []

@@ -12,7 +12,7 @@ from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer
 from clsplat.schedule import Plan, SceneFacts
 from clsplat.schedule.constant import Constant
-from clsplat.training.model import Model
+from clsplat.training.model import Model, model_bytes
 from clsplat.training.step import Step, TrainingSample
 from tests import cases
 from tests.kernels.chain import camera_of, size_of
@@ -51,7 +51,7 @@ def growth_of(source, kept, children, spheres=False):
 @ENGINES
 @pytest.mark.parametrize("fields", [LEARNED, FIELDS], ids=["plain", "spheres"])
 @pytest.mark.parametrize("source, kept, children", [
-    ([0, 2, 5, 6, 2, 6, 1, 1, 4, 4], 4, 4),  # grows past the capacity
+    ([0, 2, 5, 6, 2, 6, 1, 1, 4, 4], 4, 4),  # grows
     ([6, 3], 2, 0),  # only prunes
     ([3, 3], 0, 2),  # only children are left
     ([], 0, 0),
@@ -61,7 +61,7 @@ def test_rows_and_moments_follow_growth(float_device, engine, fields, source, ke
     growth = growth_of(source, kept, children, spheres=fields is FIELDS)
     model.regrow(growth)
     after = model.download()
-    moments = model.adam.download(model.count)
+    moments = model.adam.download()
     assert after.count == model.count == len(source)
     assert list(after.rows) == [field.name for field in fields]
     for name, values in after.rows.items():
@@ -77,33 +77,35 @@ def test_rows_and_moments_follow_growth(float_device, engine, fields, source, ke
 
 @ENGINES
 def test_growth_upon_growth(float_device, engine):
-    """Capacity is room, never content: what shrank may grow again."""
+    """What shrank may grow again."""
     model, given, m, _ = with_moments(float_device, engine, 7)
     model.regrow(growth_of([0, 1, 2, 3, 4, 5, 6, 0, 1, 2], 7, 0))
-    capacity = model.capacity
-    assert capacity >= 10
     model.regrow(growth_of([4, 5], 2, 0))
     model.regrow(growth_of([1, 0, 1], 2, 0))
-    assert model.capacity == capacity
     assert np.array_equal(model.download().positions, given.positions[[5, 4, 5]])
-    assert np.array_equal(model.adam.download(3)[0]["quaternions"][:2], m["quaternions"][[5, 4]])
-    assert not model.adam.download(3)[0]["quaternions"][2].any()
+    assert np.array_equal(model.adam.download()[0]["quaternions"][:2], m["quaternions"][[5, 4]])
+    assert not model.adam.download()[0]["quaternions"][2].any()
 
 
 def test_growth_takes_more_memory_than_there_is_before_and_after(float_device):
-    """Old rows of a field beside new ones: `peak_bytes` tells, `memory_bytes` does not."""
+    """Old rows of a field beside new ones: `peak_bytes` tells, `memory_bytes` does not, which is
+    that of the rows there are."""
     device = Device(float_device.handle, form=float_device.form)
     model, *_ = with_moments(device, "device", 1000)
     before = device.memory_bytes
-    assert before > 3 * 4 * 1000 * 14 and device.peak_bytes == before
+    assert before == model_bytes(device, model.sh_degree, 1000, "float")
+    assert device.peak_bytes == before + 4 * 1000  # last_step, which was replaced
     model.regrow(growth_of(np.resize(np.arange(1000), 2000), 1000, 0))
     after = device.memory_bytes
-    assert 2 * before < after < device.peak_bytes < before + after
+    assert after == model_bytes(device, model.sh_degree, 2000, "float")
+    assert after < device.peak_bytes < before + after
     device.empty(after, np.uint8)  # the pool keeps it; noted when memory is asked for
     pooled = device.memory_bytes - after
     assert pooled >= after and device.peak_bytes == after + pooled
+    model.regrow(growth_of(range(10), 10, 0))
+    assert device.memory_bytes == model_bytes(device, model.sh_degree, 10, "float")
     del model
-    assert device.memory_bytes == pooled and device.peak_bytes == after + pooled
+    assert device.memory_bytes == 0 and device.peak_bytes == after + pooled
 
 
 @ENGINES
@@ -113,7 +115,7 @@ def test_limit_opacity(float_device, engine):
     after = model.download()
     assert np.array_equal(after.opacity_logits, np.minimum(given.opacity_logits, np.float32(-0.3)))
     assert np.array_equal(after.positions, given.positions)
-    moments = model.adam.download(7)
+    moments = model.adam.download()
     assert not any(values["opacity_logits"].any() for values in moments)
     assert np.array_equal(moments[0]["positions"], m["positions"])
 
@@ -148,7 +150,7 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
                         prunes_large=False, decay=iteration / 100)
             step.run(iteration, plan, [TrainingSample(0, renderer.pack(camera_of(case)),
                                              device.upload(photo))])
-        results.append((model.download().rows, *model.adam.download(model.count)))
+        results.append((model.download().rows, *model.adam.download()))
     before = given.rows
     for field in SPHERE:  # carried along, never learned
         for rows, _, _ in results:
@@ -193,9 +195,9 @@ def test_a_row_stays_whose_gradient_is_not_finite(float_device, engine, monkeypa
     monkeypatch.setattr(renderer, "adjoint", kept)
     monkeypatch.setattr(image_loss, "image_loss", spoilt)
     monkeypatch.setattr(image_loss.ImageLoss, "waits", True)
-    before = model.download().rows, *model.adam.download(count)
+    before = model.download().rows, *model.adam.download()
     step.run(1, plan, [TrainingSample(0, renderer.pack(camera_of(case)), photo)])
-    after = model.download().rows, *model.adam.download(count)
+    after = model.download().rows, *model.adam.download()
     seen = found[0].visible.download()
     usable = found[0].rows.download() == seen
     skipped, unseen = seen[~usable], np.delete(np.arange(count), seen)

@@ -27,7 +27,7 @@ def test_free_space_is_what_a_photo_shows_nearer_than_a_share_of_its_nearest_poi
     assert space.holds(before).tolist() == held
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.slow
 def test_growth_of_a_training_removes_what_stands_there(tmp_path, float_device):
     scene = read_scene(CITY)
     with patch.object(FreeSpace, "holds", lambda _, positions: np.arange(len(positions)) >= 100):

@@ -26,7 +26,7 @@ def training(item_device, tmp_path, request):
 
 
 def state_of(model):
-    m, v = model.adam.download(model.count)
+    m, v = model.adam.download()
     return [model.download(stored=True).rows, m, v]
 
 
@@ -51,7 +51,7 @@ def test_rows_and_moments_are_those_of_the_copy(training, grows):
         assert found.keys() == expected.keys()
         assert all(np.array_equal(found[name], expected[name]) for name in expected)
     # a run that is killed before its model is written resumes from here, with either engine
-    lag = step.model.adam.lag(step.count)
+    lag = step.model.adam.lag()
     assert (lag["last_step"] == session.iteration).all() and lag["is_current"].all()
     NumpyAdam(step.device, step.model.rows, dense=True).load_lag(lag, session.iteration)
     for _ in range(6):  # and may grow
