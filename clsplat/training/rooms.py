@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from clsplat.device import Array
 from clsplat.rendering.bands import choose_bands
-from clsplat.rendering.pipeline import Bands, Renderer, Room
+from clsplat.rendering.pipeline import Renderer, Room
 from clsplat.rendering.project import Rows
 
 MARGIN = 1.4  # of room over the most that was seen, as views differ
@@ -16,6 +16,9 @@ MARGIN = 1.4  # of room over the most that was seen, as views differ
 class Rooms:
     """Chooses a Room for each image size.
 
+    Sizes have the same room, so that their frames use the same memory; but for those that need
+    bands. The windows of a block have as many sizes as it has photos.
+
     Parameters
     ----------
     renderer : of the frames.
@@ -23,9 +26,8 @@ class Rooms:
 
     def __init__(self, renderer: Renderer) -> None:
         self.renderer = renderer
-        self._rooms: dict[tuple[int, int], Room] = {}
         self._most_visible = self._expected_pairs = 0
-        self._most_pairs: dict[tuple[int, int], int] = {}
+        self._most_pairs: dict[tuple[int, int], int] = {}  # of the sizes that were measured
         self._most_tiles: dict[tuple[int, int], NDArray[np.int64]] = {}  # of each tile, any view
 
     def forget(self, most_visible: float = 0, most_pairs: float = 0) -> None:
@@ -35,47 +37,53 @@ class Rooms:
         ----------
         most_visible, most_pairs : what frames of any size are expected to need.
         """
-        self._rooms.clear()
         self._most_tiles.clear()
         self._most_pairs.clear()
         self._most_visible = math.ceil(most_visible)
         self._expected_pairs = math.ceil(most_pairs)
 
-    def room(self, rows: Rows, camera: Array, width: int, height: int, with_depth: bool) -> Room:
-        """The room of a frame.
+    def knows(self, width: int, height: int, with_depth: bool) -> bool:
+        """Whether a room can be chosen: a frame of the size was measured, or what it needs is known
+        from larger ones and does not need bands."""
+        limit = self.renderer.most_pairs(width, height, with_depth)
+        return (width, height) in self._most_tiles or 0 < self._needed(width, height) <= limit
 
-        One that is the first of its size is measured, which waits, unless frames of at least its
-        size were: the windows of a block have as many sizes as it has photos.
+    def room(self, count: int, width: int, height: int, with_depth: bool) -> Room:
+        """The room of frames of a size that is known.
+
+        Parameters
+        ----------
+        count : gaussians of the model.
+        width, height : of the image, pixels.
+        with_depth : whether frames have depth.
         """
-        size = width, height
-        if size not in self._rooms:
-            pairs = max([self._expected_pairs, *(
-                most for known, most in self._most_pairs.items()
-                if math.prod(known) >= math.prod(size))])
-            limit = self.renderer.most_pairs(width, height, with_depth)
-            if 0 < pairs <= limit:
-                self._rooms[size] = Room(visible_room(self._most_visible, len(rows["positions"])),
-                                         pairs_room(pairs, 0, limit))
-            else:
-                self.enlarge(rows, camera, width, height, with_depth)
-        return self._rooms[size]
+        limit = self.renderer.most_pairs(width, height, with_depth)
+        visible = visible_room(self._most_visible, count)
+        if self._needed(width, height) > limit:
+            most = self._most_tiles[width, height]
+            bands = choose_bands(most, limit)
+            pairs = max(int(most[band.start:band.stop].sum()) for band in bands if band)
+            return Room(visible, pairs_room(pairs, len(most), limit), bands)
+        pairs = max(known for known in (self._expected_pairs, *self._most_pairs.values())
+                    if known <= limit)
+        tiles = max(map(len, self._most_tiles.values()), default=0)
+        return Room(visible, pairs_room(pairs, tiles, limit))
 
-    def enlarge(self, rows: Rows, camera: Array, width: int, height: int, with_depth: bool) -> None:
-        """Make room for a frame and all that were measured before."""
-        size, count = (width, height), len(rows["positions"])
+    def enlarge(self, rows: Rows, camera: Array, width: int, height: int) -> None:
+        """Make room for a frame, which is measured, and all that were measured before."""
+        size = width, height
         visible, tiles = self.renderer.measure(rows, camera, width, height)
-        most = self._most_tiles[size] = np.maximum(tiles, self._most_tiles.get(size, tiles))
+        self._most_tiles[size] = np.maximum(tiles, self._most_tiles.get(size, tiles))
         self._most_visible = max(self._most_visible, visible)
         self._most_pairs[size] = max(self._most_pairs.get(size, self._expected_pairs),
                                      int(tiles.sum()))
-        limit = self.renderer.most_pairs(width, height, with_depth)
-        bands: Bands = (None,)
-        pairs = self._most_pairs[size]
-        if pairs > limit:
-            bands = choose_bands(most, limit)
-            pairs = max(int(most[band.start:band.stop].sum()) for band in bands if band)
-        self._rooms[size] = Room(visible_room(self._most_visible, count),
-                                 pairs_room(pairs, len(tiles), limit), bands)
+
+    def _needed(self, width: int, height: int) -> int:
+        """The most pairs of a frame of the size, or where none was measured of those that are at
+        least as large; 0: there is none."""
+        return self._most_pairs.get((width, height), max([self._expected_pairs, *(
+            most for known, most in self._most_pairs.items()
+            if math.prod(known) >= width * height)]))
 
 
 def visible_room(most: int, count: int) -> int:

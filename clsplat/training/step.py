@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -174,10 +175,7 @@ class Step:
                 if slot == views - 1:
                     self._model.adam.advance(iteration, plan.degree, self._learned,
                                              self.frozen, self.units.counts)
-
-            def make_room(sample: TrainingSample = sample) -> None:
-                self._make_room(plan, sample)
-            self.units.submit(Unit(work, make_room))
+            self.units.submit(Unit(work, partial(self._make_room, sample)))
         return measured
 
     def values(self, measured: list[Measured]) -> dict[str, float]:
@@ -196,12 +194,11 @@ class Step:
                 if (sample.source or not term.needs_source)
                 and (sample.depth is not None or not term.needs_map)]
 
-    def _make_room(self, plan: Plan, sample: TrainingSample) -> None:
-        with_depth = any(term.needs_depth for term in self._terms_for(plan, sample))
+    def _make_room(self, sample: TrainingSample) -> None:
         _, height, width = sample.photo.shape
-        self._graphs.clear()
+        self._graphs.clear()  # whose memory frames with more room could not use
         self.device.trim()
-        self._rooms.enlarge(self._model.rows, self._camera_of(sample), width, height, with_depth)
+        self._rooms.enlarge(self._model.rows, self._camera_of(sample), width, height)
 
     def _take(self, plan: Plan, sample: TrainingSample, numbers: Mapping[str, float], slot: int
               ) -> Measured:
@@ -233,8 +230,9 @@ class Step:
         else:
             with_depth = any(term.needs_depth for term in terms)
             _, height, width = sample.photo.shape
-            room = self._rooms.room(self._model.rows, self._camera_of(sample), width, height,
-                                    with_depth)
+            if not self._rooms.knows(width, height, with_depth):
+                self._make_room(sample)
+            room = self._rooms.room(self.count, width, height, with_depth)
             if not self._graphs:  # measuring left blocks of other sizes than frames need
                 self.device.trim()
             with self.device.record(**inputs) as graph:

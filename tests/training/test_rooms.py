@@ -17,41 +17,59 @@ def rooms_of(limit=10**6):
                                  most_pairs=lambda width, height, with_depth: limit))
 
 
-def room_of(rooms, visible, tiles, size=SIZE):
-    return rooms.room(ROWS, (visible, np.array(tiles)), *size, False)
+def enlarge(rooms, visible, tiles, size=SIZE):
+    """Measure a frame, and return the room of its size."""
+    rooms.enlarge(ROWS, (visible, np.array(tiles)), *size)
+    return room_of(rooms, size)
 
 
-def test_the_first_view_of_a_size_decides_until_more_is_needed():
+def room_of(rooms, size=SIZE):
+    assert rooms.knows(*size, False)
+    return rooms.room(1000, *size, False)
+
+
+def test_there_is_room_for_the_most_of_each_frame():
     rooms = rooms_of()
-    first = room_of(rooms, 100, [50, 30])
-    assert first == Room(int(MARGIN * 100), int(MARGIN * 80) + 2)
-    assert room_of(rooms, 500, [900, 900]) is first  # a frame that has no room fails
-    rooms.enlarge(ROWS, (500, np.array([10, 40])), *SIZE, False)
-    assert room_of(rooms, 1, [1, 1]) == Room(int(MARGIN * 500), int(MARGIN * 80) + 2)
+    assert not rooms.knows(*SIZE, False)
+    assert enlarge(rooms, 100, [50, 30]) == Room(int(MARGIN * 100), int(MARGIN * 80) + 2)
+    assert enlarge(rooms, 500, [10, 40]) == Room(int(MARGIN * 500), int(MARGIN * 80) + 2)
 
 
-def test_a_smaller_size_is_not_measured_and_a_larger_one_is():
+def test_a_smaller_size_needs_no_measurement_and_a_larger_one_does():
     rooms = rooms_of()
-    room_of(rooms, 100, [50, 30])
-    assert room_of(rooms, 500, [900], (48, 63)) == Room(int(MARGIN * 100), int(MARGIN * 80))
-    assert room_of(rooms, 500, [900], (49, 64)) == Room(int(MARGIN * 500), int(MARGIN * 900) + 1)
-    assert room_of(rooms, 1, [1], (49, 63)) == Room(int(MARGIN * 500), int(MARGIN * 900))
+    enlarge(rooms, 100, [50, 30])
+    assert rooms.knows(48, 63, False) and not rooms.knows(49, 64, False)
     small = rooms_of(1000)
-    small.forget(100, 1001)  # a frame that may need bands is measured
-    assert room_of(small, 10, [1, 1]).bands == (range(0, 2),)
+    small.forget(100, 1001)
+    assert not small.knows(*SIZE, False), "a frame that may need bands is measured"
+    assert enlarge(small, 10, [1, 1]).bands == (range(0, 2),)
+
+
+def test_sizes_have_the_same_room_so_that_their_frames_use_the_same_memory():
+    rooms = rooms_of()
+    enlarge(rooms, 100, [500, 300, 200])
+    larger = enlarge(rooms, 200, [50], (80, 60))
+    assert larger == Room(int(MARGIN * 200), int(MARGIN * 1000) + 3)
+    assert room_of(rooms) == room_of(rooms, (1, 1)) == larger
 
 
 def test_what_is_expected_counts_as_seen():
     rooms = rooms_of()
-    room_of(rooms, 700, [900])
+    enlarge(rooms, 700, [900])
     rooms.forget(200.4, 1000.4)
-    assert room_of(rooms, 100, [80]) == Room(
+    assert room_of(rooms) == Room(
         pytest.approx(MARGIN * 201, abs=1), pytest.approx(MARGIN * 1001 + 1, abs=1))
+    assert enlarge(rooms, 100, [80]).pairs == pytest.approx(MARGIN * 1001 + 1, abs=1)
     rooms.forget()
-    assert room_of(rooms, 100, [80]) == Room(140, 113)
+    assert not rooms.knows(*SIZE, False)
+    assert enlarge(rooms, 100, [80]) == Room(140, 113)
 
 
 def test_no_more_room_than_gaussians_and_than_the_limit():
-    assert room_of(rooms_of(100), 900, [60, 30]) == Room(1000, 100)
-    banded = room_of(rooms_of(100), 900, [60, 70, 20, 90])
+    assert enlarge(rooms_of(100), 900, [60, 30]) == Room(1000, 100)
+    rooms = rooms_of(100)
+    banded = enlarge(rooms, 900, [60, 70, 20, 90])
     assert banded.bands == (range(0, 1), range(1, 3), range(3, 4)) and banded.pairs == 100
+    assert not rooms.knows(32, 24, False), "it may need bands, too"
+    assert enlarge(rooms, 1, [40], (32, 24)) == Room(1000, int(MARGIN * 40) + 4)
+    assert room_of(rooms) == banded

@@ -36,25 +36,33 @@ def city():
 
 @pytest.fixture
 def repeated(monkeypatch):
-    """A list of the units for which room was made."""
-    units, make_room = [], Step._make_room
+    """A list of the sizes of frames that lacked room."""
+    sizes, enlarge = [], rooms.Rooms.enlarge
 
-    def noted(step, plan, sample):
-        units.append(sample)
-        make_room(step, plan, sample)
-    monkeypatch.setattr(Step, "_make_room", noted)
-    return units
+    def noted(self, rows, camera, *size):
+        if self.knows(*size, with_depth=False):
+            sizes.append(size)
+        enlarge(self, rows, camera, *size)
+    monkeypatch.setattr(rooms.Rooms, "enlarge", noted)
+    return sizes
 
 
-def scarce(monkeypatch):
+def scarce(monkeypatch, repeated):
     """Room for a third of what the first view needs, and later for what has been seen."""
-    choose = rooms.Rooms.room
+    choose, forget = rooms.Rooms.room, rooms.Rooms.forget
+    lacked_before = [0]
+
+    def forgotten(*arguments):
+        lacked_before[0] = len(repeated)
+        forget(*arguments)
 
     def room(*arguments):
         with monkeypatch.context() as patch:
-            patch.setattr(rooms, "MARGIN", 0.3)
+            if len(repeated) == lacked_before[0]:
+                patch.setattr(rooms, "MARGIN", 0.3)
             return choose(*arguments)
     monkeypatch.setattr(rooms, "MARGIN", 1.0)
+    monkeypatch.setattr(rooms.Rooms, "forget", forgotten)
     monkeypatch.setattr(rooms.Rooms, "room", room)
 
 
@@ -79,7 +87,7 @@ def same_bytes(device, city, tmp_path, monkeypatch, repeated, name):
         if margin == "ample":
             monkeypatch.setattr(rooms, "MARGIN", 3.0)
         else:
-            scarce(monkeypatch)
+            scarce(monkeypatch, repeated)
         run = trained(tmp_path / margin, scene, device, **TRAININGS[name])
         steps = [(record["iteration"], record["loss"], record["pixel_pairs"],
                   record["skipped_rows"]) for record in records(run, "step")]
