@@ -158,7 +158,7 @@ def test_a_scene_in_which_nothing_is_seen_is_refused():
 @EACH_METHOD
 def test_bounds_are_along_the_map(method):
     scene = field()
-    partition = cut(scene, method, (2, 2), bounds=(-20, -10, 5, 10), up=(0, 0, 2))
+    partition = cut(scene, method, (2, 2), bounds=(-20, -10, 5, 10), up=(0, 0, 2), margin=0.0)
     assert np.array_equal(partition.space.rotation, np.eye(3))
     assert partition.space.origin[:2].tolist() == [-7.5, 0]
     assert partition.space.half[:2].tolist() == [12.5, 10]

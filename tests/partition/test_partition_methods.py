@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import softmax
 
 from clsplat.gaussians import Gaussians
-from clsplat.partition import clusters
+from clsplat.partition import blockgs, clusters
 from clsplat.partition.grid import best_cut, choose_grid
 from clsplat.partition.input import PartitionInput
 from clsplat.partition.region import Region, Space
@@ -41,10 +42,33 @@ def test_blockgs_divides_content_evenly(count):
     for seed in range(3):
         scene = field(seed)
         seen = np.bincount(scene.observations[:, 0], minlength=len(scene.points))
-        partition = cut(scene, "blockgs", (count, 1))
+        partition = cut(scene, "blockgs", (count, 1), margin=0.0)
         content = np.bincount(partition.owner(world(scene)), seen, count)
         assert content.min() > 0.9 * seen.sum() / count
         assert content.max() < 1.1 * seen.sum() / count
+
+
+@pytest.mark.parametrize("count", [11, 16])
+def test_blocks_of_blockgs_hold_about_the_same_with_their_margins(count, monkeypatch):
+    """Also where only some of the content is looked at; margins alone would make them differ."""
+    scene = field()
+    rng = np.random.default_rng(0)
+    steep = scene.points[rng.choice(len(scene.points), 20_000, p=softmax(scene.points[:, 0] / 10))]
+    gaussians = Gaussians.from_points(steep + rng.normal(0, 0.3, steep.shape),
+                                      np.zeros((len(steep), 3), np.uint8), 0)
+
+    def held(**options):
+        partition = cut(scene, "blockgs", (count, 1), gaussians=gaussians, **options)
+        positions = world(replace(scene, points=gaussians.positions))
+        return np.array([region.reaches(positions).sum() for region in partition.regions])
+
+    def fullest(counts):
+        return counts.max() / counts.mean()
+    assert fullest(held()) <= blockgs.BALANCED
+    monkeypatch.setattr(blockgs, "MOST_SAMPLED", 10_000)
+    assert fullest(held()) <= 1.05 * blockgs.BALANCED
+    monkeypatch.setattr(blockgs, "ROUNDS", 1)
+    assert fullest(held()) > 1.1
 
 
 @pytest.mark.parametrize("count", [2, 5, 16])
@@ -53,10 +77,10 @@ def test_blockgs_divides_gaussians_by_what_each_counts(count):
     gaussians = Gaussians.from_points(scene.points, scene.colours, 0)
     west = scene.points[:, 0] < np.median(scene.points[:, 0])
     weights = np.where(west, 7.0, 1.0)
-    partition = cut(scene, "blockgs", (count, 1), gaussians=gaussians, weights=weights)
+    partition = cut(scene, "blockgs", (count, 1), gaussians=gaussians, weights=weights, margin=0.0)
     content = np.bincount(partition.owner(world(scene)), weights, count)
     assert content.min() > 0.9 * content.mean() and content.max() < 1.1 * content.mean()
-    alike = cut(scene, "blockgs", (count, 1), gaussians=gaussians)
+    alike = cut(scene, "blockgs", (count, 1), gaussians=gaussians, margin=0.0)
     content = np.bincount(alike.owner(world(scene)), weights, count)
     assert content.max() > 1.3 * content.mean()
 
