@@ -7,18 +7,22 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
+from clsplat.device import Device
 from clsplat.errors import InputError
+from clsplat.estimate.trial_steps import TrialSteps, sampled, trial_session
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.images import read_image, write_image
 from clsplat.io.resample import resample
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.io.views import read_photo
+from clsplat.options import resolve
 from clsplat.partition.blocks import seen_pixels
 from clsplat.partition.region import Region, Space
 from clsplat.partition.windows import find_windows
 from clsplat.rendering.slabs import Parts, SlabRenderer
 from clsplat.scene import View
+from clsplat.training.prepare import prepare
 from tests import cases
 from tests.data.tiny_training import CITY
 from tests.kernels.chain import (
@@ -68,6 +72,26 @@ def test_the_largest_resolution_is_of_the_whole_photo():
     part = CAMERA.cropped(96, 32, 416, 288).reduced(1, max_resolution=320)
     assert (part.width, part.height) == (160, 128)
     assert part.focal == CAMERA.reduced(2).focal
+
+
+def test_frames_of_many_sizes_use_the_same_memory(item_device, scene):
+    """Steps on windows that become larger keep as much memory as on windows that become smaller,
+    where the first one decides."""
+    few = replace(scene, views=scene.views[:17], observations=None)
+    cropped = few.cropped({view.name: (0, 0, 160 + 10 * number, 120 + 7 * number)
+                           for number, view in enumerate(few.views)})
+    options = resolve({}, {"test_every": 0, "sphere": False, "exposure": "off", "init": "sfm"})
+    kept = []
+    for order in (1, -1):
+        device = Device(item_device.handle, form=item_device.form)
+        prepared = prepare(cropped, options, device)
+        trial = TrialSteps(trial_session(
+            prepared, device, sampled(prepared.scene, 4000, 3), 1.0))
+        for index in range(len(few.views))[::order]:
+            trial.prepare(index)()
+        trial.finish()
+        kept.append(device.memory_bytes)
+    assert kept[0] < 1.1 * kept[1]
 
 
 @pytest.mark.parametrize("name", ["ragged", "giants", "near_plane"])
