@@ -304,9 +304,14 @@ def _sizes(device: Device, prepared: PreparedScene, shown: Sequence[View], frame
     visible = visible_room(max(size.splats for size in exact), count)
     most = {size[3:]: max(other.pairs for other in exact if other[3:] == size[3:])
             for size in exact}
-    return [size._replace(splats=visible, pairs=pairs_room(
-        most[size[3:]], math.prod(tile_grid(device, *size[3:])), limit))
-        for size, limit in zip(exact, limits)]
+    tiles = max(math.prod(tile_grid(device, *size)) for size in most)
+    found = []
+    for size, limit in zip(exact, limits):
+        pairs = most[size[3:]]
+        if pairs <= limit:  # sizes that need no bands have the same room
+            pairs = max(other for other in most.values() if other <= limit)
+        found.append(size._replace(splats=visible, pairs=pairs_room(pairs, tiles, limit)))
+    return found
 
 
 def _bytes(device: Device, specs: Sequence[ArraySpec]) -> int:
