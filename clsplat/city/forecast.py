@@ -29,7 +29,9 @@ PLY_BYTES = 248  # of a gaussian with all spherical harmonics
 PART_BYTES = 708  # the same with Adam's moments, in a file of an exchange
 # for each block, of a cluster's scheduler, client and workers: tools/studies/simulate.py
 DASK_SECONDS, DASK_BYTES = 0.05, 12_000
-MODEL_SHARE = 0.4  # of the device's memory for parameters and moments; a step needs as much again
+# of the device's memory for parameters and moments: frames take as much again, photos a quarter,
+# and growth holds a part of the model twice for a moment
+MODEL_SHARE = 0.27
 TRIAL_WORTH = 600.0  # seconds of training, for which trial steps of half a minute are worth it
 # where several blocks train on one GPU at a time: at most so many, with so many cores of the host
 # for each, in this share of its memory, of which a process takes so many bytes besides its block

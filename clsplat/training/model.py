@@ -14,7 +14,9 @@ from clsplat.optimise.adam import DeviceAdam
 from clsplat.optimise.numpy_adam import NumpyAdam
 from clsplat.primitives.gather import gather
 
-DEVICE_SHARE = 0.5  # of the device's memory; beyond it, the moments are kept on the host
+# of the device's memory; beyond it, the moments are kept on the host: frames take as much again
+# and photos a quarter
+DEVICE_SHARE = 1 / 3
 Adam = DeviceAdam | NumpyAdam
 ENGINES: dict[str, type[Adam]] = {"device": DeviceAdam, "numpy": NumpyAdam}
 
