@@ -1,0 +1,71 @@
+"""The study of cities: what it runs, what it does not repeat, and its tables."""
+
+import json
+import re
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from clsplat.errors import InputError
+from tests.data.tiny_training import CITY
+from tools.studies import cities
+
+TINY = ["--streets", "1", "2", "--size", "64x48", "--seeds", "1", "--no-compared"]
+FLAGS = ["--", "--device", "cpu", "--init", "sfm", "--sh-degree", "0"]
+
+
+@pytest.mark.slow
+def test_one_command_makes_the_tables_and_repeats_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cities, "STEPS_A_STREET", 10)
+    words = [str(tmp_path), f"{CITY}:8", *TINY, *FLAGS, "-n", "20"]
+    cities.main(words)
+    page = (tmp_path / "cities.md").read_text()
+    assert [line[4:] for line in page.splitlines() if line.startswith("### ")] == [
+        "As the area grows", "Against one run", "SIG on blocks"]
+    assert " nan" not in page
+    rows = {line.split(" | ")[0].strip("| "): line.strip("| ").split(" | ")[1:]
+            for line in page.split("### SIG")[0].splitlines() if line.startswith("|")}
+    assert rows["streets, and blocks"] == ["1x1", "2x2"]
+    assert "commit " in page and "commit -" not in page
+    assert rows["times its area"] == ["1.00", "4.00"]
+    mean, least, most = map(float, re.findall(r"[\d.]+", rows[
+        "peak memory of a block, MiB: mean (least, most)"][1]))
+    assert 0.1 < least < mean < most < 50
+    assert rows["the same of interior blocks, which have neighbours on all sides"] == ["-", "-"]
+    one, city, ratio, single, merged, difference, *_ = rows["city-r8"]
+    assert float(ratio) == pytest.approx(float(city) / float(one), rel=0.05)
+    assert float(difference) == pytest.approx(
+        float(merged.split()[0]) - float(single.split()[0]), abs=0.011)
+    records = (tmp_path / "cities.jsonl").read_text().splitlines()
+    assert len(records) == 2 + 2 + 4 and all(json.loads(line)["seconds"] > 0 for line in records)
+    monkeypatch.setattr(subprocess, "run", None)  # nothing is started again
+    cities.main(words)
+    assert (tmp_path / "cities.md").read_text() == page
+
+
+def test_what_fails_is_tried_again(tmp_path, monkeypatch):
+    started = []
+
+    def run(command, check):
+        command, *words = command[3:]
+        started.append(command)
+        if command == "synth":
+            Path(words[1]).mkdir()
+        elif command == "pack":
+            Path(words[2]).touch()
+        return SimpleNamespace(returncode=2 if command == "city" else 0)
+    monkeypatch.setattr(cities, "subprocess", SimpleNamespace(run=run))
+    words = [str(tmp_path), *TINY]
+    for _ in range(2):
+        with pytest.raises(InputError, match="area-1x1, .*area-2x2: failed .* tries them again"):
+            cities.main(words)
+    assert started == 2 * ["synth", "pack", "city"] + 2 * ["city"]
+    assert "| whole command, s | - | - |" in (tmp_path / "cities.md").read_text()
+
+
+@pytest.mark.parametrize("words", [["--seeds", "0"], ["--streets", "2", "0"]])
+def test_numbers_that_cannot_be(tmp_path, words):
+    with pytest.raises(InputError, match="at least 1"):
+        cities.main([str(tmp_path), *words])

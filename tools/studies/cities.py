@@ -1,0 +1,260 @@
+"""Cities as they grow, and against one run; writes OUT/cities.md and OUT/cities.jsonl.
+
+    python -m tools.studies.cities OUT [SCENE[:DOWNSCALE] ...]
+
+Makes cities of --streets, at equal density of photos and points, and trains each in as many blocks
+as it has streets. Then it trains each SCENE and a made city of 3x3 streets, as one run and as a
+city of 2x2 blocks, in turns, and with both methods and schedules. With --devices, a city is also
+trained on the first one and on all. Commands that have finished are not repeated; one that was
+stopped begins anew, as its time counts. The machine should do nothing else:
+
+    python -m tools.studies.cities out/cities ../shared/data/caliterra:2
+"""
+
+import argparse
+import json
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.io.atomic import replacing
+from clsplat.io.city import CityFolder
+from clsplat.io.run import RunFolder
+from clsplat.report.page import Table
+from tools.studies.evidence import cell, flags_after, markdown, outermost, refuse
+from tools.studies.runs import Scene
+
+STEPS_A_STREET = 300  # of a made city, for each of its K x K streets; so many photos show it:
+PHOTOS_A_STREET = 8
+COMPARED = 3, 64, "320x240"  # the made city that is compared with one run: streets, photos, size
+MIB = 2**20
+
+
+def main(argv):
+    """Train what is missing and write the tables."""
+    words, flags = flags_after(argv)
+    arguments = _parser().parse_args(words)
+    if arguments.seeds < 1 or min(arguments.streets) < 1:
+        raise InputError("--seeds and --streets: expect numbers of at least 1")
+    work = Work(arguments.out, tuple(flags))
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    scenes = [(scene.name, scene.path, scene.downscale) for scene in arguments.scenes]
+    if arguments.compared:
+        streets, photos, size = COMPARED
+        scenes.insert(0, ("made-city", made_city(work, streets, photos, size), 1.0))
+    parts = [area_table, one_run_table, schedule_table, *[device_table] * bool(arguments.devices)]
+    command = f"python -m tools.studies.cities {shlex.join(argv)}"
+    page = ["# Cities", f"Made by `{command}`; do not edit."]
+    for part in parts:
+        table = part(work, scenes, arguments)
+        page.append(markdown(table))
+        with replacing(arguments.out / "cities.md") as file:
+            file.write(("\n\n".join(page) + "\n").encode())
+        print(f"\n{table.text()}\n", flush=True)
+    refuse(work.failed)
+
+
+def _parser():
+    made = argparse.ArgumentParser(description=__doc__, epilog="Flags of `clsplat train` and "
+                                   "`clsplat city`, for all commands, may follow after --.",
+                                   formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("out", type=Path, help="folder of scenes, runs and results")
+    made.add_argument("scenes", nargs="*", type=Scene, metavar="SCENE[:DOWNSCALE]")
+    made.add_argument("--streets", type=int, nargs="+", default=[2, 4, 6],
+                      help="streets along each side of the cities that grow; default 2 4 6")
+    made.add_argument("--size", default="240x180", help="of their photos; default 240x180")
+    made.add_argument("--seeds", type=int, default=3, help="of what is compared; default 3")
+    made.add_argument("--workers", type=int, default=1,
+                      help="of each city of 2x2 blocks; default 1")
+    made.add_argument("--devices", default="", help="such as 0,1: compare them with the first")
+    made.add_argument("--no-compared", dest="compared", action="store_false",
+                      help="leave out the made city of 3x3 streets")
+    return made
+
+
+class Work:
+    """Runs commands of clsplat, and remembers their time in OUT/cities.jsonl.
+
+    Attributes
+    ----------
+    out : the folder.
+    flags : of each training.
+    failed : the folders whose command failed.
+    """
+
+    def __init__(self, out, flags):
+        self.out, self.flags, self.failed = out, flags, []
+        self._file = out / "cities.jsonl"
+        lines = self._file.read_text().splitlines() if self._file.exists() else []
+        self._seconds = {(record["name"], *record["words"]): record["seconds"]
+                         for record in map(json.loads, lines)}
+
+    def train(self, name, command, scene, *flags):
+        """Train OUT/NAME, unless it has been; the folder and the seconds of the whole command.
+
+        Parameters
+        ----------
+        name : of the new folder.
+        command : "train" or "city".
+        scene : its path.
+        """
+        folder, words = self.out / name, (command, *map(str, (scene, *flags)), *self.flags)
+        if (name, *words) not in self._seconds:
+            shutil.rmtree(folder, ignore_errors=True)
+            print(f"{name}: clsplat {shlex.join(words)}", flush=True)
+            begin = time.perf_counter()
+            code = clsplat(*words, "-o", folder, "-q")
+            if code:
+                self.failed.append(folder)
+                return None, np.nan
+            self._seconds[(name, *words)] = round(time.perf_counter() - begin, 2)
+            with replacing(self._file) as file:
+                file.writelines((json.dumps({"name": key[0], "words": key[1:], "seconds": seconds})
+                                 + "\n").encode() for key, seconds in self._seconds.items())
+        return folder, self._seconds[(name, *words)]
+
+
+def clsplat(*words):
+    """The exit code of a command of clsplat."""
+    return subprocess.run([sys.executable, "-m", "clsplat", *map(str, words)],
+                          check=False).returncode
+
+
+def made_city(work, streets, photos, size):
+    """The path of a packed city of streets x streets, which is made where it is missing."""
+    scene = work.out / f"streets-{streets}x{streets}-{photos}-{size}.npz"
+    if not scene.exists():
+        folder = scene.with_suffix("")
+        if clsplat("synth", "-o", folder, "--blocks", f"{streets}x{streets}", "--views", photos,
+                   "--size", size, "--overwrite") or clsplat("pack", folder, "-o", scene):
+            raise InputError(f"{folder}: this city could not be made, for the reason above")
+        shutil.rmtree(folder)
+    return scene
+
+
+def scores_of(folder):
+    """The last numbers of all events in a run's metrics, by name; empty for None."""
+    found = {}
+    for record in RunFolder(folder).records() if folder else ():
+        found |= record
+    return found
+
+
+def area_table(work, scenes, arguments):
+    """Time, memory and quality as the area grows: a column for each city."""
+    head, columns, first = ["streets, and blocks"], [], None
+    for streets in arguments.streets:
+        scene = made_city(work, streets, PHOTOS_A_STREET * streets**2, arguments.size)
+        grid = f"{streets}x{streets}"
+        folder, seconds = work.train(f"area-{grid}", "city", scene, "-n",
+                                     STEPS_A_STREET * streets**2, "--grid", grid, "--method",
+                                     "blockgs", "--exchanges", "0")
+        first = first or (streets, seconds)
+        blocks, inner = block_peaks(folder)
+        scores = scores_of(folder)
+        facts = RunFolder(folder).read_options() if folder else {}
+        head.append(grid)
+        columns.append((cell(seconds, None, 1), cell(seconds / first[1], None, 2),
+                        cell((streets / first[0])**2, None, 2), spread(blocks), spread(inner),
+                        cell(scores.get("gaussians"), None, 0),
+                        cell(scores.get("psnr_cc"), None, 2)))
+    names = ("whole command, s", "times the first", "times its area",
+             "peak memory of a block, MiB: mean (least, most)",
+             "the same of interior blocks, which have neighbours on all sides", "gaussians",
+             "PSNR cc, dB")
+    rows = [(name, *column) for name, column in zip(names, zip(*columns))]
+    return Table("As the area grows", head, rows, range(1, len(head)), (
+        f"Photos of {arguments.size}, {PHOTOS_A_STREET} a street, `--method blockgs`; "
+        f"{facts.get('opencl_device', '-')}, commit {facts.get('commit', '-')}.",))
+
+
+def block_peaks(folder):
+    """The peak device memory of the blocks of a city, MiB, and of those without an open side."""
+    if folder is None:
+        return [], []
+    city = CityFolder(folder)
+    peaks = [max(record.get("peak_bytes", 0) for record in RunFolder(block.run).records()) / MIB
+             for block in city.blocks()]
+    closed = [bool(np.isfinite([region.low[:2], region.high[:2]]).all())
+              for region in city.partition().regions]
+    return peaks, [peak for peak, inner in zip(peaks, closed) if inner]
+
+
+def spread(values):
+    """Mean, least and most of numbers as text."""
+    return f"{np.mean(values):.1f} ({min(values):.1f}, {max(values):.1f})" if values else "-"
+
+
+def one_run_table(work, scenes, arguments):
+    """A city of 2x2 blocks against one run of the same scene: a row for each scene."""
+    rows = []
+    for name, scene, downscale in scenes:
+        found = []
+        for seed in range(arguments.seeds):
+            same = "-r", f"{downscale:g}", "--seed", str(seed)
+            one, one_seconds = work.train(f"one-{name}.{seed}", "train", scene, *same,
+                                          "--eval-every", "end")
+            city, seconds = work.train(
+                f"city-{name}.{seed}", "city", scene, *same, "--grid", "2x2", "--workers",
+                str(arguments.workers), *(("--against", str(one)) if one else ()))
+            scores, own = scores_of(city), scores_of(one)
+            found.append((one_seconds, seconds, *(values.get(key, np.nan) for values, key in (
+                (own, "psnr_cc"), (scores, "psnr_cc"), (scores, "seam_db"),
+                (scores, "worst_seam_db")))))
+        one_seconds, seconds, single, merged, seam, worst = np.array(found, float).T
+        rows.append((name, cell(np.median(one_seconds), None, 1), cell(np.median(seconds), None, 1),
+                     cell(np.median(seconds / one_seconds), None, 2),
+                     *(cell(values.mean(), values.std(), 2) for values in (single, merged)),
+                     cell((merged - single).mean(), None, 2, "+"),
+                     *(cell(values.mean(), values.std(), 2) for values in (seam, worst))))
+    return Table("Against one run", (
+        "scene", "one run, s", "city, s", "ratio", "one run, cc", "city, cc", "difference",
+        "seams, mean", "seams, worst"), rows, range(1, 9), (
+        f"{arguments.seeds} seeds, mean and standard deviation; seconds of the whole command, "
+        "medians, the first of which may build kernels; cc: PSNR with colours corrected, dB; "
+        "seams: what the city lacks beside borders against one run with the same seed, dB.",))
+
+
+def schedule_table(work, scenes, arguments):
+    """SIG against the constant schedule, on both methods: a row for each scene and method."""
+    rows = []
+    for name, scene, downscale in scenes:
+        for method in ("citygs", "blockgs"):
+            results = []
+            for schedule in ("sig", "constant"):
+                folder, seconds = work.train(
+                    f"{schedule}-{method}-{name}", "city", scene, "-r", f"{downscale:g}", "--grid",
+                    "2x2", "--workers", str(arguments.workers), "--method", method, "--schedule",
+                    schedule)
+                results.append((seconds, scores_of(folder).get("psnr_cc", np.nan)))
+            (seconds, cc), (constant_seconds, constant_cc) = results
+            rows.append((name, method, cell(seconds, None, 1), cell(constant_seconds, None, 1),
+                         cell(constant_seconds / seconds, None, 2), cell(cc, None, 2),
+                         cell(constant_cc, None, 2)))
+    return Table("SIG on blocks", ("scene", "method", "sig, s", "constant, s", "times as fast",
+                                   "sig, cc", "constant, cc"), rows, range(2, 7))
+
+
+def device_table(work, scenes, arguments):
+    """A city on one device and on several: a row for each scene."""
+    devices = arguments.devices
+    count, rows = len(devices.split(",")), []
+    for name, scene, downscale in scenes:
+        same = "city", scene, "-r", f"{downscale:g}", "--grid", "4x2"
+        _, one = work.train(f"device-{name}", *same, "--device", devices.split(",")[0])
+        _, several = work.train(f"devices-{name}", *same, "--device", devices, "--workers",
+                                str(count))
+        rows.append((name, *(cell(seconds, None, 1) for seconds in (one, several)),
+                     cell(one / several, None, 2)))
+    return Table("Several devices", ("scene", "one device, s", f"{count} devices, s",
+                                     "times as fast"), rows, range(1, 4))
+
+
+if __name__ == "__main__":
+    outermost(main)
