@@ -39,7 +39,7 @@ def test_one_command_makes_the_tables_and_repeats_nothing(tmp_path, monkeypatch,
     assert float(difference) == pytest.approx(
         float(merged.split()[0]) - float(single.split()[0]), abs=0.011)
     records = (tmp_path / "cities.jsonl").read_text().splitlines()
-    assert len(records) == 2 + 2 + 4 and all(json.loads(line)["seconds"] > 0 for line in records)
+    assert len(records) == 3 + 2 + 4 and all(json.loads(line)["seconds"] > 0 for line in records)
     monkeypatch.setattr(subprocess, "run", None)  # nothing is started again
     cities.main(words)
     assert (tmp_path / "cities.md").read_text() == page
@@ -59,9 +59,9 @@ def test_what_fails_is_tried_again(tmp_path, monkeypatch):
     monkeypatch.setattr(cities, "subprocess", SimpleNamespace(run=run))
     words = [str(tmp_path), *TINY]
     for _ in range(2):
-        with pytest.raises(InputError, match="area-1x1, .*area-2x2: failed .* tries them again"):
+        with pytest.raises(InputError, match="kernels, .*area-1x1, .*area-2x2: failed .* again"):
             cities.main(words)
-    assert started == 2 * ["synth", "pack", "city"] + 2 * ["city"]
+    assert started == ["synth", "pack", "city", "city", "synth", "pack", "city"] + 3 * ["city"]
     assert "| whole command, s | - | - |" in (tmp_path / "cities.md").read_text()
 
 

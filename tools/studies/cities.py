@@ -48,7 +48,8 @@ def main(argv):
     if arguments.compared:
         streets, photos, size = COMPARED
         scenes.insert(0, ("made-city", made_city(work, streets, photos, size), 1.0))
-    parts = [area_table, one_run_table, schedule_table, *[device_table] * bool(arguments.devices)]
+    parts = [area_table, *[one_run_table, schedule_table] * bool(scenes),
+             *[device_table] * bool(scenes and arguments.devices)]
     command = f"python -m tools.studies.cities {shlex.join(argv)}"
     page = ["# Cities", f"Made by `{command}`; do not edit."]
     for part in parts:
@@ -152,9 +153,11 @@ def area_table(work, scenes, arguments):
     for streets in arguments.streets:
         scene = made_city(work, streets, PHOTOS_A_STREET * streets**2, arguments.size)
         grid = f"{streets}x{streets}"
-        folder, seconds = work.train(f"area-{grid}", "city", scene, "-n",
-                                     STEPS_A_STREET * streets**2, "--grid", grid, "--method",
-                                     "blockgs", "--exchanges", "0")
+        command = ("city", scene, "-n", STEPS_A_STREET * streets**2, "--grid", grid, "--method",
+                   "blockgs", "--exchanges", "0")
+        if first is None:
+            work.train("kernels", *command)  # builds them, and is not shown
+        folder, seconds = work.train(f"area-{grid}", *command)
         first = first or (streets, seconds)
         blocks, inner = block_peaks(folder)
         scores = scores_of(folder)
@@ -217,7 +220,7 @@ def one_run_table(work, scenes, arguments):
         "scene", "one run, s", "city, s", "ratio", "one run, cc", "city, cc", "difference",
         "seams, mean", "seams, worst"), rows, range(1, 9), (
         f"{arguments.seeds} seeds, mean and standard deviation; seconds of the whole command, "
-        "medians, the first of which may build kernels; cc: PSNR with colours corrected, dB; "
+        "medians, of which the first may build kernels; cc: PSNR with colours corrected, dB; "
         "seams: what the city lacks beside borders against one run with the same seed, dB.",))
 
 
