@@ -34,7 +34,7 @@ from clsplat.training.layers import Front, layer_array
 from clsplat.training.model import ENGINES, Model
 from clsplat.training.photos import DEVICE_SHARE, at_level, photo_array
 from clsplat.training.prepare import PreparedScene
-from clsplat.training.rooms import pairs_room, visible_room
+from clsplat.training.rooms import pairs_room, shared_pairs, visible_room
 from clsplat.training.source_views import SourceViews
 from clsplat.training.units import COUNTS
 
@@ -308,8 +308,8 @@ def _sizes(device: Device, prepared: PreparedScene, shown: Sequence[View], frame
     found = []
     for size, limit in zip(exact, limits):
         pairs = most[size[3:]]
-        if pairs <= limit:  # sizes that need no bands have the same room
-            pairs = max(other for other in most.values() if other <= limit)
+        if pairs <= limit:
+            pairs = shared_pairs(most.values(), limit)
         found.append(size._replace(splats=visible, pairs=pairs_room(pairs, tiles, limit)))
     return found
 

@@ -1,6 +1,7 @@
 """The room that the arrays of training frames have, from what views were seen to need."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +65,7 @@ class Rooms:
             bands = choose_bands(most, limit)
             pairs = max(int(most[band.start:band.stop].sum()) for band in bands if band)
             return Room(visible, pairs_room(pairs, len(most), limit), bands)
-        pairs = max(known for known in (self._expected_pairs, *self._most_pairs.values())
-                    if known <= limit)
+        pairs = shared_pairs((self._expected_pairs, *self._most_pairs.values()), limit)
         tiles = max(map(len, self._most_tiles.values()), default=0)
         return Room(visible, pairs_room(pairs, tiles, limit))
 
@@ -89,6 +89,12 @@ class Rooms:
 def visible_room(most: int, count: int) -> int:
     """Room for gaussians that a view sees, of `count`, where so many were seen at most."""
     return min(count, max(1, math.ceil(MARGIN * most)))
+
+
+def shared_pairs(most: Iterable[int], limit: int) -> int:
+    """The most pairs of those sizes that need no bands, given the most of each: all have room for
+    so many."""
+    return max(pairs for pairs in most if pairs <= limit)
 
 
 def pairs_room(most: int, tiles: int, limit: int) -> int:
