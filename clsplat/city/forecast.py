@@ -177,7 +177,6 @@ def block_table(city: CityFolder, device: Device | None, counts: Iterable[int]) 
         f"{device.name} to itself, from steps of "
         f"{COARSE_NOTE if known else f'block {largest.path.name}'}. All blocks take "
         f"{each * sum(steps):.1f} minutes on one such device, {times} (--workers).",
-        *(sharing_notes(device, len(steps), forecast.memory.total) if known else ()),
         *exchange_notes((record for _, record in records), forecast.gaussians / max(initial))))
 
 
@@ -211,21 +210,19 @@ def one_block_note(options: PartitionOptions, scene: Path) -> str:
             "one stage, which is quicker and as good; --grid cuts it all the same")
 
 
-def sharing_notes(device: Device, blocks: int, memory: int) -> tuple[str, ...]:
-    """That short trainings may share a GPU, as a note of a table; none where they should not.
+def blocks_sharing(device: Device, blocks: int, memory: float = 0.0) -> int:
+    """How many blocks one device trains at a time, so that a GPU works for one of them while others
+    read, write and exchange; 1 on a CPU, and where blocks are as large as the device allows.
 
     Parameters
     ----------
-    device : which one block at a time would have to itself.
     blocks : their number.
-    memory : bytes that the largest one takes on the device.
+    memory : bytes that one of them takes on the device; 0: as little as any.
     """
-    count = min(MOST_SHARING, blocks, (os.cpu_count() or 1) // CORES_SHARING, int(
-        SHARED_MEMORY * device.handle.global_mem_size / (memory + PROCESS_BYTES)))
-    if device.is_cpu or count < 2:
-        return ()
-    return (f"--workers {count} trains {count} blocks on it at a time, so that it works for one "
-            "while others read, write and exchange.",)
+    if device.is_cpu:
+        return 1
+    return max(1, min(MOST_SHARING, blocks, (os.cpu_count() or 1) // CORES_SHARING, int(
+        SHARED_MEMORY * device.handle.global_mem_size / (memory + PROCESS_BYTES))))
 
 
 def coarse_steps(city: CityFolder, device: Device) -> list[tuple[float, float, float]]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.cli.flags import flags_of, given_options, training_flags
+from clsplat.city.sharing import CORES_SHARING, MOST_SHARING, blocks_sharing
+from clsplat.cli.flags import Parsed, flags_of, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
-from clsplat.config.option import is_auto
+from clsplat.config.option import AUTO, is_auto
 from clsplat.errors import InputError, Interrupted
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 
@@ -35,16 +38,27 @@ TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, whic
              "memory, and nothing is evaluated.")
 
 
+def number_of_workers(text: str) -> int | None:
+    """What --workers says; None for auto."""
+    try:
+        return None if is_auto(text) else int(text)
+    except ValueError:
+        raise ValueError("not a number of workers; give auto or a whole number") from None
+
+
 @click.command(cls=SectionedCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
 @flags_of(PartitionOptions)
 @click.option("-o", "--output", type=click.Path(path_type=Path), **BLOCKS,
               help="Folder of the city; default: SCENE.city.")
-@click.option("--workers", default=1, show_default=True, **BLOCKS,
+@click.option("--workers", type=Parsed("INTEGER", number_of_workers), default=AUTO,
+              show_default=True, metavar="[auto|INTEGER]", **BLOCKS,
               help="Number of blocks that are trained at a time on this machine, and of processes "
               "that score the result; --grid auto makes at least as many blocks, and more where "
-              "the last worker then ends earlier. With --scheduler: for how many workers to cut.")
+              "the last worker then ends earlier. auto: one for each device, or as many as share "
+              f"a GPU well: up to {MOST_SHARING}, with {CORES_SHARING} cores for each, and blocks "
+              "that fit its memory together. With --scheduler: for how many workers to cut.")
 @click.option("--scheduler", default="", **BLOCKS, help="Address of a Dask scheduler, such as "
               "tcp://10.0.0.1:8786, whose workers train the blocks and score the result.")
 @click.option("--fill", is_flag=True, **BLOCKS, help="Where a block fails, use the coarse model's "
@@ -54,34 +68,46 @@ TREE_HELP = ("Merge into a tree of levels of detail, CITY/point_cloud.tree, whic
 @click.option("--tree", is_flag=True, **BLOCKS, help=TREE_HELP)
 @click.option("-q", "--quiet", is_flag=True, help="Show no progress.")
 @click.pass_context
-def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, scheduler: str,
-         fill: bool, against: Path | None, tree: bool, quiet: bool, **_options: object) -> None:
+def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int | None,
+         scheduler: str, fill: bool, against: Path | None, tree: bool, quiet: bool,
+         **_options: object) -> None:
     """Train a large SCENE in blocks, and merge them.
 
     The stages are a coarse run, partition, training of the blocks, merge and evaluation. After any
     failure, the same command continues. The folder is a run like any other, for `clsplat eval`,
-    `render` and `compare`. For several devices, use --device 0,1 with --workers 2.
+    `render` and `compare`. For several devices, use --device 0,1.
     """
+    from clsplat.device import choose_device
     from clsplat.distribute import Children, Workers, check_scheduler, check_workers
     from clsplat.options import resolve
     given = given_options(ctx)
     devices = _devices(given.pop("device", ""), workers, scheduler)
     options = resolve({}, {**given, **({"device": devices[0]} if devices else {})})
-    check_workers(workers)
+    if workers is None and scheduler:
+        workers = 1
+    if workers is not None:
+        check_workers(workers)
     if options.coarse or not (is_auto(options.init) or options.init in STARTS):
         raise InputError("--init, --coarse: a city begins with its own coarse run; leave them out, "
                          f"or give --init {' or '.join(STARTS)}")
     opens = f"clsplat.training.block:device_of_tasks:{options.device}:{options.form}"
+
+    def started(number: int) -> Children | None:
+        """Child processes for the blocks, which end with this command; None: it needs none."""
+        return (ctx.with_resource(Children(number, devices, (opens, *IMPORTED_BY_CHILDREN)))
+                if number > 1 and not scheduler else None)
+
+    device = choose_device(options.device, form=options.form)
+    used = max(1, len(devices))
+    cut = given_options(ctx, PartitionOptions)
     # they start before the imports of this process, which take as long as theirs
-    children = (ctx.with_resource(Children(workers, devices, (opens, *IMPORTED_BY_CHILDREN)))
-                if workers > 1 and not scheduler else None)
-    all_workers = Workers(workers, scheduler, devices, children)
+    children = started(workers or used * blocks_sharing(
+        device, math.ceil(math.prod(cut.get("grid") or (1, 1)) / used)))
     from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks, draw
     from clsplat.city.dense import find_dense_gaussians, found_beside
     from clsplat.city.forecast import block_table, one_block_note
     from clsplat.city.stages import begin, train_coarse
-    from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
@@ -89,9 +115,15 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int, 
     against = _reference(against, tree)
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
-    device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
-    cutting = partition_options(given_options(ctx, PartitionOptions), data, options, device, folder,
-                                workers, workers if scheduler else max(1, len(devices)), tree)
+    for name in devices[1:]:
+        choose_device(name, form=options.form)  # it exists
+    cutting = partition_options(cut, data, options, device, folder, workers,
+                                workers if scheduler and workers else used, tree)
+    if children and len(children) != cutting.workers:  # blocks are too large to share a device
+        children.close()
+        children = None
+    children = children or started(cutting.workers)
+    all_workers = Workers(cutting.workers, scheduler, devices, children)
     if scheduler and not RunFolder(folder.coarse).has_model:
         check_scheduler(scheduler)
     if not folder.has_record:
@@ -263,12 +295,17 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
 
 
 def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions, device: Device,
-                      city: CityFolder, workers: int = 1, devices: int = 1, tree: bool = False
-                      ) -> PartitionOptions:
+                      city: CityFolder, workers: int | None = 1, devices: int = 1,
+                      tree: bool = False) -> PartitionOptions:
     """The PartitionOptions from the result of `given_options`.
 
     By default the blocks of the workers that share a device fit it together, and a city that is cut
     already keeps its steps.
+
+    Parameters
+    ----------
+    workers : None: as many as share the devices well.
+    devices : the number of devices that the workers use.
     """
     from clsplat.city.cut import requested_of
     from clsplat.city.forecast import (
@@ -278,15 +315,19 @@ def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions
         trains_jointly,
     )
     facts, photos = facts_of_whole(scene, options)
-    expected, together = expected_gaussians(facts, options), max(1, workers / devices)
-    fit = gaussians_that_fit(device, options)
+    expected, fit = expected_gaussians(facts, options), gaussians_that_fit(device, options)
+    number = workers or devices
     recorded = requested_of(city) if city.has_partition else {}
     chosen = PartitionOptions(**{
         **{name: recorded[name] for name in STEPS if name in recorded}, **given,
         "expected": expected,
         "block_gaussians": given.get("block_gaussians") or max(
-            LEAST_GAUSSIANS, int(fit / together)),
-        "least_blocks": min(workers, max(1, expected // LEAST_GAUSSIANS)), "workers": workers})
+            LEAST_GAUSSIANS, int(fit / max(1, number / devices))),
+        "least_blocks": min(number, max(1, expected // LEAST_GAUSSIANS)), "workers": number})
+    if workers is None:
+        memory = chosen.trained / chosen.blocks / fit * device.handle.global_mem_size
+        chosen = replace(chosen, workers=devices * blocks_sharing(
+            device, math.ceil(chosen.blocks / devices), memory))
     return chosen.decided(not (recorded or tree) and chosen.several and expected <= fit
                           and trains_jointly(facts, photos, options))
 
@@ -300,7 +341,7 @@ def _beside(scene: Path) -> Path:
     return scene.with_name(scene.name + ".city")
 
 
-def _devices(text: str, workers: int, scheduler: str) -> tuple[str, ...]:
+def _devices(text: str, workers: int | None, scheduler: str) -> tuple[str, ...]:
     """The names in --device 0,1; InputError where some would not be used."""
     if not text:
         return ()
@@ -310,7 +351,7 @@ def _devices(text: str, workers: int, scheduler: str) -> tuple[str, ...]:
     if len(names) > 1 and scheduler:
         raise InputError(f"--device {text}: with --scheduler, CLSPLAT_DEVICE on each worker names "
                          "its device; name one device here, for the coarse run")
-    if len(names) > max(1, workers):
+    if workers is not None and len(names) > max(1, workers):
         raise InputError(f"--device {text}: names {len(names)} devices for --workers {workers}; "
                          f"use --workers {len(names)}, or name fewer")
     return names

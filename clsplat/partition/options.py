@@ -104,7 +104,7 @@ class PartitionOptions:
             raise InputError(f"--block-gaussians {self.block_gaussians}: makes {self.needed:,} "
                              f"blocks, more than {MOST_BLOCKS:,}; allow more gaussians in a block")
         if self.grid is not None:
-            self._check_grid(math.prod(self.grid), f"--grid {self.grid[0]}x{self.grid[1]}")
+            self._check_grid(self.blocks, f"--grid {self.grid[0]}x{self.grid[1]}")
 
     def _check_grid(self, count: int, name: str) -> None:
         """Raise InputError for more blocks than the scene will have gaussians for."""
@@ -144,12 +144,21 @@ class PartitionOptions:
     @property
     def several(self) -> bool:
         """Whether there will be more than one block."""
-        return self.grid != (1, 1) if self.grid else self.needed > 1
+        return self.blocks > 1
+
+    @property
+    def blocks(self) -> int:
+        """The number of blocks of --grid, or the least number of those of a chosen grid."""
+        return math.prod(self.grid) if self.grid else self.needed
 
     @property
     def needed(self) -> int:
         """The least number of blocks of a chosen grid."""
         if not self.block_gaussians:
             return self.least_blocks
-        shared = (1 + 2 * self.margin) ** 2  # gaussians in margins belong to several blocks
-        return max(math.ceil(self.expected * shared / self.block_gaussians), self.least_blocks)
+        return max(math.ceil(self.trained / self.block_gaussians), self.least_blocks)
+
+    @property
+    def trained(self) -> float:
+        """About how many gaussians all blocks train, of which those in margins are in several."""
+        return self.expected * (1 + 2 * self.margin) ** 2

@@ -1,6 +1,5 @@
 """How many gaussians a city is expected to have, when its blocks end, and what larger ones take."""
 
-import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,7 +19,6 @@ from clsplat.city.forecast import (
     gaussians_that_fit,
     one_block_note,
     scale_table,
-    sharing_notes,
 )
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
@@ -68,13 +66,15 @@ def test_blocks_that_share_a_device_fit_it_together(tmp_path):
 
 
 @pytest.mark.one_in(2)
-@pytest.mark.parametrize("flags, devices", [
-    ((), 1), (("--workers", "4"), 1), (("--workers", "4", "--device", "cpu,cpu"), 2),
-    (("--workers", "4", "--scheduler", "tcp://127.0.0.1:1"), 4)])
-def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, devices):
+@pytest.mark.parametrize("flags, numbers", [
+    ((), (None, 1)), (("--workers", "4"), (4, 1)), (("--device", "cpu,cpu"), (None, 2)),
+    (("--workers", "4", "--device", "cpu,cpu"), (4, 2)),
+    (("--scheduler", "tcp://127.0.0.1:1"), (1, 1)),
+    (("--workers", "4", "--scheduler", "tcp://127.0.0.1:1"), (4, 4))])
+def test_workers_share_the_devices_that_are_named(tmp_path, monkeypatch, flags, numbers):
     """On a cluster each has its own."""
     def noted(*given):
-        assert given[5:7] == (4 if flags else 1, devices)
+        assert given[5:7] == numbers
         raise InputError("noted")
 
     monkeypatch.setattr(city_module, "partition_options", noted)
@@ -137,10 +137,7 @@ def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, 
                         ("read_scene", lambda _: None), ("block_options", lambda _: None),
                         ("coarse_steps", lambda *_: [(1.0, 1.0, seconds)])):
         monkeypatch.setattr(forecast_module, name, value)
-    monkeypatch.setattr(os, "cpu_count", lambda: 9)
-    notes = block_table(city, a_card(2**33), [10, 10]).notes
-    note = notes[0]
-    assert any("--workers 2 trains 2 blocks" in each for each in notes) != tried
+    (note, *_) = block_table(city, a_card(2**33), [10, 10]).notes
     assert asked == [[(1.0, 1.0, seconds)], []][:1 + tried]
     assert ("from steps of block 001" in note) == tried
     assert ("from steps of the coarse run" in note) != tried
@@ -150,20 +147,6 @@ def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, 
 def a_card(memory, is_cpu=False):
     return SimpleNamespace(name="a card", is_cpu=is_cpu,
                            handle=SimpleNamespace(global_mem_size=memory))
-
-
-def test_short_blocks_may_share_a_gpu(monkeypatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 16)
-
-    def told(device, blocks=9, memory=2**29):
-        (note,) = sharing_notes(device, blocks, memory) or ("",)
-        return note.partition(" trains")[0]
-
-    assert told(a_card(2**36)) == "--workers 4" and told(a_card(2**36), 3) == "--workers 3"
-    assert told(a_card(2**32 + 2**31)) == "--workers 2"  # 3 GiB of two blocks of 1.2 GiB
-    assert told(a_card(2**32)) == told(a_card(2**36, True)) == told(a_card(2**36), 1) == ""
-    monkeypatch.setattr(os, "cpu_count", lambda: 7)
-    assert told(a_card(2**36)) == ""
 
 
 def test_a_scene_that_fits_in_one_block_needs_no_city():

@@ -3,10 +3,11 @@
     python -m tools.studies.cities OUT [SCENE[:DOWNSCALE] ...]
 
 Makes cities of --streets, at equal density of photos and points, and trains each in as many blocks
-as it has streets. Then it trains each SCENE and a made city of 3x3 streets, as one run and as a
-city of 2x2 blocks, in turns, and with both methods and schedules. With --devices, a city is also
-trained on the first one and on all. Commands that have finished are not repeated; one that was
-stopped begins anew, as its time counts. The machine should do nothing else:
+as it has streets (table area). Then it trains each SCENE and a made city of 3x3 streets, as one run
+and as a city of 2x2 blocks, in turns (one-run), and with both methods and schedules (schedules).
+With --devices, a larger made city is trained on the first one and on all (devices). Commands that
+have finished are not repeated; one that was stopped begins anew, as its time counts. The machine
+should do nothing else:
 
     python -m tools.studies.cities out/cities ../shared/data/caliterra:2
 """
@@ -33,6 +34,8 @@ from tools.studies.runs import Scene
 STEPS_A_STREET = 300  # of a made city, for each of its K x K streets; so many photos show it:
 PHOTOS_A_STREET = 8
 COMPARED = 3, 64, "320x240"  # the made city that is compared with one run: streets, photos, size
+DIVIDED = 6, 256, "640x480"  # the one that several devices train, with so many steps of one run:
+DIVIDED_STEPS = 6000
 MIB = 2**20
 
 
@@ -45,18 +48,21 @@ def main(argv):
     work = Work(arguments.out, tuple(flags))
     arguments.out.mkdir(parents=True, exist_ok=True)
     scenes = [(scene.name, scene.path, scene.downscale) for scene in arguments.scenes]
-    if arguments.compared:
-        streets, photos, size = COMPARED
-        scenes.insert(0, ("made-city", made_city(work, streets, photos, size), 1.0))
-    parts = [area_table, *[one_run_table, schedule_table] * bool(scenes),
-             *[device_table] * bool(scenes and arguments.devices)]
+    if arguments.compared and {"one-run", "schedules"} & set(arguments.tables):
+        scenes.insert(0, ("made-city", made_city(work, *COMPARED), 1.0))
     command = f"python -m tools.studies.cities {shlex.join(argv)}"
-    page = ["# Cities", f"Made by `{command}`; do not edit."]
-    for part in parts:
-        table = part(work, scenes, arguments)
-        page.append(markdown(table))
+    work.train("kernels", *growing(work, arguments.streets[0], arguments.size))  # builds them
+    tables = []
+    for name in arguments.tables:
+        if name in ("one-run", "schedules") and not scenes or (
+                name == "devices" and not arguments.devices):
+            continue
+        table = TABLES[name](work, scenes, arguments)
+        tables.append(markdown(table))
         with replacing(arguments.out / "cities.md") as file:
-            file.write(("\n\n".join(page) + "\n").encode())
+            file.write(("\n\n".join(
+                ["# Cities", f"Made by `{command}` on {work.machine}; do not edit.", *tables])
+                + "\n").encode())
         print(f"\n{table.text()}\n", flush=True)
     refuse(work.failed)
 
@@ -71,9 +77,9 @@ def _parser():
                       help="streets along each side of the cities that grow; default 2 4 6")
     made.add_argument("--size", default="240x180", help="of their photos; default 240x180")
     made.add_argument("--seeds", type=int, default=3, help="of what is compared; default 3")
-    made.add_argument("--workers", type=int, default=1,
-                      help="of each city of 2x2 blocks; default 1")
     made.add_argument("--devices", default="", help="such as 0,1: compare them with the first")
+    made.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES),
+                      help="those that are made; default: all")
     made.add_argument("--no-compared", dest="compared", action="store_false",
                       help="leave out the made city of 3x3 streets")
     return made
@@ -87,10 +93,11 @@ class Work:
     out : the folder.
     flags : of each training.
     failed : the folders whose command failed.
+    machine : the device and the commit of the last training, as text.
     """
 
     def __init__(self, out, flags):
-        self.out, self.flags, self.failed = out, flags, []
+        self.out, self.flags, self.failed, self.machine = out, flags, [], "-"
         self._file = out / "cities.jsonl"
         lines = self._file.read_text().splitlines() if self._file.exists() else []
         self._seconds = {(record["name"], *record["words"]): record["seconds"]
@@ -118,6 +125,8 @@ class Work:
             with replacing(self._file) as file:
                 file.writelines((json.dumps({"name": key[0], "words": key[1:], "seconds": seconds})
                                  + "\n").encode() for key, seconds in self._seconds.items())
+        facts = RunFolder(folder).read_options()
+        self.machine = f"{facts.get('opencl_device')}, commit {facts.get('commit')}"
         return folder, self._seconds[(name, *words)]
 
 
@@ -147,21 +156,22 @@ def scores_of(folder):
     return found
 
 
+def growing(work, streets, size):
+    """The command that trains a city of streets x streets in as many blocks."""
+    return ("city", made_city(work, streets, PHOTOS_A_STREET * streets**2, size),
+            "-n", STEPS_A_STREET * streets**2, "--grid", f"{streets}x{streets}",
+            "--method", "blockgs", "--exchanges", "0")
+
+
 def area_table(work, scenes, arguments):
     """Time, memory and quality as the area grows: a column for each city."""
     head, columns, first = ["streets, and blocks"], [], None
     for streets in arguments.streets:
-        scene = made_city(work, streets, PHOTOS_A_STREET * streets**2, arguments.size)
         grid = f"{streets}x{streets}"
-        command = ("city", scene, "-n", STEPS_A_STREET * streets**2, "--grid", grid, "--method",
-                   "blockgs", "--exchanges", "0")
-        if first is None:
-            work.train("kernels", *command)  # builds them, and is not shown
-        folder, seconds = work.train(f"area-{grid}", *command)
+        folder, seconds = work.train(f"area-{grid}", *growing(work, streets, arguments.size))
         first = first or (streets, seconds)
         blocks, inner = block_peaks(folder)
         scores = scores_of(folder)
-        facts = RunFolder(folder).read_options() if folder else {}
         head.append(grid)
         columns.append((cell(seconds, None, 1), cell(seconds / first[1], None, 2),
                         cell((streets / first[0])**2, None, 2), spread(blocks), spread(inner),
@@ -173,8 +183,7 @@ def area_table(work, scenes, arguments):
              "PSNR cc, dB")
     rows = [(name, *column) for name, column in zip(names, zip(*columns))]
     return Table("As the area grows", head, rows, range(1, len(head)), (
-        f"Photos of {arguments.size}, {PHOTOS_A_STREET} a street, `--method blockgs`; "
-        f"{facts.get('opencl_device', '-')}, commit {facts.get('commit', '-')}.",))
+        f"Photos of {arguments.size}, {PHOTOS_A_STREET} a street, `--method blockgs`.",))
 
 
 def block_peaks(folder):
@@ -204,8 +213,8 @@ def one_run_table(work, scenes, arguments):
             one, one_seconds = work.train(f"one-{name}.{seed}", "train", scene, *same,
                                           "--eval-every", "end")
             city, seconds = work.train(
-                f"city-{name}.{seed}", "city", scene, *same, "--grid", "2x2", "--workers",
-                str(arguments.workers), *(("--against", str(one)) if one else ()))
+                f"city-{name}.{seed}", "city", scene, *same, "--grid", "2x2",
+                *(("--against", str(one)) if one else ()))
             scores, own = scores_of(city), scores_of(one)
             found.append((one_seconds, seconds, *(values.get(key, np.nan) for values, key in (
                 (own, "psnr_cc"), (scores, "psnr_cc"), (scores, "seam_db"),
@@ -233,8 +242,7 @@ def schedule_table(work, scenes, arguments):
             for schedule in ("sig", "constant"):
                 folder, seconds = work.train(
                     f"{schedule}-{method}-{name}", "city", scene, "-r", f"{downscale:g}", "--grid",
-                    "2x2", "--workers", str(arguments.workers), "--method", method, "--schedule",
-                    schedule)
+                    "2x2", "--method", method, "--schedule", schedule)
                 results.append((seconds, scores_of(folder).get("psnr_cc", np.nan)))
             (seconds, cc), (constant_seconds, constant_cc) = results
             rows.append((name, method, cell(seconds, None, 1), cell(constant_seconds, None, 1),
@@ -245,18 +253,29 @@ def schedule_table(work, scenes, arguments):
 
 
 def device_table(work, scenes, arguments):
-    """A city on one device and on several: a row for each scene."""
-    devices = arguments.devices
-    count, rows = len(devices.split(",")), []
-    for name, scene, downscale in scenes:
-        same = "city", scene, "-r", f"{downscale:g}", "--grid", "4x2"
-        _, one = work.train(f"device-{name}", *same, "--device", devices.split(",")[0])
-        _, several = work.train(f"devices-{name}", *same, "--device", devices, "--workers",
-                                str(count))
-        rows.append((name, *(cell(seconds, None, 1) for seconds in (one, several)),
-                     cell(one / several, None, 2)))
-    return Table("Several devices", ("scene", "one device, s", f"{count} devices, s",
-                                     "times as fast"), rows, range(1, 4))
+    """A city on one device and on several: a row for each number of workers on a device."""
+    streets, photos, size = DIVIDED
+    scene, devices = made_city(work, streets, photos, size), arguments.devices
+    count, first = len(devices.split(",")), devices.split(",")[0]
+    same, rows = ("city", scene, "-n", DIVIDED_STEPS, "--grid", "4x2"), []
+    for title, name, one_worker, workers in (
+            ("one", "alone", ("--workers", 1), ("--workers", count)),
+            ("as many as share it (`--workers auto`)", "shared", (), ())):
+        one_folder, one = work.train(f"device-{name}", *same, "--device", first, *one_worker)
+        folder, several = work.train(f"devices-{name}", *same, "--device", devices, *workers)
+        rows.append((title, cell(one, None, 1), cell(several, None, 1),
+                     cell(one / several, None, 2), *(
+                         cell(scores_of(each).get("psnr_cc"), None, 2)
+                         for each in (one_folder, folder))))
+    return Table("Several devices", (
+        "workers on a device", "one device, s", f"{count} devices, s", "times as fast",
+        "one, cc", f"{count}, cc"), rows, range(1, 6), (
+        f"A made city of {streets}x{streets} streets, {photos} photos of {size}, 4x2 blocks, "
+        f"`-n {DIVIDED_STEPS}`.",))
+
+
+TABLES = {"area": area_table, "one-run": one_run_table, "schedules": schedule_table,
+          "devices": device_table}
 
 
 if __name__ == "__main__":
