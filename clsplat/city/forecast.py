@@ -1,6 +1,5 @@
 """Forecasts of the memory and time of a city's blocks."""
 
-import os
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -33,9 +32,6 @@ DASK_SECONDS, DASK_BYTES = 0.05, 12_000
 # and growth holds a part of the model twice for a moment
 MODEL_SHARE = 0.27
 TRIAL_WORTH = 600.0  # seconds of training, for which trial steps of half a minute are worth it
-# where several blocks train on one GPU at a time: at most so many, with so many cores of the host
-# for each, in this share of its memory, of which a process takes so many bytes besides its block
-MOST_SHARING, CORES_SHARING, SHARED_MEMORY, PROCESS_BYTES = 4, 4, 0.5, 700 << 20
 COARSE_NOTE = "the coarse run, which tell it to a factor of two"
 DEVICES = (2, 3, 8)  # for which the end of the blocks is foretold
 LEAST_JOINT_STEPS = 450  # fewer are not worth it
@@ -208,21 +204,6 @@ def one_block_note(options: PartitionOptions, scene: Path) -> str:
         return ""
     return (f"this device holds the whole model in one block: `clsplat train {scene}` trains it in "
             "one stage, which is quicker and as good; --grid cuts it all the same")
-
-
-def blocks_sharing(device: Device, blocks: int, memory: float = 0.0) -> int:
-    """How many blocks one device trains at a time, so that a GPU works for one of them while others
-    read, write and exchange; 1 on a CPU, and where blocks are as large as the device allows.
-
-    Parameters
-    ----------
-    blocks : their number.
-    memory : bytes that one of them takes on the device; 0: as little as any.
-    """
-    if device.is_cpu:
-        return 1
-    return max(1, min(MOST_SHARING, blocks, (os.cpu_count() or 1) // CORES_SHARING, int(
-        SHARED_MEMORY * device.handle.global_mem_size / (memory + PROCESS_BYTES))))
 
 
 def coarse_steps(city: CityFolder, device: Device) -> list[tuple[float, float, float]]:

@@ -11,16 +11,21 @@ if TYPE_CHECKING:
 MOST_SHARING, CORES_SHARING, SHARED_MEMORY, PROCESS_BYTES = 4, 4, 0.5, 700 << 20
 
 
-def blocks_sharing(device: "Device", blocks: int, memory: float = 0.0) -> int:
+def most_sharing(blocks: int) -> int:
+    """How many of some blocks may share a GPU, by the cores of this machine."""
+    return max(1, min(MOST_SHARING, blocks, (os.cpu_count() or 1) // CORES_SHARING))
+
+
+def blocks_sharing(device: "Device", blocks: int, memory: float) -> int:
     """How many blocks one device trains at a time, so that a GPU works for one of them while others
     read, write and exchange; 1 on a CPU, and where blocks are as large as the device allows.
 
     Parameters
     ----------
     blocks : their number.
-    memory : bytes that one of them takes on the device; 0: as little as any.
+    memory : bytes that one of them takes on the device.
     """
     if device.is_cpu:
         return 1
     room = SHARED_MEMORY * device.handle.global_mem_size / (memory + PROCESS_BYTES)
-    return max(1, min(MOST_SHARING, blocks, (os.cpu_count() or 1) // CORES_SHARING, int(room)))
+    return max(1, min(most_sharing(blocks), int(room)))

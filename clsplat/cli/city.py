@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.city.sharing import CORES_SHARING, MOST_SHARING, blocks_sharing
+from clsplat.city.sharing import CORES_SHARING, MOST_SHARING, blocks_sharing, most_sharing
 from clsplat.cli.flags import Parsed, flags_of, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.config.option import AUTO, is_auto
@@ -77,7 +77,6 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
     failure, the same command continues. The folder is a run like any other, for `clsplat eval`,
     `render` and `compare`. For several devices, use --device 0,1.
     """
-    from clsplat.device import choose_device
     from clsplat.distribute import Children, Workers, check_scheduler, check_workers
     from clsplat.options import resolve
     given = given_options(ctx)
@@ -97,17 +96,18 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
         return (ctx.with_resource(Children(number, devices, (opens, *IMPORTED_BY_CHILDREN)))
                 if number > 1 and not scheduler else None)
 
-    device = choose_device(options.device, form=options.form)
     used = max(1, len(devices))
     cut = given_options(ctx, PartitionOptions)
-    # they start before the imports of this process, which take as long as theirs
-    children = started(workers or used * blocks_sharing(
-        device, math.ceil(math.prod(cut.get("grid") or (1, 1)) / used)))
+    blocks = math.prod(cut.get("grid") or (1, 1))
+    # they start before the imports of this process and before its device is known, which take as
+    # long as their own imports
+    children = started(workers or used * most_sharing(math.ceil(blocks / used)))
     from clsplat.city.blocks import train_all_blocks, train_blocks
     from clsplat.city.cut import cut_into_blocks, draw
     from clsplat.city.dense import find_dense_gaussians, found_beside
     from clsplat.city.forecast import block_table, one_block_note
     from clsplat.city.stages import begin, train_coarse
+    from clsplat.device import choose_device
     from clsplat.io.city import CityFolder
     from clsplat.io.run import RunFolder
     from clsplat.io.scenes import read_scene
@@ -115,12 +115,11 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
     against = _reference(against, tree)
     data = read_scene(scene, options.images)
     folder = CityFolder(output or _beside(scene))
-    for name in devices[1:]:
-        choose_device(name, form=options.form)  # it exists
+    device = [choose_device(name, form=options.form) for name in devices or (options.device,)][0]
     cutting = partition_options(cut, data, options, device, folder, workers,
                                 workers if scheduler and workers else used, tree)
-    if children and len(children) != cutting.workers:  # blocks are too large to share a device
-        children.close()
+    if children and len(children) != cutting.workers:  # blocks cannot share this device
+        children.end()
         children = None
     children = children or started(cutting.workers)
     all_workers = Workers(cutting.workers, scheduler, devices, children)

@@ -31,8 +31,8 @@ def test_blocks_share_a_gpu_with_cores_and_memory_for_each(monkeypatch):
     two = 4 * (block + PROCESS_BYTES)  # half of it is for two blocks
     assert blocks_sharing(a_card(two), 9, block) == 2
     assert blocks_sharing(a_card(two - 1), 9, block) == 1
-    assert blocks_sharing(a_card(1), 9) == blocks_sharing(a_card(2**36), 0) == 1
-    assert blocks_sharing(a_card(2**36, is_cpu=True), 9) == 1
+    assert blocks_sharing(a_card(1), 9, block) == blocks_sharing(a_card(2**36), 0, block) == 1
+    assert blocks_sharing(a_card(2**36, is_cpu=True), 9, block) == 1
     monkeypatch.setattr(os, "cpu_count", lambda: 11)
     assert blocks_sharing(a_card(2**36), 9, block) == 2
     monkeypatch.setattr(os, "cpu_count", lambda: None)
@@ -59,11 +59,11 @@ def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
     assert small.block_gaussians == chosen({}, 2**22, 1).block_gaussians
 
 
-@pytest.mark.parametrize("early, late, closed, children", [
-    (2, 2, 0, 2), (2, 1, 1, None), (1, 2, 0, 2), (1, 1, 0, None)])
-def test_children_start_early_and_are_as_many_as_fit(tmp_path, monkeypatch, early, late, closed,
+@pytest.mark.parametrize("early, late, ended, children", [
+    (2, 2, [], 2), (2, 1, [2], None), (3, 2, [3], 2), (1, 2, [], 2), (1, 1, [], None)])
+def test_children_start_early_and_are_as_many_as_fit(tmp_path, monkeypatch, early, late, ended,
                                                      children):
-    """Whether blocks are too large to share the device is known once the scene was read."""
+    """Whether blocks can share the device is known once that is open and the scene was read."""
     class Children(list):
         def __init__(self, number, devices, needed):
             super().__init__(range(number))
@@ -74,19 +74,19 @@ def test_children_start_early_and_are_as_many_as_fit(tmp_path, monkeypatch, earl
         def __enter__(self):
             return self
 
-        def close(self):
-            ended.append(len(self))
+        def end(self):
+            told.append(len(self))
 
     def found_beside(_city, _scene, _options, children):
         helpers.append(children and len(children))
         raise InputError("enough")
 
-    helpers, ended = [], []
-    monkeypatch.setattr(city_module, "blocks_sharing",
-                        lambda device, blocks, memory=0: late if memory else early)
+    helpers, told = [], []
+    monkeypatch.setattr(city_module, "most_sharing", lambda blocks: early)
+    monkeypatch.setattr(city_module, "blocks_sharing", lambda device, blocks, memory: late)
     monkeypatch.setattr("clsplat.distribute.Children", Children)
     monkeypatch.setattr(dense, "found_beside", found_beside)
     with pytest.raises(SystemExit):
         main(["city", str(CITY), "-o", str(tmp_path / "city"), "-q", "--grid", "2x1",
               "--joint-steps", "0.5", "-n", "12", "-r", "8"])
-    assert helpers == [children] and len(ended) == closed
+    assert helpers == [children] and told == ended
