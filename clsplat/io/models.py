@@ -111,6 +111,18 @@ def read_model(path: str | Path, offset: ArrayLike | None = None,
     return kind.read(path, local)
 
 
+def count_of(path: str | Path) -> int:
+    """How many gaussians or points a file holds; raises as `read_model` does.
+
+    Of a PLY only the header is read, unless its rows are text.
+    """
+    path, kind = Path(path), format_of(path)
+    if kind.read is not _read_ply:
+        return kind.read(path, None).count
+    elements, _ = read_elements(path)
+    return int(elements["vertex"].count) if "vertex" in elements else 0
+
+
 def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (),
                 up: ArrayLike | None = None, georeference: Georeference | None = None) -> None:
     """Write gaussians in original coordinates; the file is replaced as a whole.

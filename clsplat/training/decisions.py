@@ -29,6 +29,7 @@ from clsplat.schedule.simulate import largest, simulate
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training.dense_start import chosen_start, planned_count
 from clsplat.training.facts import scene_facts
+from clsplat.training.initialise import planned_initial
 from clsplat.training.model import DEVICE_SHARE, model_bytes
 from clsplat.training.photos import decoded, with_side
 
@@ -120,7 +121,7 @@ def find_decisions(scene: Scene, views: Sequence[View], options: TrainOptions,
     decided = ("init", "sh_degree", "exposure", "vignetting", "tone", "reproject")
     options = dataclasses.replace(options, **{name: parts[name].value for name in decided})
     if device is not None:
-        parts["engine"] = _engine(facts, options, device)
+        parts["engine"] = _engine(planned_initial(facts, options), options, device)
         options = dataclasses.replace(options, engine=parts["engine"].value)
     return Decisions(options, neighbours, facts, most, parts,
                      compared() if start.value == "dense" else None)

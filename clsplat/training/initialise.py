@@ -2,21 +2,23 @@
 
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.config.option import AUTO
+from clsplat.config.option import AUTO, is_auto
 from clsplat.densify.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.models import read_model
+from clsplat.io.models import count_of, read_model
 from clsplat.io.quantise import morton_order
 from clsplat.options import TrainOptions
 from clsplat.response import Response
 from clsplat.scene import Scene, View
-from clsplat.schedule import schedule_of
+from clsplat.schedule import SceneFacts, schedule_of
 
+POINTS = ("sfm", "dense", "random")  # at which training begins where --init names no file
 FEWEST_GAUSSIANS = 2  # their distance gives new gaussians a size
 
 
@@ -42,12 +44,7 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
         colours = rng.integers(0, 256, scene.points.shape).astype(np.uint8)
         gaussians = Gaussians.from_points(points, colours, options.sh_degree)
     else:
-        if not os.path.exists(options.init):
-            raise InputError(
-                f"{options.init}: no such file; --init expects sfm, dense, random or a file")
-        if os.path.isdir(options.init):
-            raise InputError(f"{options.init}: a folder; --init expects sfm, dense, random or a "
-                             "file, such as the point_cloud.ply of a run")
+        check_file(options.init)
         gaussians = read_model(options.init, scene.offset, scene.georeference).scaled(
             1 / scene.unit)
         if gaussians.count < FEWEST_GAUSSIANS:
@@ -68,6 +65,28 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
         raise InputError(f"--max-gaussians {options.max_gaussians}: the scene starts with "
                          f"{gaussians.count}; allow at least that many")
     return gaussians
+
+
+def planned_initial(facts: SceneFacts, options: TrainOptions) -> SceneFacts:
+    """The facts with the number of gaussians in the file at which training begins, if it does.
+
+    Parameters
+    ----------
+    facts : with the number of points at which it begins otherwise.
+    """
+    if is_auto(options.init) or options.init in POINTS:
+        return facts
+    check_file(options.init)
+    return replace(facts, count=count_of(options.init))
+
+
+def check_file(init: str) -> None:
+    """InputError where the value of --init is no file, and none of the words for points."""
+    if not os.path.exists(init):
+        raise InputError(f"{init}: no such file; --init expects sfm, dense, random or a file")
+    if os.path.isdir(init):
+        raise InputError(f"{init}: a folder; --init expects sfm, dense, random or a file, such as "
+                         "the point_cloud.ply of a run")
 
 
 def surrounding_gaussians(scene: Scene, options: TrainOptions) -> Gaussians | None:

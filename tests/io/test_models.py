@@ -15,7 +15,7 @@ from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.model_values import half_turn
-from clsplat.io.models import FORMATS, SUFFIXES, read_model, write_model
+from clsplat.io.models import FORMATS, SUFFIXES, count_of, read_model, write_model
 from clsplat.io.ply import write_ply
 from tests.io.test_ply import UTM, equal, random_gaussians
 from tests.reference.project import harmonics
@@ -88,6 +88,7 @@ def test_round_trip(tmp_path, suffix, count, degree):
     path, gaussians = tmp_path / f"A{suffix.upper()}", model(count, degree)
     write_model(path, gaussians)
     compare(read_model(path), gaussians, BOUNDS[suffix])
+    assert count_of(path) == count
     first = path.read_bytes()
     write_model(path, gaussians)
     assert path.read_bytes() == first

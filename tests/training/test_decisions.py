@@ -11,6 +11,8 @@ import pytest
 from clsplat.covisibility.exposure_drift import DRIFTS
 from clsplat.covisibility.vignetting import DARKENS
 from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.ply import write_ply
 from clsplat.io.scenes import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
@@ -316,7 +318,7 @@ def test_levels_are_named(city, drift):
     assert found(large, schedule="constant").values["levels"] == (1.0,)
 
 
-def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatch):
+def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatch, tmp_path):
     drift(0.0)
     options = resolve({}, {"schedule": "taming", "iterations": 7000})
     needed = 3 * 59 * 15 * 4400 * 4  # bytes, at the end
@@ -332,6 +334,12 @@ def test_moments_go_to_the_host_by_the_gaussians_to_come(city, drift, monkeypatc
     assert "take up to 45 MiB of the device's 133" in result.reasons["engine"]
     assert engine(2.98 * needed, sh_degree=2).options.engine == "device"
     assert engine(1.0, engine="device").reasons["engine"] == "device: requested"
+    large = tmp_path / "large.ply"  # where training begins at a file, by the gaussians of that
+    write_ply(large, Gaussians.from_points(*np.random.default_rng(1).random((2, 90_000, 3)), 0))
+    of_file = 3 * 59 * 90_000 * 4
+    started = {"schedule": "mcmc", "mcmc_cap": 90_000, "init": str(large)}
+    assert engine(3.02 * of_file, **started).options.engine == "device"
+    assert engine(2.98 * of_file, **started).options.engine == "numpy"
     assert find_decisions(city, city.views, options).options.engine == "auto"
     # dash, which looks at every photo when training begins, does not for this
     monkeypatch.setattr(facts, "decoded", None)
