@@ -11,6 +11,7 @@ CAMERA = Camera(80, 60, (70, 75), (43, 28), np.eye(3), np.zeros(3))
 LENS = np.array([-0.3, 0.2, -0.1, 1 / corner_radius(CAMERA)])
 
 
+@pytest.mark.slow
 def test_gain_is_one_on_the_axis_and_ends_in_the_farthest_corner():
     gain = Response(vignetting=LENS).gain(CAMERA)
     assert gain[27, 42] == pytest.approx(1, abs=1e-4)  # half a pixel off the axis

@@ -38,6 +38,7 @@ def pixels_off(camera, true):
     return np.linalg.norm(camera.project(points)[0] - true.project(points)[0], axis=1).mean()
 
 
+@pytest.mark.slow
 def test_a_wrong_pose_is_found_again_under_other_colours(seen):
     model, view = seen
     true = view.camera

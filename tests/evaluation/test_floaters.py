@@ -93,6 +93,7 @@ def test_what_no_camera_sees_takes_the_nearest_camera(plane):
         assert shares(plane, gaussians([[100, 0, 4]]), cameras, NOTHING) == (1, 1, 0)
 
 
+@pytest.mark.slow
 def test_leaving_out_solids_and_cameras_changes_nothing(monkeypatch):
     city = lay_out((2, 2), 1)
     cameras = survey(city, 20, 64, 48)

@@ -167,6 +167,7 @@ def test_frames_as_pictures(tmp_path, command):
     assert sorted(each.name for each in (tmp_path / "frames").iterdir()) == [*names[:2], *mine]
 
 
+@pytest.mark.slow
 def test_a_film(tmp_path, command):
     av = pytest.importorskip("av", reason="av is not installed (extra film)")
     for name in ("film.mp4", "film.mkv"):

@@ -253,6 +253,7 @@ def test_moments_that_are_zero_stay_where_they_are(device):
         assert np.array_equal(run.rows[name].download(), values), name
 
 
+@pytest.mark.one_in(2)
 def test_a_checkpoint_keeps_what_rows_have_missed(device):
     """An engine that goes on from it ends in the same bytes as one that was never stopped."""
     runs = [Lazy(device) for _ in range(2)]
@@ -323,6 +324,7 @@ def test_halves_decay_as_they_should(device, lazy):
     assert np.allclose(early, early.mean(), rtol=0.005)
 
 
+@pytest.mark.one_in(2)
 def test_halves_learn_nearly_as_floats(device):
     """The same gradients: the root of v to a hundredth, movements to a few."""
     runs = [Lazy(device, moments=moments) for moments in ("float", "half")]

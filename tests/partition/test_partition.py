@@ -52,6 +52,7 @@ def test_points_that_are_not_finite_have_no_owner():
     assert partition.owner(np.array([[np.nan, 0, 0], [0, np.inf, 0]])).tolist() == [-1, -1]
 
 
+@pytest.mark.one_in(2)
 @EACH_METHOD
 @pytest.mark.parametrize("tracks", [True, False])
 def test_a_moved_scene_is_cut_the_same(method, tracks):
@@ -182,6 +183,7 @@ def test_the_chosen_grid_counts_margins():
         assert len(cut(scene, "blockgs", None, least_blocks=least).regions) == least
 
 
+@pytest.mark.one_in(3)
 @EACH_METHOD
 def test_several_workers_get_the_blocks_after_which_they_end_first(method):
     scene = field(cameras=60)

@@ -17,6 +17,7 @@ def splats(case, **options):
     return project(case["rows"], case["camera"], case["degree"], case["near"], **options)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("name", ["plain", "ragged", "one", "degree_0", "degree_1", "degree_2",
                                   "lower_degree_active", "giants", "grazing", "specks"])

@@ -40,6 +40,7 @@ def test_the_depth_of_a_plane(slant):
     assert np.median(scores[inner]) > 0.99 and not np.delete(depths, np.s_[3:-3], axis=0).any()
 
 
+@pytest.mark.slow
 def test_gain_and_offset_of_a_photo_do_not_matter():
     photos, _ = photos_of(0.2)
     for number in range(len(photos)):

@@ -91,6 +91,7 @@ def test_without_deadlines_nothing_ends_what_does_not_converge(preset):
     assert not decisions(drive(sig(preset=preset, level_share=1.0), rising))
 
 
+@pytest.mark.slow
 def test_so_many_hits_in_a_row_are_wanted():
     ends = [decisions(drive(sig(convergence_hits=hits, level_share=0.9)))[0][0]
             for hits in (1, 2, 4)]
@@ -167,6 +168,7 @@ def test_looks_are_closer_where_levels_are_short():
 
 # --- growth
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("iterations", [1000, 12000])
 @pytest.mark.parametrize("count", [1, 5, 12])
 @pytest.mark.parametrize("frequency", [flat, rising])
@@ -196,6 +198,7 @@ def test_most_rounds_fit_into_each_level():
         assert len(rounds(taken, level)) >= 0.5 * schedule.options.rounds, level
 
 
+@pytest.mark.slow
 def test_a_level_settles_before_its_first_round():
     schedule = sig(iterations=100_000, levels=(2.0, 1.0))
     taken = drive(schedule, rising)

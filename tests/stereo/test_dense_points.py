@@ -94,6 +94,7 @@ def test_a_plane_that_faces_an_axis_keeps_its_points(item_device, scene, photos)
     assert len(positions) > 3 * len(scene.points)
 
 
+@pytest.mark.slow
 def test_no_more_than_are_wanted(item_device, scene, photos):
     positions, _ = dense_points(item_device, scene, scene.views, photos, 300)
     assert 200 < len(positions) <= 300

@@ -185,6 +185,7 @@ def test_point_colours_come_from_the_images(scene):
     assert np.median(differences) < 20
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(scene, tmp_path):
     synthesise(tmp_path / "again", **TINY)
     synthesise(tmp_path / "other", **{**TINY, "seed": 4})
@@ -258,6 +259,7 @@ def test_a_scene_is_written_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mine", ["images/mine.jpg", "notes.txt", "sparse/0/project.ini"])
 def test_a_scene_with_files_of_the_user_is_not_overwritten(tmp_path, mine):
     folder = tmp_path / "scene"

@@ -45,6 +45,7 @@ def test_a_budget_leaves_the_best_model(item_device, city, tmp_path, monkeypatch
     assert len(scores) >= 2 and scores[-1] > max(scores[:-1]) - 1
 
 
+@pytest.mark.slow
 def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, monkeypatch):
     """The clock jumps to the end of the budget two steps after opacities were lowered."""
     steps, taken = Step.densify, []
@@ -58,6 +59,7 @@ def test_a_model_is_taken_back_where_it_was_better(item_device, city, tmp_path, 
     assert after == pytest.approx(before, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_budget_takes_no_more_steps_than_the_photos_allow(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, time_budget="100s", iterations=30000,
                   schedule="sig", levels=(1.0,), visits=20 / 28, densify_until=0)

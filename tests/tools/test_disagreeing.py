@@ -18,6 +18,7 @@ def disagreement(scene):
     return scene_facts(scene, scene.views).disagreement()
 
 
+@pytest.mark.slow
 def test_poses_change_as_asked_and_photos_disagree(tmp_path):
     scene = read_scene(CITY)
     main([str(CITY), str(tmp_path / "out.npz"), "--poses", "0.5"])

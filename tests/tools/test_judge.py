@@ -142,6 +142,7 @@ def test_columns_with_equal_flags_are_one_run(tmp_path, sets, trainings):
     assert rows["one", "sig"][2:] == rows["one", "again"][2:]
 
 
+@pytest.mark.slow
 def test_parts_and_calls_are_merged(tmp_path, sets, trainings, monkeypatch):
     for number in (1, 2):
         judged(tmp_path, sets, *SMALL, "--part", f"{number}/2")

@@ -88,6 +88,7 @@ def test_only_what_the_region_reaches_grows(item_device, city, tmp_path, rounds,
         assert not ((grows | prunes) & ~reached).any() and (~reached).sum() > 1000
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("options", [{"reset_every": 20}, {
     "schedule": "mcmc", "densify_every": 20, "mcmc_growth": 0.3, "opacity_weight": 1.0,
     "position_noise": 1e9}], ids=lambda options: options.get("schedule", "constant"))
@@ -105,6 +106,7 @@ def test_surroundings_stay_as_they_are(item_device, city, tmp_path, options):
         assert np.array_equal(after.rows[name][place[stays]], before.rows[name][stays]), name
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("options", [{}, {"schedule": "mcmc", "mcmc_growth": 0.3}],
                          ids=lambda options: options.get("schedule", "constant"))
 def test_after_growth_all_that_the_region_does_not_reach_is_frozen(

@@ -134,6 +134,7 @@ def slowing(level, count, iteration):
     return by_pixels(level, count, iteration) * (1.5 if iteration > 5000 else 1)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("step", [by_pixels, by_level, slowing])
 @pytest.mark.parametrize("options", [{}, {"levels": (2.0, 1.0)}, {"rounds": 0},
                                      {"schedule": "constant"}], ids=str)

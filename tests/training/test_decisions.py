@@ -259,6 +259,7 @@ def test_a_degree_that_is_asked_for_is_used(city, drift, degree):
     assert not found(city, sh_degree="auto").parts["sh_degree"].requested
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_a_lower_degree_is_right_to_a_step_of_8_bits(degree):
     """Harmonics to degree 3 are the polynomials to degree 3 on the sphere, so cubics are fitted by

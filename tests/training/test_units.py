@@ -149,6 +149,7 @@ def test_the_number_of_units_may_pass_32_bits(item_device):
     assert counted.log == list(range(5))
 
 
+@pytest.mark.slow
 def test_growth_decides_by_rows_that_have_caught_up(item_device, city, tmp_path, monkeypatch):
     """Adam leaves rows behind that no view sees."""
     current, behind = [], []

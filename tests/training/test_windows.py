@@ -74,6 +74,7 @@ def test_the_largest_resolution_is_of_the_whole_photo():
     assert part.focal == CAMERA.reduced(2).focal
 
 
+@pytest.mark.slow
 def test_frames_of_many_sizes_use_the_same_memory(item_device, scene):
     """Steps on windows that become larger keep as much memory as on windows that become smaller,
     where the first one decides."""

@@ -49,6 +49,7 @@ def test_it_is_bound_to_this_machine(server):
     assert server._server.server_address[0] == "127.0.0.1"
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("path", ["/", "/status", "/frame", "//", "/{}x/", "/{}".format("a" * 32)])
 @pytest.mark.parametrize("method", ["GET", "POST"])
 def test_without_the_token_all_is_refused(server, requests, path, method):
