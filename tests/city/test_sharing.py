@@ -41,13 +41,15 @@ def test_blocks_share_a_gpu_with_cores_and_memory_for_each(monkeypatch):
 
 def test_large_blocks_have_the_gpu_to_themselves(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
-    scene, options = read_scene(CITY), resolve({}, {})
+    scene = read_scene(CITY)
 
-    def chosen(given, memory=2**36, *numbers):
-        return partition_options(given, scene, options, a_card(memory), CityFolder(tmp_path),
-                                 *numbers or (None,))
+    def chosen(given, memory=2**36, *numbers, **changes):
+        return partition_options(given, scene, resolve({}, changes), a_card(memory),
+                                 CityFolder(tmp_path), *numbers or (None,))
 
     assert chosen({"grid": (2, 2)}).workers == 4
+    # so many gaussians, 2.56 times as many with margins, and 2.6 kB for each
+    assert chosen({"grid": (2, 2)}, schedule="mcmc", mcmc_cap=8_000_000).workers == 2
     assert chosen({"grid": (3, 1)}).workers == 3
     assert chosen({}).workers == 1 and not chosen({}).several
     assert chosen({"grid": (2, 2)}, 2**36, 1).workers == 1
