@@ -44,7 +44,12 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
         colours = rng.integers(0, 256, scene.points.shape).astype(np.uint8)
         gaussians = Gaussians.from_points(points, colours, options.sh_degree)
     else:
-        check_file(options.init)
+        if not os.path.exists(options.init):
+            raise InputError(
+                f"{options.init}: no such file; --init expects sfm, dense, random or a file")
+        if os.path.isdir(options.init):
+            raise InputError(f"{options.init}: a folder; --init expects sfm, dense, random or a "
+                             "file, such as the point_cloud.ply of a run")
         gaussians = read_model(options.init, scene.offset, scene.georeference).scaled(
             1 / scene.unit)
         if gaussians.count < FEWEST_GAUSSIANS:
@@ -74,19 +79,10 @@ def planned_initial(facts: SceneFacts, options: TrainOptions) -> SceneFacts:
     ----------
     facts : with the number of points at which it begins otherwise.
     """
-    if is_auto(options.init) or options.init in POINTS:
+    points = is_auto(options.init) or options.init in POINTS
+    if points or not os.path.isfile(options.init):  # which a run that goes on no longer needs
         return facts
-    check_file(options.init)
     return replace(facts, count=count_of(options.init))
-
-
-def check_file(init: str) -> None:
-    """InputError where the value of --init is no file, and none of the words for points."""
-    if not os.path.exists(init):
-        raise InputError(f"{init}: no such file; --init expects sfm, dense, random or a file")
-    if os.path.isdir(init):
-        raise InputError(f"{init}: a folder; --init expects sfm, dense, random or a file, such as "
-                         "the point_cloud.ply of a run")
 
 
 def surrounding_gaussians(scene: Scene, options: TrainOptions) -> Gaussians | None:
