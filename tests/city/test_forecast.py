@@ -31,6 +31,7 @@ from clsplat.options import resolve
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 from clsplat.scene import View
 from clsplat.schedule.simulate import Segment
+from tests.city.test_sharing import a_card
 from tests.data.tiny_training import CITY
 
 
@@ -142,11 +143,6 @@ def test_short_trainings_are_foretold_without_trial_steps(monkeypatch, seconds, 
     assert ("from steps of block 001" in note) == tried
     assert ("from steps of the coarse run" in note) != tried
     assert f"All blocks take {2000 * seconds / 60:.1f} minutes" in note
-
-
-def a_card(memory, is_cpu=False):
-    return SimpleNamespace(name="a card", is_cpu=is_cpu,
-                           handle=SimpleNamespace(global_mem_size=memory))
 
 
 def test_a_scene_that_fits_in_one_block_needs_no_city():

@@ -47,21 +47,24 @@ def main(argv):
         raise InputError("--seeds and --streets: expect numbers of at least 1")
     work = Work(arguments.out, tuple(flags))
     arguments.out.mkdir(parents=True, exist_ok=True)
+    possible = _possible(arguments)
+    for name in arguments.tables or ():
+        if name not in possible:
+            raise InputError(f"--tables {name}: needs "
+                             f"{'--devices' if name == 'devices' else 'a SCENE'}; add that")
+    tables = arguments.tables or possible
     scenes = [(scene.name, scene.path, scene.downscale) for scene in arguments.scenes]
-    if arguments.compared and {"one-run", "schedules"} & set(arguments.tables):
+    if arguments.compared and {"one-run", "schedules"} & set(tables):
         scenes.insert(0, ("made-city", made_city(work, *COMPARED), 1.0))
     command = f"python -m tools.studies.cities {shlex.join(argv)}"
     work.train("kernels", *growing(work, arguments.streets[0], arguments.size))  # builds them
-    tables = []
-    for name in arguments.tables:
-        if name in ("one-run", "schedules") and not scenes or (
-                name == "devices" and not arguments.devices):
-            continue
+    parts = []
+    for name in tables:
         table = TABLES[name](work, scenes, arguments)
-        tables.append(markdown(table))
+        parts.append(markdown(table))
         with replacing(arguments.out / "cities.md") as file:
             file.write(("\n\n".join(
-                ["# Cities", f"Made by `{command}` on {work.machine}; do not edit.", *tables])
+                ["# Cities", f"Made by `{command}` on {work.machine}; do not edit.", *parts])
                 + "\n").encode())
         print(f"\n{table.text()}\n", flush=True)
     refuse(work.failed)
@@ -78,11 +81,19 @@ def _parser():
     made.add_argument("--size", default="240x180", help="of their photos; default 240x180")
     made.add_argument("--seeds", type=int, default=3, help="of what is compared; default 3")
     made.add_argument("--devices", default="", help="such as 0,1: compare them with the first")
-    made.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES),
-                      help="those that are made; default: all")
+    made.add_argument("--tables", nargs="+", choices=TABLES,
+                      help="those that are made; default: all for which scenes and devices are "
+                      "named")
     made.add_argument("--no-compared", dest="compared", action="store_false",
                       help="leave out the made city of 3x3 streets")
     return made
+
+
+def _possible(arguments):
+    """The names of the tables for which scenes and devices are named."""
+    named = {"devices": arguments.devices, "area": True}
+    return [name for name in TABLES
+            if named.get(name, arguments.scenes or arguments.compared)]
 
 
 class Work:
