@@ -1,9 +1,10 @@
 """Floaters: the gaussians of a model that are away from the true surfaces of a synthetic city."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,12 @@ from scipy.special import expit
 
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
-from clsplat.synth.geometry import BLOCK_WIDTH, City, distance, load
+from clsplat.synth.geometry import City, distance, load
 from clsplat.synth.write import GEOMETRY
 
 TOLERANCES = (1, 3, 10)  # pixels within which a gaussian counts as on the surface
-CHUNK = 1 << 12  # neighbouring gaussians at once, which few solids and cameras concern
+CAMERAS = 64  # that are compared at once
+CHUNK = 1 << 11  # neighbouring gaussians at once, which few solids and cameras concern
 
 
 def geometry_path(scene_path: Path) -> Path:
@@ -57,46 +59,53 @@ def floater_share(city: City, gaussians: Gaussians, cameras: Sequence[Camera],
     positions = gaussians.positions.astype(np.float64)
     opacity = expit(gaussians.opacity_logits.astype(np.float64))
     floating = np.zeros(len(TOLERANCES))
-    order = _neighbours_together(positions + offset)
+    planes = np.array([_planes(camera) for camera in cameras])
 
-    def floating_among(begin: int) -> list[float]:
-        rows = order[begin:begin + CHUNK]
+    def floating_among(rows: NDArray[np.integer]) -> list[float]:
         world = positions[rows] + offset
-        away = distance(_around(city, world), world)
-        footprint = _footprint(positions[rows], cameras)
+        footprint = _footprint(positions[rows], cameras, planes)
+        away = distance(_around(city, world, max(TOLERANCES) * footprint.max()), world)
         return [opacity[rows] @ (away > pixels * footprint) for pixels in TOLERANCES]
 
     with ThreadPoolExecutor() as threads:
-        for part in threads.map(floating_among, range(0, len(order), CHUNK)):
+        for part in threads.map(floating_among, _neighbours_together(positions)):
             floating += part
     shares = floating / max(opacity.sum(), np.finfo(float).tiny)
     return {"floaters" if pixels == 1 else f"floaters_{pixels}": float(share)
             for pixels, share in zip(TOLERANCES, shares)}
 
 
-def _neighbours_together(points: NDArray[np.float64]) -> NDArray[np.integer]:
-    """An order int[N] of points [N, 3]: by octave of height, then by city block."""
-    x, y = np.floor(points[:, :2] / BLOCK_WIDTH).T
-    return np.lexsort((y, x, np.ceil(np.log2(points[:, 2].clip(1)))))
+def _neighbours_together(points: NDArray[np.float64]) -> Iterator[NDArray[np.integer]]:
+    """Indices of points [N, 3] in groups of at most CHUNK neighbours, int[n] for each group."""
+    if not len(points):
+        return
+    parts = 2 ** max(0, math.ceil(math.log2(len(points) / CHUNK)))
+    order = cKDTree(points, leafsize=CHUNK, compact_nodes=False).indices
+    for begin, end in pairwise(len(points) * np.arange(parts + 1) // parts):
+        yield order[begin:end]
 
 
-def _around(city: City, points: NDArray[np.float64]) -> City:
-    """The city without the solids that cannot change the distance of any of the points.
+def _around(city: City, points: NDArray[np.float64], reach: float) -> City:
+    """The city without the solids that are farther from all points than `reach`, or the ground.
 
-    `distance` is the least signed distance; that of the ground is at most the points' largest
-    height, and that of a solid at least its horizontal distance.
+    `distance` then finds the same wherever that is at most `reach`, elsewhere more than `reach`.
     """
     low, high = city.bounds[:, 0, :2], city.bounds[:, 1, :2]
     gap = np.maximum(low - points[:, :2].max(axis=0), points[:, :2].min(axis=0) - high).max(axis=1)
-    near = gap <= points[:, 2].max()
+    near = gap <= min(reach, points[:, 2].max())
     boxes, spheres = np.split(near, [len(city.boxes)])
     return replace(city, boxes=city.boxes[boxes], kinds=city.kinds[boxes],
                    spheres=city.spheres[spheres])
 
 
-def _footprint(points: NDArray[np.float64], cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """World units a pixel, [N], at points [N, 3]."""
-    planes = np.array([_planes(camera) for camera in cameras])
+def _footprint(points: NDArray[np.float64], cameras: Sequence[Camera],
+               planes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World units a pixel, [N], at points [N, 3].
+
+    Parameters
+    ----------
+    planes : [C, 5, 4], the result of `_planes` for each camera.
+    """
     focal = np.array([camera.focal[0] for camera in cameras])
     ends = zip(points.min(axis=0), points.max(axis=0))
     corners = np.array([*product(*ends, [1])])
@@ -104,10 +113,13 @@ def _footprint(points: NDArray[np.float64], cameras: Sequence[Camera]) -> NDArra
     may_see = ((planes @ corners.T).max(axis=2) >= 0).all(axis=1)
     footprint = np.full(len(points), np.inf)
     homogeneous = np.column_stack([points, np.ones(len(points))]).T
-    for camera in np.flatnonzero(may_see):
-        inside = planes[camera] @ homogeneous
-        sees = (inside >= 0).all(axis=0)
-        footprint[sees] = np.minimum(footprint[sees], inside[0, sees] / focal[camera])
+    near = np.flatnonzero(may_see)
+    for begin in range(0, len(near), CAMERAS):
+        some = near[begin:begin + CAMERAS]
+        inside = planes[some] @ homogeneous
+        sees = (inside >= 0).all(axis=1)
+        size = np.where(sees, inside[:, 0] / focal[some, None], np.inf)
+        np.minimum(footprint, size.min(axis=0), out=footprint)
     unseen = np.isinf(footprint)
     if unseen.any():
         away, nearest = cKDTree([camera.position for camera in cameras]).query(points[unseen])

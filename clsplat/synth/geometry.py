@@ -23,6 +23,7 @@ BLOCK_WIDTH = 20.0  # distance between the centre lines of neighbouring streets
 STREET = 2.5  # half the width of the road
 PAVEMENT = 0.9  # width of the pavement on each side
 LARGEST_COORDINATE = 1e15  # world units: squares stay finite
+TOGETHER = 1 << 16  # solids times points whose distances are found at once, in the cache
 KINDS = ("building", "plant", "car", "cabin", "trunk")  # of boxes, by texture
 
 
@@ -65,15 +66,20 @@ def distance(city: City, points: ArrayLike) -> NDArray[np.float64]:
     The city is one solid, the union of the ground below z = 0, the boxes and the spheres. The
     distance is exact outside it. Inside, it is a lower bound, exact except where solids overlap.
     """
-    places = np.asarray(points, np.float64)
-    signed = places[:, 2].copy()
-    for low, high in city.boxes:
-        gap = np.maximum(low - places, places - high)
-        gap[:, 2] = places[:, 2] - high[2]  # the underside of a box is not a surface
-        outside = np.linalg.norm(np.maximum(gap, 0), axis=1)
-        np.minimum(signed, outside + np.minimum(gap.max(axis=1), 0), out=signed)
-    for x, y, z, radius in city.spheres:
-        np.minimum(signed, np.linalg.norm(places - (x, y, z), axis=1) - radius, out=signed)
+    x, y, z = np.asarray(points, np.float64).reshape(-1, 3).T
+    signed = z.copy()
+    at_once = max(1, TOGETHER // max(1, len(z)))
+    for begin in range(0, len(city.boxes), at_once):
+        low, high = city.boxes[begin:begin + at_once].transpose(1, 2, 0)[..., None]
+        gaps = (np.maximum(low[0] - x, x - high[0]), np.maximum(low[1] - y, y - high[1]),
+                z - high[2])  # the underside of a box is not a surface
+        outside = np.sqrt(sum(np.maximum(gap, 0)**2 for gap in gaps))
+        inside = np.minimum(np.maximum.reduce(gaps), 0)
+        np.minimum(signed, (outside + inside).min(axis=0), out=signed)
+    for begin in range(0, len(city.spheres), at_once):
+        centre, radius = np.split(city.spheres[begin:begin + at_once].T[..., None], [3])
+        away = np.sqrt((x - centre[0])**2 + (y - centre[1])**2 + (z - centre[2])**2) - radius[0]
+        np.minimum(signed, away.min(axis=0), out=signed)
     return np.abs(signed)
 
 
