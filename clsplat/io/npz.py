@@ -28,13 +28,15 @@ READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0,
 
 
 def read_npz(path: Path, complaint: str, cure: str,
-             wanted: Callable[[str], bool] = lambda name: True) -> dict[str, NDArray[Any]]:
+             wanted: Callable[[str], bool] = lambda name: True,
+             rows: NDArray[np.integer] | None = None) -> dict[str, NDArray[Any]]:
     """Read the arrays of an .npz by name; every byte that is read is checked against its CRC.
 
     Parameters
     ----------
     complaint, cure : of the message for a damaged file, "PATH: COMPLAINT (the reason); CURE".
     wanted : tells by its name whether an array is read.
+    rows : ascending indices of those rows that are kept of every array; None: all.
     """
     try:
         with Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:
@@ -44,7 +46,8 @@ def read_npz(path: Path, complaint: str, cure: str,
             claimed = sum(member.file_size for member in members.values())
             if claimed > FREE_BYTES + LARGEST_EXPANSION * file.size:
                 raise ValueError(f"its {file.size} bytes claim to hold {claimed}")
-            return {name: _member(archive, name, member) for name, member in members.items()}
+            return {name: _member(archive, name, member, rows)
+                    for name, member in members.items()}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
     except Exception as error:  # zipfile and numpy raise many kinds
@@ -78,14 +81,16 @@ class Bounded(io.BufferedReader):
         return super().read(-1 if size is None else min(size, self.size))
 
 
-def _member(archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo) -> NDArray[Any]:
+def _member(archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo,
+            rows: NDArray[np.integer] | None) -> NDArray[Any]:
     with archive.open(member) as stream:
-        array = read_array(name, stream, member.file_size)
+        array = read_array(name, stream, member.file_size, rows)
         stream.read(1)  # at its end the CRC is compared
     return array
 
 
-def read_array(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
+def read_array(name: str, stream: IO[bytes], size: int,
+               rows: NDArray[np.integer] | None = None) -> NDArray[Any]:
     """Read the array of an .npy from its stream.
 
     Parameters
@@ -93,6 +98,7 @@ def read_array(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
     name : in messages.
     stream : of the .npy, from its start.
     size : bytes of the .npy, as many as memory may be taken for.
+    rows : ascending indices of the rows that are kept; None: all.
 
     Raises
     ------
@@ -105,6 +111,8 @@ def read_array(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
     size -= stream.tell()
     if dtype.hasobject or min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != size:
         raise ValueError(f"array {name!r} does not have the size that its header claims")
+    if rows is not None:
+        return _read_rows(name, stream, shape, dtype, by_columns, rows)
     content = np.empty(size, np.uint8)
     for begin in range(0, size, CHUNK):
         part = content[begin:begin + CHUNK]
@@ -113,6 +121,28 @@ def read_array(name: str, stream: IO[bytes], size: int) -> NDArray[Any]:
             raise ValueError(f"array {name!r} is cut short")
         part[:] = np.frombuffer(read, np.uint8)
     return np.ndarray(shape, dtype, content.data, order="F" if by_columns else "C")
+
+
+def _read_rows(name: str, stream: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any],
+               by_columns: bool, rows: NDArray[np.integer]) -> NDArray[Any]:
+    """Some rows of an array: memory is taken for these only. If there are any, all of it is read,
+    for its CRC."""
+    if by_columns or not shape or len(rows) and rows[-1] >= shape[0]:
+        raise ValueError(f"array {name!r} does not have these rows")
+    kept = np.empty((len(rows), *shape[1:]), dtype)
+    if not len(rows):
+        return kept
+    width = dtype.itemsize * math.prod(shape[1:])
+    together = max(1, CHUNK // max(1, width))
+    for begin in range(0, shape[0], together):
+        end = min(begin + together, shape[0])
+        read = stream.read((end - begin) * width)
+        if len(read) != (end - begin) * width:
+            raise ValueError(f"array {name!r} is cut short")
+        first, last = np.searchsorted(rows, (begin, end))
+        part = np.frombuffer(read, dtype).reshape(-1, *shape[1:])
+        kept[first:last] = part[rows[first:last] - begin]
+    return kept
 
 
 def write_array(member: IO[bytes], array: NDArray[Any]) -> None:

@@ -103,10 +103,11 @@ def train_block(block: BlockFolder, options: TrainOptions,
         scene = read_scene(block.path)
         saved: Saved | None = None  # what the latest exchange has made of the checkpoint
         for number, step in enumerate(exchanges, 1):
+            latest = None  # the checkpoint at the exchange
             if (taken := run.checkpoint_iteration()) < step:
-                _go_on(block, scene, options, device, progress, step, saved)
+                latest = _go_on(block, scene, options, device, progress, step, saved)
             if taken <= step:
-                write_part(block, scene, number, run)
+                write_part(block, scene, number, latest)
             if number == until:
                 return f"stops at exchange {number} of {len(exchanges)}, after step {step}"
             if taken > step:
@@ -133,23 +134,30 @@ def opened(name: str, form: str) -> Device:
 
 
 def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Device,
-           progress: SilentProgress | None, until: int, saved: Saved | None) -> None:
+           progress: SilentProgress | None, until: int, saved: Saved | None) -> Saved | None:
     """Train until a step, or to the end if that is 0, from what is saved, or else from the run's
-    checkpoint or the start; other arguments as for `train_block`."""
-    run = RunFolder(block.run)
+    checkpoint or the start; other arguments as for `train_block`. Returns the checkpoint at that
+    step, None at the end."""
+    run, latest = RunFolder(block.run), list[Saved]()
     noted = NotedProgress(run.path, progress or SilentProgress())
     if run.checkpoint_iteration() and block.around.is_file():
         scene = replace(scene, surroundings=block.around)
     stop_at = min(filter(None, (until, options.stop_at)), default=0)
     stopping = replace(options, stop_at=stop_at)
+
+    def keep(written: Saved) -> None:
+        if written[1]["iteration"] == until:
+            latest.append(written)
+
     try:
         if run.is_begun:
-            resume(scene, stopping, device, run, noted, saved=saved)
+            resume(scene, stopping, device, run, noted, on_save=keep, saved=saved)
         else:
-            train(scene, stopping, device, RunFolder.create(run.path), noted)
+            train(scene, stopping, device, RunFolder.create(run.path), noted, on_save=keep)
     except Interrupted as stopped:
         if not stopped.planned or was_interrupted(stopped) or stop_at == options.stop_at:
             raise
+    return latest[-1] if latest else None
 
 
 def _check_same(run: RunFolder, options: TrainOptions) -> None:

@@ -40,8 +40,8 @@ class Checkpoint:
         self.run, self.session, self.clock = run, session, clock
         self.deadline, self.fingerprint = deadline, fingerprint
 
-    def save(self) -> None:
-        """Write the checkpoint, while the clock is paused.
+    def save(self) -> Saved:
+        """Write the checkpoint, while the clock is paused, and return what was written.
 
         Raises InputError where a value is not finite, and so keeps the previous checkpoint.
         """
@@ -64,12 +64,14 @@ class Checkpoint:
         arrays = {f"{kind}.{name}": values for kind, fields in parts.items()
                   for name, values in fields.items()}
         self._check(arrays)
-        self.run.save_checkpoint(arrays, {
+        state = {
             "fingerprint": self.fingerprint, "iteration": session.iteration,
             "level": session.level, **self.clock.state(), "pixel_pairs": step.pixel_pairs,
             "skipped": step.skipped.state(), "schedule": session.schedule.state(),
             "initial_count": session.schedule.facts.count,
-            "budget": self.deadline and self.deadline.state()})
+            "budget": self.deadline and self.deadline.state()}
+        self.run.save_checkpoint(arrays, state)
+        return arrays, state
 
     def check_model(self) -> None:
         """Raise InputError where a value of the gaussians is not finite."""
@@ -156,8 +158,12 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
                          "start again with --overwrite") from None
 
 
-def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
+def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussians:
     """The gaussians in the arrays of a checkpoint.
+
+    Parameters
+    ----------
+    moments : whether their moments and statistics are among the arrays, and checked too.
 
     Raises
     ------
@@ -166,11 +172,11 @@ def gaussians_of(arrays: Arrays, sh_degree: int) -> Gaussians:
     """
     carried = [field for field in FIELDS if f"row.{field.name}" in arrays or field in LEARNED]
     gaussians = Gaussians(_fields(arrays, "row", carried), sh_degree)
-    count = arrays["statistics.seen_count"].size
+    count = arrays["statistics.seen_count" if moments else "row.opacity_logits"].size
+    kinds = (("row", carried), *((("m", LEARNED), ("v", LEARNED)) if moments else ()))
     shapes = {f"{kind}.{field.name}": field.row_shape(sh_degree)
-              for kind, fields in (("row", carried), ("m", LEARNED), ("v", LEARNED))
-              for field in fields}
-    for name, shape in {**shapes, "statistics.grad_norm_sum": ()}.items():
+              for kind, fields in kinds for field in fields}
+    for name, shape in {**shapes, **({"statistics.grad_norm_sum": ()} if moments else {})}.items():
         values = arrays[name]
         if values.dtype not in REALS or values.shape != (count, *shape) or not _is_finite(values):
             raise ValueError(f"{name} ({values.dtype}{list(values.shape)}, or not finite)")

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
@@ -38,6 +39,7 @@ PLACED = ("row.positions", SCALES, "row.quaternions")  # where a gaussian is, an
 # arrays of a part -> power of a length; gradients by positions have one over a length
 LENGTHS = {"row.max_offsets": 1, "m.positions": -1, "v.positions": -2}
 PARTS_TOGETHER = 4  # that are read at the same time, so that not all of them are in memory
+DAMAGED = "damaged"
 CITY = "city"  # key of block.json, and of a part: the fingerprint of the whole scene
 
 
@@ -60,7 +62,7 @@ def most_exchanges(steps: int) -> int:
     return steps // (2 * LOG_EVERY)
 
 
-def write_part(block: BlockFolder, scene: Scene, number: int, run: RunFolder) -> None:
+def write_part(block: BlockFolder, scene: Scene, number: int, saved: Saved | None) -> None:
     """Write what a block owns, with Adam's moments, unless that was done before.
 
     Parameters
@@ -68,14 +70,15 @@ def write_part(block: BlockFolder, scene: Scene, number: int, run: RunFolder) ->
     block : its folder.
     scene : in that folder, as it was read.
     number : of the exchange, from 1.
-    run : of the block, with a checkpoint at the exchange.
+    saved : the checkpoint at the exchange; None: that of the block's run is read.
     """
     path = block.part(number)
     if path.exists():
         return
     scene = scene.normalised()
     assert scene.region is not None
-    arrays, _ = run.load_checkpoint(_is_by_gaussian)
+    arrays, _ = saved or RunFolder(block.run).load_checkpoint(_is_by_gaussian)
+    arrays = {name: values for name, values in arrays.items() if _is_by_gaussian(name)}
     owned = scene.region.owns(scene.offset + scene.unit * arrays["row.positions"].astype(float))
     with replacing(path) as file:
         write_npz(file, {**{name: values[owned] for name, values in arrays.items()},
@@ -137,55 +140,90 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     region = scene.region
     assert region is not None
-    own, degree, _ = _read_part(block.part(number), record)
+    own = Part(block.part(number), record)
 
     def taken_from(other: BlockFolder) -> tuple[Arrays, Arrays]:
         """What the block holds of another one, and what it draws as layers."""
-        part, _, frame = _read_part(other.part(number), record)
-        placed = _in_frame_of(scene, {name: part[name] for name in PLACED}, frame)
+        part = Part(other.part(number), record)
+        placed = _in_frame_of(scene, {name: part.rows[name] for name in PLACED}, part.frame)
         start = block_start(Gaussians({name.removeprefix("row."): values
-                                       for name, values in placed.items()}, degree),
+                                       for name, values in placed.items()}, own.degree),
                             scene, region, scene.views, lambda _: LAYERS in record)
-        held = start.gaussians.count
-        taken = _in_frame_of(scene, {name: values[start.indices[:held]]
-                                     for name, values in part.items()}, frame)
-        around = _in_frame_of(scene, {name: values[start.indices[held:]]
-                                      for name, values in part.items()
-                                      if name.startswith("row.")}, frame)
+        held, drawn = np.split(start.indices, [start.gaussians.count])
+        taken = _in_frame_of(scene, part.arrays(held), part.frame)
+        around = _in_frame_of(scene, {name: values[drawn] for name, values in part.rows.items()},
+                              part.frame)
         for rows, gaussians in ((taken, start.gaussians), (around, start.around)):
             if gaussians:  # which may be thinned
-                rows[SCALES] = gaussians.log_scales.astype(part[SCALES].dtype)
+                rows[SCALES] = gaussians.log_scales.astype(part.rows[SCALES].dtype)
         return taken, around
 
     with ThreadPoolExecutor(PARTS_TOGETHER) as threads:
         found = list(threads.map(taken_from, others))
     if LAYERS in record:
         rows = {field.name: np.concatenate([around[f"row.{field.name}"] for _, around in found]
-                                           or [own[f"row.{field.name}"][:0]]) for field in LEARNED}
-        write_ply(block.around, Gaussians(rows, degree).scaled(scene.unit), scene.offset)
+                                           or [own.rows[f"row.{field.name}"][:0]])
+                for field in LEARNED}
+        write_ply(block.around, Gaussians(rows, own.degree).scaled(scene.unit), scene.offset)
     new = {name: np.concatenate([values, *(taken[name] for taken, _ in found)])
-           for name, values in own.items()}
+           for name, values in own.arrays().items()}
     trains = trainable(scene, new["row.positions"], new[SCALES])
     return {**arrays, **new, "statistics.frozen": (~trains).astype(np.uint32),
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
 
 
-def _read_part(path: Path, record: dict[str, Any]) -> tuple[Arrays, int, dict[str, Any]]:
-    """The arrays of a part, the degree of its harmonics and its state; InputError if it is damaged
-    or of another city."""
-    complaint, cure = "damaged", f"remove {path.parent}, and train that block again"
-    arrays = read_npz(path, complaint, cure)
-    try:
-        state = object_of(arrays.pop(STATE).tobytes())
-        degree = int(np.sqrt(arrays["row.sh_rest"].shape[1] + 1)) - 1
-        gaussians_of(arrays, degree)
-        if not (state["unit"] > 0 and np.shape(state["offset"]) == (3,)):
-            raise ValueError("its frame")
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: {complaint} ({error}); {cure}") from None
-    if state.get(CITY) != record[CITY]:
-        raise InputError(f"{path}: of another city; {cure}")
-    return arrays, degree, state
+class Part:
+    """What a block owned at an exchange, in its file.
+
+    Raises InputError if the file is damaged, or of another city.
+
+    Parameters
+    ----------
+    path : of the file.
+    record : of the block that reads it.
+
+    Attributes
+    ----------
+    rows : arrays of a checkpoint with a row a gaussian, without their moments.
+    degree : of their spherical harmonics.
+    frame : the unit and the offset of the block.
+    """
+
+    def __init__(self, path: Path, record: dict[str, Any]) -> None:
+        self._path, self._cure = path, f"remove {path.parent}, and train that block again"
+        self.rows = read_npz(path, DAMAGED, self._cure, lambda name: name == STATE or _is_row(name))
+        try:
+            self.frame = object_of(self.rows.pop(STATE).tobytes())
+            self.degree = int(np.sqrt(self.rows["row.sh_rest"].shape[1] + 1)) - 1
+            gaussians_of(self.rows, self.degree, moments=False)
+            if not (self.frame["unit"] > 0 and np.shape(self.frame["offset"]) == (3,)):
+                raise ValueError("its frame")
+        except (KeyError, TypeError, ValueError) as error:
+            raise self._damaged(error) from None
+        if self.frame.get(CITY) != record[CITY]:
+            raise InputError(f"{path}: of another city; {self._cure}")
+
+    def arrays(self, indices: NDArray[np.integer] | None = None) -> Arrays:
+        """Rows of gaussians with their moments and statistics; InputError if they are damaged.
+
+        Most of the file is moments, and other blocks need few of them.
+
+        Parameters
+        ----------
+        indices : int[K], ascending, of the gaussians; None: all.
+        """
+        rows = self.rows if indices is None else {
+            name: values[indices] for name, values in self.rows.items()}
+        found = {**rows, **read_npz(self._path, DAMAGED, self._cure, lambda name: name != STATE
+                                    and not _is_row(name), indices)}
+        try:
+            gaussians_of(found, self.degree)
+        except (KeyError, ValueError) as error:
+            raise self._damaged(error) from None
+        return found
+
+    def _damaged(self, error: Exception) -> InputError:
+        return InputError(f"{self._path}: {DAMAGED} ({error}); {self._cure}")
 
 
 def _in_frame_of(scene: Scene, part: Arrays, frame: dict[str, Any]) -> Arrays:
@@ -213,4 +251,9 @@ def _in_frame_of(scene: Scene, part: Arrays, frame: dict[str, Any]) -> Arrays:
 
 def _is_by_gaussian(name: str) -> bool:
     """Whether an array of a checkpoint that a part has too has a row a gaussian."""
-    return name.partition(".")[0] in ("row", "m", "v") or name in STATISTICS
+    return _is_row(name) or name.partition(".")[0] in ("m", "v") or name in STATISTICS
+
+
+def _is_row(name: str) -> bool:
+    """Whether an array of a checkpoint is a field of its gaussians."""
+    return name.startswith("row.")

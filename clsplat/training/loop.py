@@ -7,7 +7,7 @@ and a resumed run ends in the same bytes as one that was never stopped.
 import dataclasses
 import shlex
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -43,11 +43,12 @@ from clsplat.training.watcher import Watcher
 
 SAVE_SECONDS = 30.0  # between checkpoints: so much work a kill may cost
 SAVE_SHARE = 1 / 20  # of the time, at most, that checkpoints take
+OnSave = Callable[[Saved], object]
 
 
 def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
           progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
-          watcher: Watcher | None = None) -> None:
+          watcher: Watcher | None = None, on_save: OnSave | None = None) -> None:
     """Train a scene from the start.
 
     Parameters
@@ -59,13 +60,14 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     progress : receives steps, messages and phases; None: only warnings are shown.
     callbacks : called with every record; may raise StopTraining.
     watcher : asked after every step.
+    on_save : called with every checkpoint that was written.
 
     Raises
     ------
     Interrupted : on Ctrl-C, or where an option or a callback stops it; the state is saved.
     """
     training = Training(scene, options, device, run, progress, callbacks=callbacks,
-                        watcher=watcher)
+                        watcher=watcher, on_save=on_save)
     session = training.session
     with training.resumable():
         warnings = find_warnings(session.scene, session.train_views,
@@ -87,12 +89,13 @@ def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str,
 
 def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
            progress: SilentProgress | None = None, callbacks: Iterable[Callback] = (),
-           watcher: Watcher | None = None, saved: Saved | None = None) -> None:
+           watcher: Watcher | None = None, on_save: OnSave | None = None,
+           saved: Saved | None = None) -> None:
     """Resume a run from its checkpoint, as if it had never stopped.
 
     Parameters
     ----------
-    scene, options, device, run, progress, callbacks, watcher : as for `train`.
+    scene, options, device, run, progress, callbacks, watcher, on_save : as for `train`.
     saved : from which it goes on in place of the run's checkpoint, which is of the same step; its
         arrays are dropped once they are on the device.
     """
@@ -103,7 +106,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                          "another --output")
     if not (run.has_checkpoint or run.has_model):  # it was killed before its first checkpoint
         run.rewind(-1)
-        train(scene, options, device, run, progress, callbacks, watcher)
+        train(scene, options, device, run, progress, callbacks, watcher, on_save)
         return
     arrays, state = saved or run.load_checkpoint()
     if state.get("fingerprint") != record["fingerprint"]:
@@ -112,7 +115,7 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
     gaussians = saved_gaussians(run, {"sh_degree": options.sh_degree, **record}, arrays, state)
     try:
         training = Training(scene, options, device, run, progress, gaussians, callbacks,
-                            watcher, state["level"])
+                            watcher, state["level"], on_save)
         training.checkpoint.load(arrays, state)
         arrays.clear()
         del gaussians
@@ -133,7 +136,7 @@ class Training:
 
     Parameters
     ----------
-    scene, options, device, run, progress, callbacks, watcher : as for `train`.
+    scene, options, device, run, progress, callbacks, watcher, on_save : as for `train`.
     gaussians : those of a resumed run; None: the initial ones.
     level : that of a resumed run; 0: the first one.
 
@@ -148,10 +151,10 @@ class Training:
     def __init__(self, scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                  progress: SilentProgress | None = None, gaussians: Gaussians | None = None,
                  callbacks: Iterable[Callback] = (), watcher: Watcher | None = None,
-                 level: float = 0.0) -> None:
+                 level: float = 0.0, on_save: OnSave | None = None) -> None:
         device.peak_bytes = 0  # of this run: a city may train several on one device
         self.recorded = gaussians is not None
-        self.run, self.watcher = run, watcher
+        self.run, self.watcher, self._on_save = run, watcher, on_save
         self.progress = progress = SilentProgress() if progress is None else progress
         note = size_note(scene.views, options)
         if note and not is_part_of_city(scene, options):  # a city shows it once
@@ -366,7 +369,9 @@ class Training:
             if self._measured:
                 self.recorder.check(self._measured)
             begin = time.perf_counter()
-            self.checkpoint.save()
+            saved = self.checkpoint.save()
+            if self._on_save:
+                self._on_save(saved)
             self._save_seconds, self._saved_at = time.perf_counter() - begin, self.clock.elapsed()
             if self.deadline:
                 self.deadline.note_saved(self._save_seconds)

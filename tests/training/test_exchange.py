@@ -14,7 +14,7 @@ from clsplat.distribute import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import BLOCK, EXCHANGES, LAYERS, OTHERS, CityFolder
-from clsplat.io.npz import read_npz
+from clsplat.io.npz import read_npz, write_npz
 from clsplat.io.ply import read_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.scenes import fingerprint, read_scene
@@ -64,6 +64,7 @@ def stopped(tmp_path_factory, item_device):
             start.around)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training_block, "choose_device", lambda *_, **__: item_device)
+        patch.setattr(exchange_module, "RunFolder", None)  # parts are written without reading it
         said = train_block(city.block(0), block_options(city.block(0)))
         assert said.startswith("waits at exchange 1 of 1, after step 100: train 001 too")
         patch.setattr(training_block, "exchange", lambda *_: pytest.exit("not yet"))
@@ -164,10 +165,17 @@ def test_a_block_stops_where_it_is_told_to_though_others_have_come_as_far(city):
 def test_parts_that_cannot_be_used_are_named(city):
     block, other = city.block(0), city.block(1)
     content = other.part(1).read_bytes()
-    other.part(1).write_bytes(content[:-300])
-    with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
-        exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1,
-                 RunFolder(block.run))
+    arrays = read_npz(other.part(1), "", "")
+    moment = content.index(arrays["v.sh_rest"].tobytes())
+    arrays["m.positions"][:] = np.nan
+    with open(other.part(1).with_suffix(".nan"), "wb") as file:
+        write_npz(file, arrays)
+    for damaged in (content[:-300], other.part(1).with_suffix(".nan").read_bytes(),
+                    content[:moment] + b"?" + content[moment + 1:]):
+        other.part(1).write_bytes(damaged)
+        with pytest.raises(InputError, match=r"exchange_1.npz: damaged .* train that block again"):
+            exchange(block, read_scene(block.path), other_blocks(block), block_options(block), 1,
+                     RunFolder(block.run))
     record = json.loads((other.path / BLOCK).read_text())
     (other.path / BLOCK).write_text(json.dumps({**record, "partition": "another"}))
     with pytest.raises(InputError, match="a block of another partition"):
