@@ -22,7 +22,12 @@ from clsplat.device import Device
 from clsplat.distribute import ONE_WORKER, Workers
 from clsplat.errors import TOO_LARGE, DeviceError, InputError
 from clsplat.evaluation.run import Run
-from clsplat.evaluation.views import evaluate_run, final_metrics, training_pictures
+from clsplat.evaluation.views import (
+    evaluate_run,
+    final_metrics,
+    known_floaters,
+    training_pictures,
+)
 from clsplat.gaussians import Gaussians
 from clsplat.io.city import CityFolder
 from clsplat.io.georeference.files import placement_comments
@@ -185,14 +190,18 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     scores = seams = None
     scene = run.scene()
     views, held_out = views_of(scene, options)
-    scored = score_in_shares(city, against, views, workers)
-    if workers.children:
-        workers.children.end()
-    if held_out:
-        scores = evaluate_run(run, device, save_images=False,
-                              metrics=final_metrics(options.lpips),
-                              per_view=scored.per_view if scored else None,
-                              gaussians=merged.gaussians)
+    with ThreadPoolExecutor(1) as beside:  # while the workers render
+        floaters = (beside.submit(known_floaters, run, scene, merged.gaussians).result if held_out
+                    else None)
+        scored = score_in_shares(city, against, views, workers)
+        if workers.children:
+            workers.children.end()
+        if held_out:
+            scores = evaluate_run(run, device, save_images=False,
+                                  metrics=final_metrics(options.lpips),
+                                  per_view=scored.per_view if scored else None,
+                                  gaussians=merged.gaussians, floaters=floaters)
+    if scores:
         run.folder.log({"event": "eval", **spent, **{key: value for key, value in scores.items()
                                                      if key not in ("per_view", "pictures")}})
     partition = city.partition(scene)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from clsplat.synth.write import GEOMETRY
 
 TOLERANCES = (1, 3, 10)  # pixels within which a gaussian counts as on the surface
 CAMERAS = 64  # that are compared at once
-CHUNK = 1 << 11  # neighbouring gaussians at once, which few solids and cameras concern
+CHUNK = 1 << 12  # neighbouring gaussians at once, which few solids and cameras concern
 
 
 def geometry_path(scene_path: Path) -> Path:
@@ -60,11 +59,13 @@ def floater_share(city: City, gaussians: Gaussians, cameras: Sequence[Camera],
     opacity = expit(gaussians.opacity_logits.astype(np.float64))
     floating = np.zeros(len(TOLERANCES))
     planes = np.array([_planes(camera) for camera in cameras])
+    bounds = city.bounds[:, :, :2]
 
     def floating_among(rows: NDArray[np.integer]) -> list[float]:
         world = positions[rows] + offset
         footprint = _footprint(positions[rows], cameras, planes)
-        away = distance(_around(city, world, max(TOLERANCES) * footprint.max()), world)
+        near = _near(bounds, world, max(TOLERANCES) * footprint.max())
+        away = distance(city.part(near), world)
         return [opacity[rows] @ (away > pixels * footprint) for pixels in TOLERANCES]
 
     with ThreadPoolExecutor() as threads:
@@ -85,17 +86,22 @@ def _neighbours_together(points: NDArray[np.float64]) -> Iterator[NDArray[np.int
         yield order[begin:end]
 
 
-def _around(city: City, points: NDArray[np.float64], reach: float) -> City:
-    """The city without the solids that are farther from all points than `reach`, or the ground.
+def _near(bounds: NDArray[np.float64], points: NDArray[np.float64], reach: float
+          ) -> NDArray[np.bool_]:
+    """Which solids are as near to points as `reach`, and as the ground is to the highest of them.
 
-    `distance` then finds the same wherever that is at most `reach`, elsewhere more than `reach`.
+    Without the others, `distance` finds the same wherever that is at most `reach`, and elsewhere
+    more than `reach`.
+
+    Parameters
+    ----------
+    bounds : [K, 2, 2], those of the city's solids along x and y.
+    points : [N, 3], in the city's frame.
     """
-    low, high = city.bounds[:, 0, :2], city.bounds[:, 1, :2]
+    low, high = bounds[:, 0], bounds[:, 1]
     gap = np.maximum(low - points[:, :2].max(axis=0), points[:, :2].min(axis=0) - high).max(axis=1)
-    near = gap <= min(reach, points[:, 2].max())
-    boxes, spheres = np.split(near, [len(city.boxes)])
-    return replace(city, boxes=city.boxes[boxes], kinds=city.kinds[boxes],
-                   spheres=city.spheres[spheres])
+    near: NDArray[np.bool_] = gap <= min(reach, points[:, 2].max())
+    return near
 
 
 def _footprint(points: NDArray[np.float64], cameras: Sequence[Camera],

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
@@ -58,6 +58,12 @@ class City:
         """Low and high corners [B + S, 2, 3] around each box, then around each sphere."""
         centre, radius = self.spheres[:, :3], self.spheres[:, 3:]
         return np.concatenate([self.boxes, np.stack([centre - radius, centre + radius], axis=1)])
+
+    def part(self, kept: NDArray[np.bool_]) -> City:
+        """The city with some of its solids, bool[B + S], in the order of `bounds`."""
+        boxes, spheres = np.split(kept, [len(self.boxes)])
+        return replace(self, boxes=self.boxes[boxes], kinds=self.kinds[boxes],
+                       spheres=self.spheres[spheres])
 
 
 def distance(city: City, points: ArrayLike) -> NDArray[np.float64]:

@@ -124,12 +124,13 @@ def test_solids_left_out_are_never_the_nearest(low, high):
     city = lay_out((2, 2), 1)
     points = np.random.default_rng(2).uniform(low, high, (500, 3))
     expected = distance(city, points)
-    around = floaters._around(city, points, np.inf)
+    bounds = city.bounds[:, :, :2]
+    around = city.part(floaters._near(bounds, points, np.inf))
     assert len(around.boxes) == len(around.kinds) < len(city.boxes) or low[0] < -30
     assert np.array_equal(distance(around, points), expected)
     for point, away in zip(points[:200, None], expected):
         for reach in (0.1, 0.5, 3.0):
-            found = distance(floaters._around(city, point, reach), point)
+            found = distance(city.part(floaters._near(bounds, point, reach)), point)
             assert found == away if away <= reach else found > reach
 
 
