@@ -158,15 +158,21 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
                 rows[SCALES] = gaussians.log_scales.astype(part.rows[SCALES].dtype)
         return taken, around
 
-    with ThreadPoolExecutor(PARTS_TOGETHER) as threads:
-        found = list(threads.map(taken_from, others))
-    if LAYERS in record:
+    def write_around() -> None:
+        """Write what the block draws as layers."""
         rows = {field.name: np.concatenate([around[f"row.{field.name}"] for _, around in found]
                                            or [own.rows[f"row.{field.name}"][:0]])
                 for field in LEARNED}
         write_ply(block.around, Gaussians(rows, own.degree).scaled(scene.unit), scene.offset)
-    new = {name: np.concatenate([values, *(taken[name] for taken, _ in found)])
-           for name, values in own.arrays().items()}
+
+    with ThreadPoolExecutor(PARTS_TOGETHER) as threads:
+        found = list(threads.map(taken_from, others))
+        written = threads.submit(write_around) if LAYERS in record else None
+        owned = own.arrays()
+        new = dict(zip(owned, threads.map(lambda name: np.concatenate(
+            [owned[name], *(taken[name] for taken, _ in found)]), owned)))
+        if written:
+            written.result()
     trains = trainable(scene, new["row.positions"], new[SCALES])
     return {**arrays, **new, "statistics.frozen": (~trains).astype(np.uint32),
             "adam.last_step": np.full(len(trains), state["iteration"], np.uint32)}, state
