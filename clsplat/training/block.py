@@ -103,11 +103,11 @@ def train_block(block: BlockFolder, options: TrainOptions,
         scene = read_scene(block.path)
         saved: Saved | None = None  # what the latest exchange has made of the checkpoint
         for number, step in enumerate(exchanges, 1):
-            latest = None  # the checkpoint at the exchange
-            if (taken := run.checkpoint_iteration()) < step:
-                latest = _go_on(block, scene, options, device, progress, step, saved)
-            if taken <= step:
+            if (taken := run.checkpoint_iteration()) <= step:
+                latest = (_go_on(block, scene, options, device, progress, step, saved)
+                          if taken < step else None)
                 write_part(block, scene, number, latest)
+                del latest  # it takes as much memory as the exchange that follows
             if number == until:
                 return f"stops at exchange {number} of {len(exchanges)}, after step {step}"
             if taken > step:
