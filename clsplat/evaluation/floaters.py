@@ -119,9 +119,9 @@ def _footprint(points: NDArray[np.float64], cameras: Sequence[Camera],
     may_see = ((planes @ corners.T).max(axis=2) >= 0).all(axis=1)
     footprint = np.full(len(points), np.inf)
     homogeneous = np.column_stack([points, np.ones(len(points))]).T
-    near = np.flatnonzero(may_see)
-    for begin in range(0, len(near), CAMERAS):
-        some = near[begin:begin + CAMERAS]
+    chosen = np.flatnonzero(may_see)
+    for begin in range(0, len(chosen), CAMERAS):
+        some = chosen[begin:begin + CAMERAS]
         inside = planes[some] @ homogeneous
         sees = (inside >= 0).all(axis=1)
         size = np.where(sees, inside[:, 0] / focal[some, None], np.inf)

@@ -72,8 +72,8 @@ def distance(city: City, points: ArrayLike) -> NDArray[np.float64]:
     The city is one solid, the union of the ground below z = 0, the boxes and the spheres. The
     distance is exact outside it. Inside, it is a lower bound, exact except where solids overlap.
     """
-    x, y, z = np.asarray(points, np.float64).reshape(-1, 3).T
-    signed = z.copy()
+    x, y, z = np.asarray(points, np.float64).T
+    signed: NDArray[np.float64] = z.copy()
     at_once = max(1, TOGETHER // max(1, len(z)))
     for begin in range(0, len(city.boxes), at_once):
         low, high = city.boxes[begin:begin + at_once].transpose(1, 2, 0)[..., None]

@@ -173,10 +173,12 @@ def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussi
     carried = [field for field in FIELDS if f"row.{field.name}" in arrays or field in LEARNED]
     gaussians = Gaussians(_fields(arrays, "row", carried), sh_degree)
     count = arrays["statistics.seen_count" if moments else "row.opacity_logits"].size
-    kinds = (("row", carried), *((("m", LEARNED), ("v", LEARNED)) if moments else ()))
+    kinds = {"row": carried, **({"m": LEARNED, "v": LEARNED} if moments else {})}
     shapes = {f"{kind}.{field.name}": field.row_shape(sh_degree)
-              for kind, fields in kinds for field in fields}
-    for name, shape in {**shapes, **({"statistics.grad_norm_sum": ()} if moments else {})}.items():
+              for kind, fields in kinds.items() for field in fields}
+    if moments:
+        shapes["statistics.grad_norm_sum"] = ()
+    for name, shape in shapes.items():
         values = arrays[name]
         if values.dtype not in REALS or values.shape != (count, *shape) or not _is_finite(values):
             raise ValueError(f"{name} ({values.dtype}{list(values.shape)}, or not finite)")
