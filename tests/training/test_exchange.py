@@ -34,6 +34,7 @@ from clsplat.training.exchange import (
     other_blocks,
 )
 from tests.data.tiny_training import CITY, model_digest
+from tools.studies import host_work
 
 OPTIONS = {"iterations": 130, "downscale": 8.0, "test_every": 0, "schedule": "constant",
            "sh_degree": 1, "sh_every": 1, "densify_from": 20, "densify_every": 40,
@@ -185,6 +186,23 @@ def test_parts_that_cannot_be_used_are_named(city):
     shutil.move(block.path, city.path.parent / "far" / "away" / "000")
     with pytest.raises(InputError, match="with --alone"):
         other_blocks(type(block)(city.path.parent / "far" / "away" / "000"))
+
+
+@pytest.mark.slow
+def test_the_study_of_host_work_changes_nothing(city, capsys):
+    block = city.block(0)
+    before = block.part(1).read_bytes()
+    host_work.main([str(block.path), "--repeats", "2", "--gaussians", "300"])
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["work"] for line in found] == ["part", "exchange", "floaters"]
+    assert all(0 < line["quartiles_s"][0] <= line["median_s"] <= line["quartiles_s"][1]
+               and line["peak_mib"] > 50 for line in found)
+    assert block.part(1).read_bytes() == before
+    assert sorted(path.name for path in block.part(1).parent.glob("exchange*")) == [
+        "exchange_1.npz"]
+    city.block(1).part(1).unlink()
+    with pytest.raises(InputError, match="have not come to their first exchange"):
+        host_work.main([str(block.path)])
 
 
 def test_exchanges_lie_in_the_second_half():
