@@ -25,7 +25,7 @@ from clsplat.partition.region import Region, Space
 from clsplat.training import block as training_block
 from clsplat.training import exchange as exchange_module
 from clsplat.training.block import block_options, train_block
-from clsplat.training.checkpoint import Checkpoint
+from clsplat.training.checkpoint import Checkpoint, gaussians_of
 from clsplat.training.exchange import (
     exchange,
     exchange_steps,
@@ -186,6 +186,15 @@ def test_parts_that_cannot_be_used_are_named(city):
     shutil.move(block.path, city.path.parent / "far" / "away" / "000")
     with pytest.raises(InputError, match="with --alone"):
         other_blocks(type(block)(city.path.parent / "far" / "away" / "000"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["statistics.grad_norm_sum", "v.log_scales", "row.quaternions"])
+def test_arrays_of_another_length_are_refused(city, name):
+    arrays, _ = RunFolder(city.block(0).run).load_checkpoint()
+    gaussians_of(arrays, 1)
+    with pytest.raises(ValueError, match=name):
+        gaussians_of({**arrays, name: arrays[name][:-1]}, 1)
 
 
 @pytest.mark.slow
