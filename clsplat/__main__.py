@@ -4,6 +4,7 @@ import atexit
 import os
 import signal
 import sys
+import warnings
 
 
 def run() -> None:
@@ -22,6 +23,8 @@ def run() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
     # products here have few columns: threads of BLAS only wait for the next one, busily
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # what a build of kernels says; `catch_warnings` there does not hold while other threads use it
+    warnings.filterwarnings("ignore", "Non-empty compiler output")
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
     from clsplat.cli.main import main
