@@ -39,7 +39,9 @@ inline bool load_harmonics(__global const uint *rows, ulong count, __global cons
     return true;
 }
 
-// The sums over the pairs of the first PROJECT_GROUP of `count` splats from `first` on.
+// The sums over the pairs of the first PROJECT_GROUP of `count` splats from `first` on. Intel's
+// compiler would add up several pairs at a time, in an order that depends on their number, so that
+// a frame in bands would not have the bytes of one in one piece: its loop is kept in order.
 inline bool load_sums(ulong first, ulong count, __global const uint *splat_counts,
                       __global const uint *offsets, __global const real *pair_grads,
                       __global const real *earlier, __local real *sums_local)
@@ -48,6 +50,7 @@ inline bool load_sums(ulong first, ulong count, __global const uint *splat_count
     for (uint i = get_local_id(0); i < number; i += PROJECT_GROUP) {
         const ulong v = first + i / SUMS, begin = offsets[v], end = begin + splat_counts[v];
         real total = CARRIED ? earlier[first * SUMS + i] : 0;
+#pragma clang loop vectorize(disable) interleave(disable)
         for (ulong index = begin; index < end; index++)
             total += pair_grads[index * SUMS + i % SUMS];
         sums_local[i] = total;
