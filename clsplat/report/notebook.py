@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import score_figure
 from clsplat.report.page import html_of
-from clsplat.report.run import lead, score_table
+from clsplat.report.run import lead
+from clsplat.report.scores import score_table
 
 if TYPE_CHECKING:
     from clsplat.evaluation.run import Run

@@ -1,7 +1,8 @@
-"""The style sheet of the pages, for wide screens and telephones."""
+"""The style sheet of the pages: for wide screens and telephones, light and dark, and for paper."""
 
 STYLE = """
-:root { color-scheme: light; --ink: #1d1f21; --soft: #565b60; --line: #e3e4e6; --paper: #fcfcfb; }
+:root { color-scheme: light dark; --ink: #1d1f21; --soft: #565b60; --line: #e3e4e6;
+  --rule: #b9bdc1; --paper: #fcfcfb; --shadow: #0000002e; --alert: #fff4dc; }
 * { box-sizing: border-box; }
 body { margin: 2.5rem auto 4rem; max-width: 70rem; padding: 0 1.5rem; background: var(--paper);
   color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, "Helvetica Neue", sans-serif; }
@@ -11,7 +12,9 @@ h2 { font-size: 1.2rem; line-height: 1.3; margin: 2.8rem 0 .6rem; font-weight: 6
 p { margin: .4rem 0; max-width: 50rem; overflow-wrap: anywhere; }
 .lead { font-size: 1.05rem; color: var(--soft); }
 .note { font-size: .875rem; color: var(--soft); }
-.warning { background: #fff4dc; border-left: 3px solid #d98e04; padding: .5rem .9rem;
+.facts { font-size: .875rem; color: var(--soft); margin-top: .8rem; }
+.facts code { overflow-wrap: anywhere; }
+.warning { background: var(--alert); border-left: 3px solid #d98e04; padding: .5rem .9rem;
   max-width: 62rem; }
 img { display: block; width: 100%; }
 picture img { margin: .6rem 0; }
@@ -20,13 +23,13 @@ summary { cursor: pointer; font-size: 1.05rem; font-weight: 680; }
 
 /* a table that is too wide scrolls, and a shadow shows at which side it goes on */
 .scroll { overflow-x: auto; margin: .6rem 0; background:
-  linear-gradient(to right, var(--paper) 30%, #fcfcfb00) 0 0 / 3rem 100% no-repeat local,
-  linear-gradient(to left, var(--paper) 30%, #fcfcfb00) 100% 0 / 3rem 100% no-repeat local,
-  linear-gradient(to right, #0000002e, #0000) 0 0 / .8rem 100% no-repeat scroll,
-  linear-gradient(to left, #0000002e, #0000) 100% 0 / .8rem 100% no-repeat scroll; }
+  linear-gradient(to right, var(--paper) 30%, transparent) 0 0 / 3rem 100% no-repeat local,
+  linear-gradient(to left, var(--paper) 30%, transparent) 100% 0 / 3rem 100% no-repeat local,
+  linear-gradient(to right, var(--shadow), #0000) 0 0 / .8rem 100% no-repeat scroll,
+  linear-gradient(to left, var(--shadow), #0000) 100% 0 / .8rem 100% no-repeat scroll; }
 table { border-collapse: collapse; font-size: .94rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .35rem .95rem .35rem 0; text-align: left; vertical-align: top; }
-th { font-weight: 600; font-size: .85rem; color: var(--soft); border-bottom: 1px solid #b9bdc1;
+th { font-weight: 600; font-size: .85rem; color: var(--soft); border-bottom: 1px solid var(--rule);
   vertical-align: bottom; }
 td { border-bottom: 1px solid var(--line); }
 td:not(.number) { min-width: 3.6rem; }
@@ -47,7 +50,27 @@ figcaption { font-size: .875rem; color: var(--soft); margin-top: .25rem; }
 .scale b { font-weight: 400; white-space: nowrap; }
 .scale i { flex: 0 1 14rem; height: .8rem; border-radius: 2px; }
 
-@media (max-width: 40rem) {
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e4e6e8; --soft: #a6acb2; --line: #33373b; --rule: #5c6166; --paper: #17191b;
+    --shadow: #ffffff38; --alert: #3b2d0c; }
+  picture img { filter: invert(1) hue-rotate(180deg); }  /* drawn in dark lines on nothing */
+  .scroll > img, .plate { background: #fcfcfb; border-radius: 3px; }
+}
+
+/* colours mean something here; what is folded cannot be opened on paper, and nothing scrolls */
+@media print {
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  body { margin: 0; max-width: none; padding: 0; font-size: 11pt; background: none; }
+  h1, h2, h3, summary, .scale { break-after: avoid; }
+  .view, figure, picture, img, tr, .warning { break-inside: avoid; }
+  details::details-content { content-visibility: visible; block-size: auto; }
+  .scroll { overflow: visible; background: none; }
+  table { font-size: 8pt; }
+  th, td { padding-right: .7rem; }
+  td, .number { white-space: normal; }
+}
+
+@media screen and (max-width: 40rem) {
   body { margin: 1.2rem auto 3rem; padding: 0 1rem; }
   h1 { font-size: 1.45rem; }
   h2 { margin-top: 2.2rem; }

@@ -365,7 +365,7 @@ def test_progress_in_a_log(tmp_path):
     lines = logged(tmp_path, (0, 50, 100), (100, 100, 100))
     assert sum("100/100" in line for line in lines) == 1
     last = next(line for line in lines if "100/100" in line)
-    for part in ("it/s", "loss 0.2500", "level 2.5", "12,345 gaussians", "3 MiB", "left"):
+    for part in ("it/s", "loss 0.2500", "at 1/2.5 size", "12,345 gaussians", "3 MiB"):
         assert part in last
 
 
