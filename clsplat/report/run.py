@@ -1,6 +1,6 @@
 """The page of one run: pictures, scores, growth, loss, level changes and scene frequency."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,8 @@ from clsplat.report.groups import scene_name
 from clsplat.report.page import Table, folded, headed, html_of, page
 from clsplat.report.pictures import pictures_html, with_pictures
 from clsplat.report.scores import main_psnr, number, score_table, with_quality
+from clsplat.report.survey import survey_html
+from clsplat.scene import Scene
 
 FACTS = ("command", "date", "scene", "scene_absolute", "fingerprint", "extent", "offset",
          "opencl_device", "kernel_form", "version", "commit")
@@ -29,8 +31,8 @@ FREQUENCY = (
     "</p>\n")
 
 
-def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures | None = None
-                 ) -> Path:
+def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures | None = None,
+                 scene: Scene | None = None) -> Path:
     """Write the report of a run from its options and metrics, and return its path.
 
     Parts without records, such as the levels of a schedule that has none, are left out.
@@ -39,12 +41,13 @@ def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures |
     ----------
     more : tables and HTML that follow the scores.
     pictures : the beginning of the page.
+    scene : at the size of its photos, for the section Survey.
     """
     options, records = run.read_options(), run.records()
     frequency = drawn("Scene frequency over iterations", frequency_figure, records)
     scores = drawn("PSNR and SSIM over training time", score_figure, records)
     parts = (
-        pictures_html(pictures),
+        pictures_html(pictures), survey_html(scene),
         headed("Scores over training time" if scores else "Scores", scores, _scores(records)),
         *more,
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
@@ -61,15 +64,20 @@ def heading(scene: str, run: str) -> str:
     return run if scene in (run, f"{run}_scene", "?") else f"{scene}: {run}"
 
 
-def renew_report(run: RunFolder, pictures: Pictures) -> Path:
+def renew_report(run: RunFolder, pictures: Pictures,
+                 scene: Callable[[], Scene | None] = lambda: None) -> Path:
     """Replace the pictures and the table of scores in the report of a run, and return its path.
 
     The report is written anew if it is missing or has no section of pictures.
+
+    Parameters
+    ----------
+    scene : called for the scene, at the size of its photos, if the report is written anew.
     """
     html = run.read_report()
     html = html and with_pictures(html, pictures)
     if not html:
-        return write_report(run, pictures=pictures)
+        return write_report(run, pictures=pictures, scene=scene())
     before, begin, rest = html.partition(BEGIN)
     _, end, after = rest.partition(END)
     scores = _scores(run.past_records())

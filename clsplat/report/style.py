@@ -39,8 +39,9 @@ td:first-child { white-space: nowrap; }
 th:last-child, td:last-child { padding-right: 0; }
 
 /* the pictures: three beside each other, below each other where there is no room */
+h3 { font-size: 1rem; font-weight: 680; margin: 1.6rem 0 .3rem; overflow-wrap: anywhere; }
 .view { margin: 1.4rem 0 2rem; }
-.view h3 { font-size: 1rem; font-weight: 680; margin: 0; overflow-wrap: anywhere; }
+.view h3 { margin: 0; }
 .view p { margin: .1rem 0 .5rem; font-variant-numeric: tabular-nums; color: var(--soft); }
 .panels { display: grid; grid-template-columns: repeat(3, 1fr); gap: .7rem; }
 figure { margin: 0; }
@@ -75,7 +76,8 @@ figcaption { font-size: .875rem; color: var(--soft); margin-top: .25rem; }
   h1 { font-size: 1.45rem; }
   h2 { margin-top: 2.2rem; }
   .panels { grid-template-columns: 1fr; }
-  .view { margin-bottom: 2.4rem; }
+  h3 { font-size: 1rem; font-weight: 680; margin: 1.6rem 0 .3rem; overflow-wrap: anywhere; }
+.view { margin-bottom: 2.4rem; }
   th:first-child, td:first-child { position: sticky; left: 0; background: var(--paper);
     white-space: normal; max-width: 9rem; }
   .scroll > img { width: 44rem; max-width: none; }

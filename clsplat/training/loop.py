@@ -162,7 +162,7 @@ class Training:
         if any(view.lens for view in scene.views):
             progress.phase("undistorting photos")
             scene = undistorted(with_depths(scene, options.depth), run.undistorted, THREADS)
-        self.clock = Clock(device)
+        self._scene, self.clock = scene, Clock(device)
         self.session = Session.build(scene, options, device, progress, gaussians, run.path, level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
@@ -221,7 +221,7 @@ class Training:
         if not is_part:
             if self.evaluator.evaluated_at != self.session.iteration:
                 self.evaluator.evaluate(final=True)
-            draw_report(self.run, self.session, self.evaluator.per_view)
+            draw_report(self.run, self.session, self._scene, self.evaluator.per_view)
 
     @contextmanager
     def resumable(self) -> Iterator[None]:
