@@ -86,10 +86,11 @@ class Survey:
 
     @property
     def size(self) -> float:
-        """How far the measured places or, if that is not recorded, the cameras extend, map units.
-        """
+        """How far the measured places or, if that is not recorded, the cameras extend, map units;
+        0: unknown."""
         recorded: float = getattr(self.georeference, "size", 0.0)
-        return recorded or float(np.linalg.norm(np.ptp(self.cameras, axis=0)))
+        extent = float(np.linalg.norm(np.ptp(self.cameras, axis=0)))
+        return recorded or (extent if np.isfinite(extent) else 0.0)
 
     @property
     def residuals(self) -> tuple[Any, ...]:
@@ -120,13 +121,12 @@ def survey_of(scene: Scene) -> Survey | None:
         original: NDArray[np.float64] = (scene.offset + scene.unit * points) @ axes.T
         return original
 
-    step = max(1, len(scene.points) // MOST_POINTS)
-    points = scene.points[::step]
+    points = scene.points[::max(1, len(scene.points) // MOST_POINTS)]
+    points = points[np.isfinite(points).all(axis=1)]
     cameras = placed(np.array([view.camera.position for view in scene.views]))
     ground = placed(points)
     distances, pixels = _sizes(scene, points)
-    known = len(points) > 0 and np.isfinite(ground).all()
-    above = known and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
+    above = len(points) and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
     return Survey(
         tuple(view.name for view in scene.views), cameras[:, :2], ground[:, :2], record,
         scene.georeference, _overlap(scene, ground, axes) if above else None,

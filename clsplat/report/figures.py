@@ -218,9 +218,10 @@ def _mark_upheavals(axes: Axes, records: Sequence[Record]) -> None:
 def _mark_changes(axes: Axes, records: Sequence[Record], named: bool) -> None:
     """Draw a vertical line at each level change, with the new size of photos beside it if `named`.
     """
-    for iteration, level in zip(*curve(records, "iteration", "level", "level")):
+    for number, (iteration, level) in enumerate(zip(*curve(records, "iteration", "level",
+                                                           "level"))):
         axes.axvline(iteration, **CHANGE)
         if named:
             axes.annotate(size_at(level), (iteration, 1), xycoords=("data", "axes fraction"),
-                          xytext=(3, -2), textcoords="offset points", va="top", fontsize=9,
-                          color=LABEL_COLOUR)
+                          xytext=(3, -2 - 11 * (number % 2)), textcoords="offset points",
+                          va="top", fontsize=9, color=LABEL_COLOUR)

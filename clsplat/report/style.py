@@ -17,6 +17,7 @@ p { margin: .4rem 0; max-width: 50rem; overflow-wrap: anywhere; }
 .warning { background: var(--alert); border-left: 3px solid #d98e04; padding: .5rem .9rem;
   max-width: 62rem; }
 img { display: block; width: 100%; }
+.plate { margin: .6rem 0; padding: .3rem; }
 picture img { margin: .6rem 0; }
 details { margin-top: 1.6rem; border-top: 1px solid var(--line); padding-top: 1rem; }
 summary { cursor: pointer; font-size: 1.05rem; font-weight: 680; }
@@ -56,6 +57,7 @@ figcaption { font-size: .875rem; color: var(--soft); margin-top: .25rem; }
     --shadow: #ffffff38; --alert: #3b2d0c; }
   picture img { filter: invert(1) hue-rotate(180deg); }  /* drawn in dark lines on nothing */
   .scroll > img, .plate { background: #fcfcfb; border-radius: 3px; }
+  .plate img { filter: none; }
 }
 
 /* colours mean something here; what is folded cannot be opened on paper, and nothing scrolls */
@@ -65,9 +67,12 @@ figcaption { font-size: .875rem; color: var(--soft); margin-top: .25rem; }
   h1, h2, h3, summary, .scale { break-after: avoid; }
   .view, figure, picture, img, tr, .warning { break-inside: avoid; }
   details::details-content { content-visibility: visible; block-size: auto; }
+  picture img { width: auto; max-width: 100%; max-height: 22cm; }
   .scroll { overflow: visible; background: none; }
   table { font-size: 8pt; }
-  th, td { padding-right: .7rem; }
+  th, td { padding: .12rem .7rem .12rem 0; }
+  details { columns: 2; }
+  details > :not(.scroll) { column-span: all; }
   td, .number { white-space: normal; }
 }
 

@@ -40,6 +40,7 @@ def survey_html(scene: Scene | None) -> str:
 def _section(survey: Survey) -> str:
     maps = drawn(f"Map of the {len(survey.names)} cameras, and how many photos look at each place",
                  survey_figure, survey)
+    maps = maps and f"<div class=plate>{maps}</div>\n"  # its colours stay as they are
     missing = list(missing_photos(survey.record).items())
     unused = Table("", ("photo", "reason"), missing[:MOST_ROWS],
                    notes=_more(len(missing), "photos", "sfm.json"))
@@ -54,13 +55,13 @@ def warnings(survey: Survey) -> tuple[str, ...]:
     residual where an older version wrote it."""
     known = survey.georeference
     found = tuple(map(str, getattr(known, "warnings", ())))
-    if found or known is None or known.residual <= MOST_RESIDUAL * survey.size:
+    if found or known is None or not 0 < MOST_RESIDUAL * survey.size < known.residual:
         return found
+    share = f"{100 * known.residual / survey.size:.0f} %"
     return (f"the places of the scene and those that were measured differ by "
-            f"{length(known.residual)} along the ground (RMS), which is "
-            f"{known.residual / survey.size:.0%} of the size of the flight: positions may be wrong "
-            "by as much, and lengths and areas by this share. Ground control points (`clsplat sfm "
-            "--gcp`) help.",)
+            f"{length(known.residual)} along the ground (RMS), which is {share} of the size of the "
+            "flight: positions may be wrong by as much, and lengths and areas by this share. "
+            "Ground control points (`clsplat sfm --gcp`) help.",)
 
 
 def facts_table(survey: Survey) -> Table:
@@ -91,7 +92,7 @@ def _facts(survey: Survey) -> Iterator[tuple[str, str]]:
         yield "georeference", "none, so sizes are not known in metres"
     if overlap is not None:
         yield "overlap", (f"{overlap.mean:.1f} photos look at a place, in the mean; fewer than "
-                          f"three look at {overlap.thin:.0%} of the area")
+                          f"three look at {100 * overlap.thin:.0f} % of the area")
     for key, title, form in (("points", "points of the sparse model", ",.0f"),
                              ("mean_track_length", "photos that show a point", ".1f"),
                              ("reprojection_error_pixels", "reprojection error, pixels", ".2f")):
@@ -174,7 +175,6 @@ def survey_figure(survey: Survey, narrow: bool = False) -> Figure | None:
         axes.set_ylim(south, north)
         axes.set_aspect("equal")
         axes.grid(False)
-        axes.set_facecolor("none")
         axes.locator_params(nbins=5)
         axes.set_xlabel(f"east, {unit}" if survey.georeference else unit)
     panels[0].set_ylabel(f"north, {unit}" if survey.georeference else unit)
