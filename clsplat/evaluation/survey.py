@@ -85,6 +85,11 @@ class Survey:
     height: float | None = None
 
     @property
+    def is_known(self) -> bool:
+        """Whether more is known than the cameras: how they were found, or where they are."""
+        return bool(self.record) or self.georeference is not None
+
+    @property
     def size(self) -> float:
         """How far the measured places or, if that is not recorded, the cameras extend, map units;
         0: unknown."""
@@ -105,16 +110,13 @@ class Survey:
         return np.array([lengths.get(name, np.nan) for name in self.names])
 
 
-def survey_of(scene: Scene) -> Survey | None:
-    """The survey of a scene that `clsplat sfm` made or that is georeferenced; None of another one.
+def survey_of(scene: Scene) -> Survey:
+    """A scene as a survey.
 
     Parameters
     ----------
-    scene : with cameras of the size of its photos.
+    scene : with cameras of the size of its photos, one or more.
     """
-    record = _read_record(scene.path)
-    if not (record or scene.georeference) or not scene.views:
-        return None
     axes = np.vstack([map_axes(scene.up), scene.up])
 
     def placed(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -128,8 +130,9 @@ def survey_of(scene: Scene) -> Survey | None:
     distances, pixels = _sizes(scene, points)
     above = len(points) and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
     return Survey(
-        tuple(view.name for view in scene.views), cameras[:, :2], ground[:, :2], record,
-        scene.georeference, _overlap(scene, ground, axes) if above else None,
+        tuple(view.name for view in scene.views), cameras[:, :2], ground[:, :2],
+        _read_record(scene.path), scene.georeference,
+        _overlap(scene, ground, axes) if above else None,
         scene.unit * float(np.median(pixels)) if pixels else None,
         scene.unit * float(np.median(distances)) if distances else None)
 

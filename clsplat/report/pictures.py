@@ -61,7 +61,7 @@ def _view(view: ShownView) -> str:
     name, scores = escape(view.scores["name"]), view.scores
     title = {"only": name}.get(view.place, f"{view.place.capitalize()}: {name}")
     panels = "\n".join(
-        f"<figure>{_jpeg(getattr(view, panel), f'{panel} of {name}')}"
+        f"<figure>{jpeg(getattr(view, panel), f'{panel} of {name}')}"
         f"<figcaption>{caption}</figcaption></figure>" for panel, caption in PANELS)
     return (f"<div class=view>\n<h3>{title}</h3>\n"
             f"<p>PSNR {with_quality(scores['psnr_cc'])}</p>\n"
@@ -79,7 +79,7 @@ def _numbers(shown: Sequence[ShownView]) -> Table:
                  range(1, len(columns) + 1))
 
 
-def _jpeg(pixels: NDArray[np.uint8], description: str) -> str:
+def jpeg(pixels: NDArray[np.uint8], description: str) -> str:
     """HTML of an image [H, W, 3] with an escaped description."""
     height, width = pixels.shape[:2]
     data = base64.b64encode(encode_jpeg(pixels, JPEG_QUALITY)).decode()

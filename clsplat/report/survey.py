@@ -32,7 +32,7 @@ def survey_html(scene: Scene | None) -> str:
     error becomes a line of text."""
     try:
         survey = None if scene is None else survey_of(scene)
-        return "" if survey is None else _section(survey)
+        return _section(survey) if survey is not None and survey.is_known else ""
     except Exception as error:  # noqa: BLE001  (no survey is worth a page)
         return f"<p class=note>The survey could not be shown ({escape(str(error))}).</p>\n"
 

@@ -110,7 +110,7 @@ class Balanced(HTMLParser):
             assert name not in ("src", "srcset", "href") or value.startswith("data:"), (tag, value)
         self.pictures += tag == "img"
         assert tag not in ("script", "link", "iframe")
-        if tag not in ("img", "meta", "source"):
+        if tag not in ("br", "img", "meta", "source"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
