@@ -111,7 +111,7 @@ class Progress(SilentProgress):
         self._phase = self._what = what
         self._began, self._ends, self._rate = time.monotonic(), None, 0.0
         self._marks.clear()
-        self._numbers = []
+        self._numbers, self._latest = [], ""
 
     def _report(self, what: str, number: str, done: int, total: int, reached: str = "",
                 unit: str = "", more: Sequence[tuple[int, str]] = ()) -> None:

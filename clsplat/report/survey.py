@@ -117,8 +117,8 @@ def residuals_html(survey: Survey) -> str:
         rows = [(axis, *(_metres(value) for value in (of.mean, of.sigma, of.rms, of.most)))
                 for axis, of in spreads(group).items()]
         if rows:
-            kind = "photos' GPS" if group[0].pixels is None else "ground control points"
-            html += f"<h3>Residuals of {len(group)} {kind}, {meaning}</h3>\n" + Table(
+            kind = "GPS of photos" if group[0].pixels is None else "ground control points"
+            html += f"<h3>Residuals: {kind}, {meaning} ({len(group)})</h3>\n" + Table(
                 "", ("", "mean, m", "sigma, m", "RMS, m", "90 % within, m"), rows, range(1, 5),
                 note).html()
             note = []

@@ -18,7 +18,8 @@ def ground(count=500, offset=(0.0, 0.0, 0.0), **changed):
     made = max(2, count)
     rows = Gaussians.from_points(random.uniform((-10, -10, 0), (10, 10, 1), (made, 3)),
                                  random.integers(0, 255, (made, 3), np.uint8), 1).rows
-    rows = {**{name: values[:count] for name, values in rows.items()}, "opacity_logits": np.full(count, 3.0, np.float32), **changed}
+    rows = {name: values[:count] for name, values in rows.items()}
+    rows = {**rows, "opacity_logits": np.full(count, 3.0, np.float32), **changed}
     return Gaussians(rows, 1, np.array(offset))
 
 

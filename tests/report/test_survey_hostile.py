@@ -107,7 +107,7 @@ ROWS = [residual("0.jpg"), residual("1.jpg", "left out", east=300), residual("<G
 SCENES = {
     "neither": (lambda: replace(flight(), georeference=None), None, ()),
     "older georeference": (flight, ("50 cm along the ground", "extends over 220 m"),
-                           ("Warning", "Residuals of", "heights")),
+                           ("Warning", "Residuals:", "heights")),
     "large residual, older": (lambda: replace(flight(), georeference=replace(
         flight().georeference, residual=17.0)), ("Warning: the places", "8 % of the size"), ()),
     "warnings": (lambda: measured(flight(), said=("x and y <exchanged>?",)),
@@ -116,14 +116,15 @@ SCENES = {
         flight().georeference, residual=0.0, source="")), ("not recorded", "files of the scene"),
         ("Warning",)),
     "residuals": (lambda: measured(flight(), ROWS), (
-        "Residuals of 1 photos' GPS, which decided", "Residuals of 1 ground control points, ",
+        "Residuals: GPS of photos, which decided the place (1)",
+        "Residuals: ground control points, which took no part (1)",
         "&lt;GCP&gt;", "CE90", "left out</td><td>1.jpg"), ("<GCP>",)),
     "no heights measured": (lambda: measured(flight(), [residual("0.jpg", up=None)]),
                             ("along the ground",), ("<td>up</td>",)),
     "a thousand control points": (lambda: measured(flight(), [
         residual(str(number), pixels=1.0) for number in range(1000)]), ("940 more points",), ()),
     "unknown role": (lambda: measured(flight(), [residual("0.jpg", "judge")]), (),
-                     ("Residuals of",)),
+                     ("Residuals:",)),
     "one photo": (lambda: flight(1), ("<td>1</td>",), ()),
     "no points": (lambda: replace(flight(), points=np.zeros((0, 3)),
                                   colours=np.zeros((0, 3), np.uint8)), ("photos used",),
@@ -203,7 +204,7 @@ def test_a_record_that_is_a_folder_or_a_file_within_a_file(tmp_path):
 def test_thousands_of_cameras():
     views = flight(3000, spacing=0.06)
     html = survey_html(measured(views, [residual(view.name) for view in views.views]))
-    assert "Residuals of 3000 photos" in html and len(html) < 4e6
+    assert "(3000)</h3>" in html and len(html) < 4e6
 
 
 def test_a_camera_is_coloured_by_its_residual_if_that_is_known():
