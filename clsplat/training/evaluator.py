@@ -76,7 +76,7 @@ class Evaluator:
         self._is_begun = True
         fitted = main_key(result) == "psnr_cc"
         yield (f"scores of {result['views']} held-out photo{'s' * (result['views'] != 1)}"
-               + "; PSNR after a fit of the colours, as exposures are learned" * fitted)
+               + ", their colours fitted, as exposures are learned" * fitted)
         yield f"{'step':>7}{'PSNR, dB':>10}{'SSIM':>9}{'gaussians':>13}{'training':>11}"
 
     def _line(self, result: dict[str, Any]) -> str:
