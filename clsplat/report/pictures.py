@@ -47,7 +47,8 @@ def _section(pictures: Pictures | None) -> str:
         which = ("No view is held out, so these photos were trained on, and say less about the "
                  f"model than others would. They were chosen from {pictures.count}.")
     colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
-    return (f"<h2>{title}</h2>\n<p>{which} PSNR measures how similar the two are. {EXPLAINED}</p>\n"
+    return (f"<h2>{title}</h2>\n<p>{which} PSNR measures how similar the two are after the colour "
+            f"fit. {EXPLAINED}</p>\n"
             "<div class=scale><b>error: none</b> "
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
             f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"

@@ -81,8 +81,7 @@ figcaption { font-size: .875rem; color: var(--soft); margin-top: .25rem; }
   h1 { font-size: 1.45rem; }
   h2 { margin-top: 2.2rem; }
   .panels { grid-template-columns: 1fr; }
-  h3 { font-size: 1rem; font-weight: 680; margin: 1.6rem 0 .3rem; overflow-wrap: anywhere; }
-.view { margin-bottom: 2.4rem; }
+  .view { margin-bottom: 2.4rem; }
   th:first-child, td:first-child { position: sticky; left: 0; background: var(--paper);
     white-space: normal; max-width: 9rem; }
   .scroll > img { width: 44rem; max-width: none; }
