@@ -51,10 +51,11 @@ def _section(survey: Survey) -> str:
 
 
 def warnings(survey: Survey) -> tuple[str, ...]:
-    """Sentences that the reader must not miss: those of the georeference, or what follows from its
-    residual where an older version wrote it."""
-    known = survey.georeference
-    found = tuple(map(str, getattr(known, "warnings", ())))
+    """Sentences that the reader must not miss: those of the georeference and of `clsplat sfm`, or
+    what follows from the residual where an older version wrote it."""
+    known, recorded = survey.georeference, survey.record.get("warnings")
+    said = (*getattr(known, "warnings", ()), *(recorded if isinstance(recorded, list) else ()))
+    found = tuple(dict.fromkeys(map(str, said)))
     if found or known is None or not 0 < MOST_RESIDUAL * survey.size < known.residual:
         return found
     share = f"{100 * known.residual / survey.size:.0f} %"

@@ -169,6 +169,9 @@ def test_a_section_of_what_is_known(name):
 
 RECORDS = {  # sfm.json -> (words, words that are lacking)
     "whole": (SFM, ("12 of 42", "Photos that were not used", "a&lt;b&gt;.jpg", "0.73"), ()),
+    "warnings": ({"warnings": ["not <georeferenced>", "not <georeferenced>"]},
+                 ("Warning: not &lt;georeferenced&gt;",), ("<georeferenced>",)),
+    "warnings that are none": ({"warnings": "all is well"}, ("<td>12</td>",), ("Warning",)),
     "cut": (json.dumps(SFM)[:40], ("<td>12</td>",), ("reprojection",)),
     "empty": ("", ("<td>12</td>",), ()), "no object": ("[1]", ("<td>12</td>",), ()),
     "no text": (b"\xff\xfe", ("<td>12</td>",), ()),
