@@ -221,6 +221,7 @@ class Training:
         if not is_part:
             if self.evaluator.evaluated_at != self.session.iteration:
                 self.evaluator.evaluate(final=True)
+            self.progress.phase("writing the report")
             draw_report(self.run, self.session, self._scene, self.evaluator.per_view)
 
     @contextmanager
