@@ -48,10 +48,9 @@ def view_card(view: View) -> str:
 
 def _card(view: View, size: int, more: str = "") -> str:
     """A photo of at most `size` pixels a side with its name."""
-    camera = view.camera
-    reduced = replace(view, camera=camera.reduced(1.0, size) if camera.whole is None else camera)
     try:
-        shown = jpeg(reduced.photo(), escape(view.name))
+        shown = jpeg(replace(view, camera=view.camera.reduced(1.0, size)).photo(),
+                     escape(view.name))
     except (ClsplatError, OSError) as error:  # without its photo, the rest is still seen
         shown = f"<em>{escape(str(error))}</em>"
     return as_utf8(f'<figure style="display: inline-block; margin: 0 8px 8px 0; width: {size}px; '
