@@ -73,6 +73,11 @@ class Camera:
         return cls(width, height, (float(focal), float(focal)), (width / 2, height / 2), rotation,
                    -rotation @ centre)
 
+    def __repr__(self) -> str:
+        place = ", ".join(f"{value:.4g}" for value in self.position)
+        return (f"<clsplat.Camera {self.width} x {self.height}, focal length {self.focal[0]:.4g}, "
+                f"at ({place})>")
+
     @property
     def borders(self) -> tuple[float, float, float, float]:
         """(left, top, right, bottom), the borders of the whole photo in pixels of this image."""

@@ -220,6 +220,11 @@ class Gaussians:
     def __repr__(self) -> str:
         return f"<clsplat.Gaussians: {self.count:,}, SH degree {self.sh_degree}>"
 
+    def _repr_html_(self) -> str:
+        from clsplat.export.notebook import model_frame
+
+        return model_frame(self)
+
 
 def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3
                        ) -> NDArray[np.float64]:

@@ -112,6 +112,13 @@ class View:
         valid: NDArray[np.bool_] | None = read_valid(self)
         return valid
 
+    def __repr__(self) -> str:
+        return f"<clsplat.View {self.name!r}: {self.camera.width} x {self.camera.height}>"
+
+    def _repr_html_(self) -> str:
+        from clsplat.report.notebook import view_card
+        return view_card(self)
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -375,13 +382,8 @@ class Scene:
                 f"{len(self.points):,} points>")
 
     def _repr_html_(self) -> str:
-        from clsplat.report.notebook import table
-
-        sizes = {(view.camera.width, view.camera.height) for view in self.views}
-        size = " and ".join(f"{width} x {height}" for width, height in sorted(sizes)[:3])
-        return table({"scene": self.name, "views": f"{len(self.views)}, {size} pixels",
-                      "points": f"{len(self.points):,}",
-                      "extent": f"{self.extent:.4g} world units"})
+        from clsplat.report.notebook import scene_page
+        return scene_page(self)
 
 
 def corrected_views(views: Iterable[View], corrections: Mapping[str, Correction]

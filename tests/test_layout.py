@@ -77,7 +77,7 @@ FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None,
 
 # classes of the Python API that read, write and show themselves, by functions of layers above them
 READS_ITSELF = {"clsplat/scene.py": ("clsplat.io", "clsplat.report.notebook"),
-                "clsplat/gaussians.py": ("clsplat.io",),
+                "clsplat/gaussians.py": ("clsplat.io", "clsplat.export.notebook"),
                 "clsplat/evaluation/run.py": ("clsplat.training", "clsplat.report.notebook"),
                 "clsplat/evaluation/score.py": ("clsplat.report.notebook",)}
 

@@ -74,6 +74,10 @@ class Frame:
     transmittance: NDArray[np.float32]
     _frame: Any = field(repr=False)
 
+    def __repr__(self) -> str:
+        height, width = self.transmittance.shape
+        return f"<clsplat.Frame {width} x {height}{'' if self.depth is None else ', with depth'}>"
+
     def _repr_png_(self) -> bytes:
         return encode_image(self.image, "png", 100, "PNG")
 

@@ -188,7 +188,8 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
     spent = {key: record[key] for key in (*SPENT, "level", "gaussians")}
     counts = np.array([share.gaussians for share in merged.shares])
     scores = seams = None
-    scene = run.scene()
+    whole = run.scene(whole=True)
+    scene = run.as_trained(whole)
     views, held_out = views_of(scene, options)
     with ThreadPoolExecutor(1) as beside:  # while the workers render
         floaters = (beside.submit(known_floaters, run, scene, merged.gaussians).result if held_out
@@ -221,7 +222,8 @@ def evaluate_city(city: CityFolder, options: TrainOptions, device: Device, merge
                         "worst_seam_db": seams["worst_seam_db"]})
     write_report(run.folder, embedded(city.picture, "map of the blocks"), share_table(record),
                  seam_table(seams) if seams else None,
-                 pictures=scores["pictures"] if scores else training_pictures(run, device))
+                 pictures=scores["pictures"] if scores else training_pictures(run, device),
+                 scene=whole)
     return scores, seams
 
 

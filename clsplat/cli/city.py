@@ -16,6 +16,7 @@ import click
 from clsplat.city.sharing import CORES_SHARING, MOST_SHARING, blocks_sharing, most_sharing
 from clsplat.cli.flags import Parsed, flags_of, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.cli.train import ending
 from clsplat.config.option import AUTO, is_auto
 from clsplat.errors import InputError, Interrupted
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
@@ -289,8 +290,9 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
         click.echo(seam_table(seams).text())
     if scores:
         click.echo(summary(scores))
-    click.echo(f"{folder.path}: {merged.count:,} gaussians of {len(merged.shares)} "
-               "blocks")
+    blocks = len(merged.shares)
+    click.echo(f"{folder.path}: {merged.count:,} gaussians of {blocks} block{'s' * (blocks != 1)}")
+    click.echo("\n".join(ending(folder.path)))
 
 
 def partition_options(given: dict[str, Any], scene: Scene, options: TrainOptions, device: Device,

@@ -10,7 +10,7 @@ from clsplat.cli.flags import FiniteRange
 from clsplat.errors import InputError
 
 
-@click.command()
+@click.command(short_help="Give SCENE metres and map coordinates.")
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="Folder of the new scene; photos are linked.")

@@ -39,6 +39,7 @@ from clsplat.training.interrupt import handled_interrupts
 
 BUG = 1  # exit code
 SIGPIPE = 13  # its number where it exists; Windows has none
+KEEP = {train, sfm, city, block, merge}  # commands that go on from what they saved
 CURE = "check that it exists, that it may be read or written, and that the disk has space"
 
 
@@ -68,7 +69,7 @@ class Reporting(SectionedGroup):
                 return code if isinstance(code, int) else 0
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the outermost place)
                 interrupts.end()
-                message, code = verdict(error, interrupts.number)
+                message, code = verdict(error, interrupts.number, self._keeps(arguments))
                 if "--traceback" in arguments or code == BUG:
                     say("".join(traceback.format_exception(error)).rstrip())
                 if message:
@@ -78,7 +79,13 @@ class Reporting(SectionedGroup):
                 return 128 + SIGPIPE if end.code == 1 else end.code
 
 
-def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:
+    def _keeps(self, arguments: list[str]) -> bool:
+        """Whether the command that the arguments name goes on from what it saved."""
+        named = (self.commands[word] for word in arguments if word in self.commands)
+        return next(named, None) in KEEP
+
+
+def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tuple[str, int]:
     """The message and the exit code for an exception that ended a command.
 
     Parameters
@@ -86,12 +93,14 @@ def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:
     error : the exception.
     signalled : the number of the signal that was sent to end the command, or 0. A library may have
         turned its KeyboardInterrupt into an exception of its own.
+    keeps : whether the command goes on from what it saved before an interrupt.
     """
     stopped = 128 + (signalled or signal.SIGINT)
     if isinstance(error, Interrupted):
         return str(error), stopped
     if signalled or isinstance(error, (KeyboardInterrupt, click.Abort)):
-        return "interrupted; what was saved is kept: give the same command again", stopped
+        kept = "; what was saved is kept" if keeps else ""
+        return f"interrupted{kept}: give the same command again", stopped
     if isinstance(error, click.UsageError):
         command = error.ctx.command_path if error.ctx else "clsplat"
         return f"error: {error.format_message()} See `{command} --help`.", 2
@@ -123,8 +132,9 @@ def say(text: str) -> None:
 def main(ctx: click.Context) -> None:
     """Train Gaussian splats of real scenes on any OpenCL device.
 
-    Start with `clsplat devices`, then `clsplat train SCENE -o RUN` on a COLMAP scene and
-    `clsplat eval RUN`.
+    Start with `clsplat train PHOTOS -o RUN`: a folder of photos is enough. `clsplat view RUN` shows
+    the model, `clsplat export RUN -o RUN.html` makes a page to send, `clsplat map RUN -o MAP` an
+    orthophoto. With camera poses, as in a COLMAP folder, give that folder in place of PHOTOS.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

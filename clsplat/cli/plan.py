@@ -10,6 +10,7 @@ import click
 from clsplat.cli.flags import given_options, size_type, training_flags
 from clsplat.cli.sections import SectionedCommand
 from clsplat.errors import InputError
+from clsplat.schedule.plan import size_at
 
 if TYPE_CHECKING:
     from clsplat.device import Device
@@ -114,8 +115,8 @@ def _memory(forecast: Forecast, device: Device) -> str:
 def _time(forecast: Forecast, load: tuple[float, int] | None) -> str:
     (_, _, begin), (level, gaussians, end) = forecast.ends
     text = (f"about {duration(forecast.seconds)} for {forecast.steps:,} steps: a step takes "
-            f"{1e3 * begin:.1f} ms at first, and {1e3 * end:.1f} ms at the end at level {level:g} "
-            f"with {gaussians:,} gaussians")
+            f"{1e3 * begin:.1f} ms at first, and {1e3 * end:.1f} ms at the end, with photos at "
+            f"{size_at(level)} and {gaussians:,} gaussians")
     if load:
         text += (f"; this machine is busy (load {load[0]:.1f} on {load[1]} cores), so this is an "
                  "upper estimate")

@@ -1,27 +1,32 @@
-"""The progress line of a command: its current phase, its progress, and the time that is left."""
+"""The progress line of a command: its current phase, its progress, and the time that is left, or
+that has passed where nothing foretells the end."""
 
 from __future__ import annotations
 
 import os
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Sequence
 from typing import TextIO
 
-from clsplat.training.progress import SilentProgress
+from clsplat.training.progress import SilentProgress, training_at
 
 DEFAULT_COLUMNS = 80  # where a terminal does not tell its width
 DRAW_SECONDS, LOG_SECONDS = 0.1, 10.0  # least time between numbers on a terminal, and in a log
 SPEED_REPORTS = 8  # latest reports, over which speed is measured
+TICK_SECONDS = 1.0  # between two drawings on a terminal, where nothing is reported meanwhile
+NOTED_SECONDS = 2.0  # a phase that has taken longer than this shows its time
+BAR = 20  # characters
 
 
 class Progress(SilentProgress):
     """A line with the current phase, and in training with iteration, time left, speed and loss.
 
     It is a context manager, which may be entered again. A terminal gets one line, which is redrawn
-    and shortened to fit. A log gets a line for each phase, and a line of numbers from time to time.
-    If the stream cannot be written any more, the line ends and the command continues.
+    every second and shortened to fit. A log gets a line for each phase, and a line of numbers from
+    time to time. If the stream cannot be written any more, the line ends and the command continues.
 
     Parameters
     ----------
@@ -40,82 +45,127 @@ class Progress(SilentProgress):
         self._shown_at = -float("inf")
         self._marks: deque[tuple[float, int]] = deque(maxlen=SPEED_REPORTS)  # time and progress
         self._rate = 0.0
-        self._phase = ""
+        self._phase = self._what = ""  # as it is shown, and without numbers
+        self._began = 0.0  # when the phase began
+        self._ends: float | None = None  # when it will end; None: nobody knows
         self._numbers: list[tuple[int, str]] = []
+        self._lock = threading.RLock()  # of all above
+        self._ended = threading.Event()
 
     def __enter__(self) -> Progress:
+        if self._live:
+            self._ended = threading.Event()
+            threading.Thread(target=self._tick, args=(self._ended,), daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._live:
-            self._draw("")
-        elif self._latest:
-            self._log(self._latest)
-            self._latest = ""
+        self._ended.set()
+        with self._lock:
+            if self._live:
+                self._draw("")
+            elif self._latest:
+                self._log(self._latest)
+                self._latest = ""
+
+    def _tick(self, ended: threading.Event) -> None:
+        """Draw the line again and again: its time passes also while a library works."""
+        while not ended.wait(TICK_SECONDS):
+            with self._lock:
+                if self._drawn and not ended.is_set():
+                    self._draw_line()
 
     def __call__(self, iteration: int, total: int, loss: float, gaussians: int, memory_bytes: int,
                  level: float) -> None:
         """Show the numbers of a training step."""
         end = min(self._stop_at or total, total)
-        self._report(f"training level {level:g}", iteration, end, f"{iteration}/{end}", "it/s", [
-            (4, f"loss {loss:.4f}"), (5, f"{gaussians:,} gaussians"),
-            (6, f"{memory_bytes / 2**20:,.0f} MiB")])
+        self._report(training_at(level), "", iteration, end, f"{iteration}/{end}", "it/s", [
+            (5, f"loss {loss:.4f}"), (6, f"{gaussians:,} gaussians"),
+            (7, f"{memory_bytes / 2**20:,.0f} MiB")])
 
     def count(self, what: str, done: int, total: int) -> None:
         """Show how many of `total` things are done, such as "photo", 3, 48."""
-        self._report(f"{what} {done} of {total}", done, total)
+        self._report(what, f" {done} of {total}", done, total)
 
     def phase(self, text: str) -> None:
         """Show the current phase, which may be the same as before; speed is not measured in it."""
-        if text == self._phase:
-            return
-        self._marks.clear()
-        self._phase = text
-        if self._live:
-            self._draw_line()
-        elif text not in self._logged:
-            self._logged.add(text)
-            self._log(self._titled(text))
+        with self._lock:
+            if text == self._what:
+                return
+            self._begin(text)
+            if self._live:
+                self._draw_line()
+            elif text not in self._logged:
+                self._logged.add(text)
+                self._log(self._titled())
 
     def message(self, text: str) -> None:
         """Print a line that stays."""
-        self._draw("")
-        self._write(text + "\n")
-        if self._live:
-            self._draw_line()
+        with self._lock:
+            self._draw("")
+            self._write(text + "\n")
+            if self._live:
+                self._draw_line()
 
-    def _report(self, phase: str, done: int, total: int, reached: str = "", unit: str = "",
-                more: Sequence[tuple[int, str]] = ()) -> None:
+    def _begin(self, what: str) -> None:
+        """Begin a phase, of which nothing is known yet."""
+        self._phase = self._what = what
+        self._began, self._ends, self._rate = time.monotonic(), None, 0.0
+        self._marks.clear()
+        self._numbers, self._latest = [], ""
+
+    def _report(self, what: str, number: str, done: int, total: int, reached: str = "",
+                unit: str = "", more: Sequence[tuple[int, str]] = ()) -> None:
         """Show numbers: on a terminal after DRAW_SECONDS or in a new phase, in a log after
         LOG_SECONDS or at the end."""
-        now, before = time.monotonic(), self._phase
-        self._measure(now, done)
-        self._phase = phase
-        self._numbers = [(1, reached)] if reached else []
-        if self._rate:
-            self._numbers.append((2, f"{clock((total - done) / self._rate)} left"))
-            if unit:
-                self._numbers.append((3, f"{self._rate:.1f} {unit}"))
-        self._numbers += more
-        self._latest = ", ".join([self._titled(phase), *(text for _, text in self._numbers)])
-        if self._live and (before != phase or now - self._shown_at >= DRAW_SECONDS):
-            self._shown_at = now
-            self._draw_line()
-        elif not self._live and (done == total or now - self._shown_at >= LOG_SECONDS):
-            self._shown_at = now
-            self._log(self._latest)
-            self._latest = ""
+        with self._lock:
+            now, before = time.monotonic(), self._phase
+            if what != self._what:
+                self._begin(what)
+            self._measure(now, done)
+            self._phase = what + number
+            known = self._rate > 0 and done < total
+            self._ends = now + (total - done) / self._rate if known else None
+            self._numbers = [(1, reached)] if reached else []
+            if self._rate and unit:
+                self._numbers.append((4, f"{self._rate:.1f} {unit}"))
+            self._numbers += more
+            if self._live:
+                self._numbers.insert(0, (3, bar(done, total)))
+                if before != self._phase or now - self._shown_at >= DRAW_SECONDS:
+                    self._shown_at = now
+                    self._draw_line()
+                return
+            self._latest = ", ".join(text for _, text in self._fields())
+            if done == total or now - self._shown_at >= LOG_SECONDS:
+                self._shown_at = now
+                self._log(self._latest)
+                self._latest = ""
 
     def _measure(self, now: float, done: int) -> None:
         if self._marks and now > self._marks[0][0]:
             self._rate = max(0, done - self._marks[0][1]) / (now - self._marks[0][0])
         self._marks.append((now, done))
 
-    def _titled(self, phase: str) -> str:
-        return f"{self._title}: {phase}" if self._title else phase
+    def _fields(self) -> list[tuple[int, str]]:
+        """What the line shows, in its order, with the priority of each."""
+        before = [field for field in self._numbers if field[0] in (1, 3)]
+        after = [field for field in self._numbers if field[0] not in (1, 3)]
+        passed = self._time()
+        return [(0, self._titled()), *before, *([(2, passed)] if passed else []), *after]
+
+    def _time(self) -> str:
+        """The time that is left or, where nothing foretells it or it is over, that has passed."""
+        now = time.monotonic()
+        if self._ends is not None and now < self._ends + TICK_SECONDS:
+            return f"{clock(self._ends - now)} left"
+        passed = now - self._began
+        return f"{clock(passed)} so far" if passed >= NOTED_SECONDS else ""
+
+    def _titled(self) -> str:
+        return f"{self._title}: {self._phase}" if self._title else self._phase
 
     def _draw_line(self) -> None:
-        self._draw(fitted([(0, self._titled(self._phase)), *self._numbers], self._columns() - 1))
+        self._draw(fitted(self._fields(), self._columns() - 1))
 
     def _draw(self, line: str) -> None:
         """Replace the line on a terminal."""
@@ -162,6 +212,12 @@ def fitted(fields: list[tuple[int, str]], width: int) -> str:
     while len(kept) > 1 and len(", ".join(text for _, text in kept)) > width:
         kept.remove(max(kept))
     return ", ".join(text for _, text in kept)[:width]
+
+
+def bar(done: int, total: int) -> str:
+    """A bar that is full at the end."""
+    full = BAR * min(done, total) // max(1, total)
+    return f"[{'#' * full}{'-' * (BAR - full)}]"
 
 
 def clock(seconds: float) -> str:

@@ -10,7 +10,7 @@ from clsplat.cli.flags import check_streaming, device_flag, streaming_flags
 from clsplat.errors import InputError
 
 
-@click.command()
+@click.command(short_help="Render a model from the cameras of a scene.")
 @click.argument("model", metavar="RUN_OR_FILE", type=click.Path(path_type=Path))
 @click.option("--scene", type=click.Path(path_type=Path),
               help="Scene whose cameras to use; default for a run: its own scene.")

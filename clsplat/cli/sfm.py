@@ -14,7 +14,7 @@ MATCHING = ("auto", "gps", "sequence", "all")
 SHOWN = 5  # photos that were not registered
 
 
-@click.command()
+@click.command(short_help="Make a scene from photos or a video.")
 @click.argument("photos", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="Folder of the new scene. The same command continues one that was killed.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import shlex
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +25,7 @@ LOG_LEVELS = ("debug", "info", "warning", "error")
 FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
 
 
-@click.command(cls=SectionedCommand)
+@click.command(cls=SectionedCommand, short_help="Train gaussians on photos, or on a scene.")
 @click.argument("scene", type=click.Path(path_type=Path), required=False)
 @training_flags
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), **FOLDER,
@@ -53,10 +54,10 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path, config: Path 
           up: tuple[float, float, float] | None, resume: bool, overwrite: bool,
           schedules: str | None, seeds: int, view: bool, quiet: bool,
           log_level: str, **_options: object) -> None:
-    """Train gaussians on SCENE, such as a COLMAP folder, or on photos.
+    """Train gaussians on SCENE: a folder of photos, a video, or a scene such as a COLMAP folder.
 
-    A COLMAP folder has sparse/ and images/. From a folder of photos, or a video, a scene is made
-    first, as `clsplat sfm` does, in OUTPUT_scene. Defaults are those of --schedule sig; other
+    From photos alone, or a video, a scene is made first, as `clsplat sfm` does, in OUTPUT_scene. A
+    COLMAP folder has sparse/ and images/. Defaults are those of --schedule sig; other
     schedules, --preset and --size L change some of them. The run's options.json has all values that
     were used.
     """
@@ -86,7 +87,19 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path, config: Path 
         raise InputError("--seeds: needs --schedules; for one run, use --seed")
     _train(scene, output, options, flags, overwrite, quiet, up, view)
     if not quiet:
-        click.echo(f"{output}: next, `clsplat eval {output}`")
+        click.echo("\n".join(ending(output)))
+
+
+def ending(output: Path) -> list[str]:
+    """The last lines of a training: warnings of its place, and what can be done with the result."""
+    from clsplat.io.run import REPORT, RunFolder
+    known = RunFolder(output).georeference()
+    warnings = [f"warning: {text}" for text in getattr(known, "warnings", ())]
+    report = [f"report:  {output / REPORT}"] if (output / REPORT).is_file() else []
+    page = output.parent / f"{output.resolve().name}.html"
+    folder, page_file = (shlex.quote(str(path)) for path in (output, page))
+    return [*warnings, *report, f"look:    clsplat view {folder}",
+            f"send:    clsplat export {folder} -o {page_file}"]
 
 
 def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags: dict[str, Any],

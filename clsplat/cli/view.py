@@ -9,7 +9,7 @@ import click
 from clsplat.cli.flags import check_streaming, device_flag, lod_flag, streaming_flags
 
 
-@click.command()
+@click.command(short_help="Look at the model of RUN in the browser.")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--port", type=click.IntRange(0, 65535), default=0,
               help="Port of the page; default: 8642 if it is free, else any.")

@@ -20,6 +20,7 @@ from clsplat.estimate.trial_steps import TrialSteps, sampled, sized, spread_out,
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
+from clsplat.schedule.plan import size_at
 from clsplat.schedule.simulate import Segment
 from clsplat.training.photos import at_level
 from clsplat.training.prepare import PreparedScene
@@ -57,7 +58,7 @@ def predicted_seconds(device: Device, prepared: PreparedScene, gaussians: Gaussi
     regularises = any(segment.regularises for segment in segments)
     measured = list(known)
     for level, count in () if known else stepped_with(views, gaussians.count, segments):
-        progress.phase(f"planning: timing steps at level {level:.3g}, {count:,} gaussians")
+        progress.phase(f"planning: timing steps at {size_at(level)}, {count:,} gaussians")
         seconds = _step_seconds(device, prepared, level, count, regularises)
         measured.append((pixels(views, level), count, seconds))
     cost = fitted(measured)

@@ -200,15 +200,23 @@ class Run:
         ------
         clsplat.ClsplatError : the scene is missing, or is another one.
         """
-        place, options = self.folder.scene_path(None if path is None else Path(path)), self.options
-        scene = self.folder.placed(read_scene(place, options.images))
+        place = self.folder.scene_path(None if path is None else Path(path))
+        scene = self.folder.placed(read_scene(place, self.options.images))
         recorded = self.record.get("fingerprint")
         if recorded is not None and fingerprint(scene) != recorded:
             raise InputError(f"{place}: is not the scene that {self.path} was trained on; give "
                              "that one with --scene")
         scene = undistorted(scene, self.folder.undistorted, make=False)
-        if whole:
-            return scene
+        return scene if whole else self.as_trained(scene)
+
+    def as_trained(self, scene: Scene) -> Scene:
+        """The scene of the training at the size of the training, with corrected poses.
+
+        Parameters
+        ----------
+        scene : `scene(whole=True)`.
+        """
+        options = self.options
         return scene.reduced(options.downscale, options.max_resolution).corrected(
             read_poses(self.path))
 

@@ -62,6 +62,10 @@ class Score:
         known = {field.name: result[field.name] for field in fields(cls) if field.name in result}
         return cls(**{**known, "per_view": tuple(result["per_view"])})
 
+    def __repr__(self) -> str:
+        return (f"<clsplat.Score of {self.views} views: PSNR {self.psnr:.2f} dB "
+                f"({self.psnr_cc:.2f} after the colour fit), SSIM {self.ssim:.4f}>")
+
     def _repr_html_(self) -> str:
         from clsplat.report.notebook import table
 

@@ -61,9 +61,9 @@ def find_model(folder: Path) -> Path:
     others = _numbered_models(folder)
     if others:
         return max(others, key=registered)
-    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; make "
-                     "one from photos with `clsplat sfm` (docs/guide/photos.md), or give another "
-                     "folder")
+    raise InputError(f"{folder}: no COLMAP model in sparse/0, sparse or the folder itself; of "
+                     "photos, make a scene with `clsplat sfm` or let `clsplat train` do it "
+                     "(docs/guide/photos.md), or give another folder")
 
 
 def model_notes(folder: Path, model: Path) -> Iterator[str]:

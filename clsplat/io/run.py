@@ -14,18 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-import clsplat
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.atomic import PARTIAL, replacing
-from clsplat.io.commit import checkout_commit
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.folders import make_folder, remove_files
 from clsplat.io.georeference import files as placement_files
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.npz import read_npz, state_array, write_npz
+from clsplat.io.origin import origin
 from clsplat.io.ply import read_ply, write_ply
 from clsplat.io.poses import POSES
 from clsplat.io.reason import reason
@@ -160,13 +159,13 @@ class RunFolder:
 
         Parameters
         ----------
-        record : the path `scene` is written relative to the run and absolute; `version` and, in a
-            checkout, `commit` of clsplat are added.
+        record : the path `scene` is written relative to the run and absolute; the keys of
+            `origin.origin` are added.
         """
         if self._replaces:
             self._remove_files()
             self._replaces = False
-        record = {**record, "version": clsplat.__version__, "commit": checkout_commit()}
+        record = {**record, **origin()}
         if "scene" in record:
             record |= scene_record(record["scene"], self.path)
         write_object(self.path / OPTIONS, plain(record), indent=2)

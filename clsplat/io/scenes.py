@@ -44,8 +44,8 @@ def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
     if os.path.isdir(path):
         return placed(attached(with_masks(_read_folder(path, images), path), path), path)
     if not os.path.exists(path):
-        raise InputError(f"{path}: no such scene; give a folder with images and sparse/0, or a "
-                         "packed .npz")
+        raise InputError(f"{path}: no such scene; give a folder of photos, a folder with images "
+                         "and sparse/0, or a packed .npz")
     if path.suffix == ".npz":
         _no_images(path, images, "a packed scene")
         return read_packed(path)

@@ -12,6 +12,7 @@ from clsplat.camera import Camera
 WIDTH, HEIGHT, DEGREES = 1280, 720, 50.0  # of a view from above
 STEEP = -0.35  # cameras that look downwards more than this (20 degrees) are above their scene
 CORE = (0.05, 0.95)  # quantiles of the points that a view from above shows whole
+LEAST_DISTANCE = 1e-6  # of the distance from the origin, below which positions are rounding
 # degrees above the horizon of a view from above: as steep as the photos, within these limits
 ELEVATIONS = (35.0, 60.0)
 
@@ -37,18 +38,29 @@ def first_view(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArr
     heights = points @ up
     above = len(points) and np.median(positions @ up) > np.quantile(heights, 0.8)
     if steepness < STEEP and above:
-        return _from_above(cameras, points, up, north, steepness)
+        return view_from_above(points, up, _towards(cameras, _near(points), up)
+                               if north is None else north, steepness)
     return _middle(cameras, points)
 
 
-def _from_above(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArray[np.float64],
-                north: NDArray[np.float64] | None, steepness: float) -> Camera:
-    """A camera obliquely above that shows the core of the points."""
-    middle = np.median(points, axis=0)
-    near = points[np.linalg.norm(points - middle, axis=1)
-                  <= np.quantile(np.linalg.norm(points - middle, axis=1), CORE[1])]
-    if north is None:
-        north = _towards(cameras, near, up)
+def _near(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points without those that are farthest from the median."""
+    distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    near: NDArray[np.float64] = points[distances <= np.quantile(distances, CORE[1])]
+    return near
+
+
+def view_from_above(points: NDArray[np.float64], up: NDArray[np.float64],
+                    north: NDArray[np.float64], steepness: float) -> Camera:
+    """A camera obliquely above that shows the core of the points.
+
+    Parameters
+    ----------
+    points : [N, 3], world, at least one.
+    up, north : [3], world; orthogonal unit vectors.
+    steepness : sine of the elevation of the photos, negative where they look down.
+    """
+    middle, near = np.median(points, axis=0), _near(points)
     elevation = np.radians(np.clip(np.degrees(np.arcsin(-steepness)), *ELEVATIONS))
     forward = np.cos(elevation) * north - np.sin(elevation) * up
     view = Camera.looking_at(middle, middle - forward, up=up, width=WIDTH, height=HEIGHT,
@@ -58,7 +70,8 @@ def _from_above(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDAr
     right, down, ahead = view.rotation @ (near - middle).T
     tangents = view.width / 2 / view.focal[0], view.height / 2 / view.focal[1]
     reach = np.maximum(np.abs(right) / tangents[0], np.abs(down) / tangents[1]) - ahead
-    distance = max(float(np.quantile(reach, CORE[1])), np.finfo(float).tiny)
+    least = LEAST_DISTANCE * float(np.linalg.norm(middle)) or np.finfo(float).eps
+    distance = max(float(np.quantile(reach, CORE[1])), least)
     return Camera.looking_at(middle, middle - distance * forward, up=up, width=WIDTH,
                              height=HEIGHT, degrees=DEGREES)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
+from clsplat.io.origin import origin
 from clsplat.io.records import write_object
 from clsplat.report.curves import Curve, Record, curve, reached, spread, value_at
 from clsplat.report.drawing import as_png, drawn
@@ -14,10 +15,11 @@ from clsplat.report.figures import comparison_figure, cost_figure
 from clsplat.report.groups import Trained, differing, equal, grouped, read_runs, title, warnings
 from clsplat.report.page import Table, as_utf8, folded, headed, page, warning
 
-SCORES = {"psnr_cc": ("PSNR cc, dB", 2), "psnr": ("PSNR, dB", 2), "ssim_cc": ("SSIM cc", 4),
-          "ssim": ("SSIM", 4), "flip_cc": ("FLIP cc", 4), "flip": ("FLIP", 4),
-          "lpips_cc": ("LPIPS cc", 4), "lpips": ("LPIPS", 4)}  # key -> (title, digits)
+SCORES = {"psnr_cc": ("PSNR cc, dB", 2), "ssim_cc": ("SSIM cc", 4), "flip_cc": ("FLIP cc", 4),
+          "lpips_cc": ("LPIPS cc", 4), "psnr": ("PSNR, dB", 2), "ssim": ("SSIM", 4),
+          "flip": ("FLIP", 4), "lpips": ("LPIPS", 4)}  # key -> (title, digits)
 ALWAYS = ("psnr_cc", "psnr", "ssim_cc", "ssim")  # the others only where a run has them
+SPREAD = ("psnr_cc", "ssim_cc", "flip_cc", "lpips_cc")  # whose deviation the table shows
 COSTS = ("pixel_pairs", "kernel_bytes")
 NO_CURVE = ("No curve: no run has more than one evaluation. Train with --eval-every STEPS, an "
             "eighth of -n or less, to see the error over time.")
@@ -61,7 +63,7 @@ def write_comparison(paths: Iterable[str | Path], folder: str | Path | None = No
         *map(warning, result["warnings"]), final.html(), time.html(),
         headed("Over cost, which does not depend on the machine", drawn(
             "PSNR over pairs of gaussian and pixel, and over bytes", cost_figure, groups)),
-        different.html(), folded(same.title, same.html()))
+        different.html(), folded(same.title, same.html()), made=origin())
     written = folder / "compare.html"
     with replacing(written) as file:
         file.write(html.encode())
@@ -143,12 +145,13 @@ def final_table(result: Mapping[str, Any]) -> Table:
         rows.append((
             group["name"], str(len(group["runs"])),
             ", ".join(str(run["seed"]) for run in group["runs"]),
-            *(_with_spread(mean[key], deviation[key], SCORES[key][1]) for key in scores),
-            "-" if mean["gaussians"] is None else f"{mean['gaussians']:,.0f}",
             _with_spread(mean["train_seconds"], deviation["train_seconds"], 1),
-            *("-" if mean[key] is None else f"{mean[key]:.3g}" for key in COSTS)))
-    return Table("At the end", ("group", "runs", "seeds", *(SCORES[key][0] for key in scores),
-                                "gaussians", "training, s", "pairs", "bytes"),
+            "-" if mean["gaussians"] is None else f"{mean['gaussians']:,.0f}",
+            *("-" if mean[key] is None else f"{mean[key]:.3g}" for key in COSTS),
+            *(_with_spread(mean[key], deviation[key] if key in SPREAD else None, SCORES[key][1])
+              for key in scores)))
+    return Table("At the end", ("group", "runs", "seeds", "training, s", "gaussians", "pairs",
+                                "bytes", *(SCORES[key][0] for key in scores)),
                  rows, range(3, 7 + len(scores)),
                  ("cc: after the colour fit. Lower is better for FLIP and LPIPS. ± is the standard "
                   "deviation over the runs of a group.",

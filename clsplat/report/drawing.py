@@ -19,9 +19,10 @@ LABEL_COLOUR = "#5c6166"
 SETTINGS: dict[str, Any] = {  # of matplotlib
     "font.size": 10, "axes.titlesize": 10.5, "axes.titleweight": "bold",
     "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
-    "axes.edgecolor": "#8b9095", "axes.grid": True, "axes.axisbelow": True,
-    "grid.color": "#e8e9ea", "xtick.color": LABEL_COLOUR, "ytick.color": LABEL_COLOUR,
-    "axes.labelcolor": LABEL_COLOUR, "axes.linewidth": 0.8, "lines.linewidth": 1.6,
+    "axes.edgecolor": "#8b9095", "axes.facecolor": "none", "axes.grid": True,
+    "axes.axisbelow": True, "grid.color": "#e8e9ea", "xtick.color": LABEL_COLOUR,
+    "ytick.color": LABEL_COLOUR, "axes.labelcolor": LABEL_COLOUR, "axes.linewidth": 0.8,
+    "lines.linewidth": 1.6,
     "legend.frameon": False,
     "text.parse_math": False,  # names of scenes may have dollar signs
     "svg.hashsalt": "clsplat",  # equal figures, equal bytes

@@ -14,11 +14,15 @@ from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator
 from clsplat.report.curves import Curve, Record, band, curve, frequency_curves
 from clsplat.report.drawing import LABEL_COLOUR
 from clsplat.report.groups import Trained
+from clsplat.report.scores import UPHEAVALS, is_upheaval
+from clsplat.schedule.plan import size_at
 
 # Okabe and Ito (2008), distinct for the colour-blind; without yellow, which is too pale on white
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 DASHES = ("-", "--", ":", "-.")
 WIDE, NARROW = 10, 4.4  # inches
+CHANGE: dict[str, Any] = {"color": "#8b9095", "linewidth": 0.9, "linestyle": (0, (4, 3)),
+                          "zorder": 0.5}  # the line at a change of the level
 
 
 def comparison_figure(groups: Mapping[str, Sequence[Trained]], levels: Sequence[float],
@@ -89,7 +93,7 @@ def cost_figure(groups: Mapping[str, Sequence[Trained]], narrow: bool = False) -
 
 
 def score_figure(records: Sequence[Record], narrow: bool = False) -> Figure | None:
-    """PSNR and SSIM over training time, plain and after the colour fit.
+    """PSNR and SSIM over training time, plain and after the colour fit, and what lowers them.
 
     None with fewer than two evaluations.
     """
@@ -101,10 +105,12 @@ def score_figure(records: Sequence[Record], narrow: bool = False) -> Figure | No
                                       ("", "plain", COLOURS[1])):
             axes.plot(*curve(records, "train_seconds", key + suffix, "eval"), ".-",
                       color=colour, label=label)
+        _mark_upheavals(axes, records)
         axes.set_title(title)
         axes.set_xlim(left=0)
         axes.set_xlabel("training time, s")
-    panels[0].legend(loc="best")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left",
+                  ncols=2 if narrow else 5)
     return figure
 
 
@@ -193,11 +199,29 @@ def _logarithmic(axes: Axes) -> None:
     axes.yaxis.set_minor_formatter("")
 
 
+def _mark_upheavals(axes: Axes, records: Sequence[Record]) -> None:
+    """Draw a line at each change of the level, and a mark at the bottom for each round of growth
+    and each reset of opacities."""
+    found = [record for record in records if is_upheaval(record)
+             and record.get("train_seconds") is not None]
+    times = {event: [record["train_seconds"] for record in found if record["event"] == event]
+             for event in UPHEAVALS}
+    for number, time in enumerate(times["level"]):
+        axes.axvline(time, label="" if number else "larger photos begin", **CHANGE)
+    for event, marker, label in (("grow", "|", "gaussians added"),
+                                 ("reset", "v", "opacities lowered")):
+        if times[event]:
+            axes.plot(times[event], [0.02] * len(times[event]), marker, label=label, markersize=6,
+                      color=LABEL_COLOUR, transform=axes.get_xaxis_transform(), clip_on=False)
+
+
 def _mark_changes(axes: Axes, records: Sequence[Record], named: bool) -> None:
-    """Draw a vertical line at each level change, with the new level beside it if `named`."""
-    for iteration, level in zip(*curve(records, "iteration", "level", "level")):
-        axes.axvline(iteration, color="#8b9095", linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
+    """Draw a vertical line at each level change, with the new size of photos beside it if `named`.
+    """
+    for number, (iteration, level) in enumerate(zip(*curve(records, "iteration", "level",
+                                                           "level"))):
+        axes.axvline(iteration, **CHANGE)
         if named:
-            axes.annotate(f"level {level:g}", (iteration, 1), xycoords=("data", "axes fraction"),
-                          xytext=(3, -2), textcoords="offset points", va="top", fontsize=9,
-                          color=LABEL_COLOUR)
+            axes.annotate(size_at(level), (iteration, 1), xycoords=("data", "axes fraction"),
+                          xytext=(3, -2 - 11 * (number % 2)), textcoords="offset points",
+                          va="top", fontsize=9, color=LABEL_COLOUR)

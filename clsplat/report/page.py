@@ -5,14 +5,16 @@ A Table is also text, for the terminal.
 
 import base64
 import textwrap
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from clsplat.report.style import STYLE
 
 NOTES_WIDTH = 100  # characters, of notes in the terminal
+LONGEST_COMMAND = 1000  # characters, of the command in the head of a page
 
 
 @dataclass(frozen=True)
@@ -89,17 +91,36 @@ def html_of(*parts: Table | str | None) -> str:
     return "".join(part if isinstance(part, str) else part.html() for part in parts if part)
 
 
-def page(title: str, lead: str, *parts: str) -> str:
-    """The whole page: title and lead as text, parts as HTML.
+def page(title: str, lead: str, *parts: str, made: Mapping[str, Any] | None = None) -> str:
+    """The whole page.
 
     Characters that UTF-8 cannot encode, as in the name of a file, are written as \\udcff.
+
+    Parameters
+    ----------
+    title, lead : text of its head.
+    parts : HTML.
+    made : when, by which version and by which command its content was made, see `io.origin`.
     """
     text = (f'<!doctype html>\n<html lang="en">\n<head><meta charset="utf-8">\n'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f"<title>{escape(title)}</title>\n<style>{STYLE}</style></head>\n<body>\n"
-            f"<h1>{escape(title)}</h1>\n<p class=lead>{escape(lead)}</p>\n"
+            f"<h1>{escape(title)}</h1>\n<p class=lead>{escape(lead)}</p>\n{_made(made or {})}"
             f"{''.join(parts)}</body>\n</html>\n")
     return as_utf8(text)
+
+
+def _made(record: Mapping[str, Any]) -> str:
+    """A line with what `io.origin` has recorded; "" if that is nothing."""
+    date, version, commit, command = (
+        str(record.get(key) or "") for key in ("date", "version", "commit", "command"))
+    if len(command) > LONGEST_COMMAND:
+        command = f"{command[:LONGEST_COMMAND]} ..."
+    program = f"clsplat {version}" + (f" ({commit[:8]})" if commit else "")
+    facts = [escape(date.replace("T", " ", 1)[:16]), escape(program) if version else "",
+             f"<code>{escape(command)}</code>" if command else ""]
+    line = " · ".join(filter(None, facts))
+    return f"<p class=facts>{line}</p>\n" if line else ""
 
 
 def as_utf8(text: str) -> str:

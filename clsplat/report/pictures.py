@@ -1,8 +1,8 @@
 """The pictures at the beginning of a report: photo, render and error of a few views."""
 
 import base64
+from collections.abc import Sequence
 from html import escape
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR
 from clsplat.evaluation.pictures import Pictures, ShownView
 from clsplat.io.images import encode_jpeg
+from clsplat.report.page import Table
+from clsplat.report.scores import COLUMNS, EXPLAINED, PERCEPTUAL, number, with_quality
 
 JPEG_QUALITY = 85
 # comments around the pictures in a page, by which `with_pictures` finds them
@@ -45,10 +47,12 @@ def _section(pictures: Pictures | None) -> str:
         which = ("No view is held out, so these photos were trained on, and say less about the "
                  f"model than others would. They were chosen from {pictures.count}.")
     colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
-    return (f"<h2>{title}</h2>\n<p>{which} PSNR and SSIM are higher, and FLIP is lower, where the "
-            "two are more similar.</p>\n<div class=scale><b>error: none</b> "
+    return (f"<h2>{title}</h2>\n<p>{which} PSNR measures how similar the two are after the colour "
+            f"fit. {EXPLAINED}</p>\n"
+            "<div class=scale><b>error: none</b> "
             f'<i style="background: linear-gradient(to right, {colours})"></i>'
             f"{LARGEST_ERROR:.0%} of full brightness or more</div>\n{views}"
+            f"{_numbers(pictures.shown).html()}"
             "<p class=note>The colour fit is a quadratic fit of each render's colours to its "
             "photo; the error is the mean difference of red, green and blue. The PNG files of "
             "<code>clsplat eval</code> have the renders without the fit, too.</p>\n")
@@ -58,20 +62,25 @@ def _view(view: ShownView) -> str:
     name, scores = escape(view.scores["name"]), view.scores
     title = {"only": name}.get(view.place, f"{view.place.capitalize()}: {name}")
     panels = "\n".join(
-        f"<figure>{_jpeg(getattr(view, panel), f'{panel} of {name}')}"
+        f"<figure>{jpeg(getattr(view, panel), f'{panel} of {name}')}"
         f"<figcaption>{caption}</figcaption></figure>" for panel, caption in PANELS)
     return (f"<div class=view>\n<h3>{title}</h3>\n"
-            f"<p>PSNR {scores['psnr_cc']:.2f} dB, SSIM {scores['ssim_cc']:.3f} after the colour "
-            f"fit ({scores['psnr']:.2f} dB, {scores['ssim']:.3f} plain){_flip(scores)}</p>\n"
+            f"<p>PSNR {with_quality(scores['psnr_cc'])}</p>\n"
             f"<div class=panels>\n{panels}\n</div>\n</div>\n")
 
 
-def _flip(scores: dict[str, Any]) -> str:
-    return (f"; FLIP {scores['flip_cc']:.3f} ({scores['flip']:.3f} plain)"
-            if "flip" in scores else "")
+def _numbers(shown: Sequence[ShownView]) -> Table:
+    """All scores of the pictures."""
+    scores = [view.scores for view in shown]
+    columns = [column for column in (*COLUMNS, *PERCEPTUAL) if any(
+        column[0] in of_view for of_view in scores)]
+    rows = [(str(of_view["name"]), *(number(of_view, key, form) for key, _, form in columns))
+            for of_view in scores]
+    return Table("", ("view", *(title for _, title, _ in columns)), rows,
+                 range(1, len(columns) + 1))
 
 
-def _jpeg(pixels: NDArray[np.uint8], description: str) -> str:
+def jpeg(pixels: NDArray[np.uint8], description: str) -> str:
     """HTML of an image [H, W, 3] with an escaped description."""
     height, width = pixels.shape[:2]
     data = base64.b64encode(encode_jpeg(pixels, JPEG_QUALITY)).decode()

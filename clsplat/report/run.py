@@ -1,6 +1,6 @@
 """The page of one run: pictures, scores, growth, loss, level changes and scene frequency."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +14,14 @@ from clsplat.report.figures import frequency_figure, score_figure, step_figure
 from clsplat.report.groups import scene_name
 from clsplat.report.page import Table, folded, headed, html_of, page
 from clsplat.report.pictures import pictures_html, with_pictures
+from clsplat.report.scores import main_psnr, number, score_table, with_quality
+from clsplat.report.survey import survey_html
+from clsplat.scene import Scene
 
-FACTS = ("scene", "scene_absolute", "fingerprint", "extent", "offset", "opencl_device",
-         "kernel_form", "version", "commit")
-# of the scores: key, title, format
-COLUMNS = (("iteration", "step", ",.0f"), ("train_seconds", "training, s", ",.1f"),
-           ("psnr_cc", "PSNR cc, dB", ".2f"), ("psnr", "PSNR, dB", ".2f"),
-           ("ssim_cc", "SSIM cc", ".4f"), ("ssim", "SSIM", ".4f"))
-PERCEPTUAL = (("flip_cc", "FLIP cc", ".4f"), ("flip", "FLIP", ".4f"),
-              ("lpips_cc", "LPIPS cc", ".4f"), ("lpips", "LPIPS", ".4f"))  # where a run has them
+FACTS = ("command", "date", "scene", "scene_absolute", "fingerprint", "extent", "offset",
+         "opencl_device", "kernel_form", "version", "commit")
 PREDICTED = ("Held-out views have an exposure that follows from the training photos alone: {:.0%} "
              "interpolated between those before and after, the rest the mean of all.")
-GAUSSIANS = ("gaussians", "gaussians", ",.0f")
 # comments around the table of scores, by which `renewed` finds it
 BEGIN, END = "<!-- scores -->\n", "<!-- end of scores -->\n"
 FREQUENCY = (
@@ -35,8 +31,8 @@ FREQUENCY = (
     "</p>\n")
 
 
-def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures | None = None
-                 ) -> Path:
+def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures | None = None,
+                 scene: Scene | None = None) -> Path:
     """Write the report of a run from its options and metrics, and return its path.
 
     Parts without records, such as the levels of a schedule that has none, are left out.
@@ -45,12 +41,13 @@ def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures |
     ----------
     more : tables and HTML that follow the scores.
     pictures : the beginning of the page.
+    scene : at the size of its photos, for the section Survey.
     """
     options, records = run.read_options(), run.records()
     frequency = drawn("Scene frequency over iterations", frequency_figure, records)
     scores = drawn("PSNR and SSIM over training time", score_figure, records)
     parts = (
-        pictures_html(pictures),
+        pictures_html(pictures), survey_html(scene),
         headed("Scores over training time" if scores else "Scores", scores, _scores(records)),
         *more,
         headed("Growth and loss", drawn("Gaussians, loss and level over iterations",
@@ -58,19 +55,29 @@ def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures |
         plan_table(records), level_table(records),
         folded("Options", option_table(options).html()),
         frequency and folded("Scene frequency", FREQUENCY + frequency))
-    return run.write_report(page(f"{scene_name(options)}: run {run.path.resolve().name}",
-                                 lead(options, records), html_of(*parts)))
+    return run.write_report(page(heading(scene_name(options), run.path.resolve().name),
+                                 lead(options, records), html_of(*parts), made=options))
 
 
-def renew_report(run: RunFolder, pictures: Pictures) -> Path:
+def heading(scene: str, run: str) -> str:
+    """The names of a scene and of its run, once if the second follows from the first."""
+    return run if scene in (run, f"{run}_scene", "?") else f"{scene}: {run}"
+
+
+def renew_report(run: RunFolder, pictures: Pictures,
+                 scene: Callable[[], Scene | None] = lambda: None) -> Path:
     """Replace the pictures and the table of scores in the report of a run, and return its path.
 
     The report is written anew if it is missing or has no section of pictures.
+
+    Parameters
+    ----------
+    scene : called for the scene, at the size of its photos, if the report is written anew.
     """
     html = run.read_report()
     html = html and with_pictures(html, pictures)
     if not html:
-        return write_report(run, pictures=pictures)
+        return write_report(run, pictures=pictures, scene=scene())
     before, begin, rest = html.partition(BEGIN)
     _, end, after = rest.partition(END)
     scores = _scores(run.past_records())
@@ -92,31 +99,15 @@ def lead(options: Mapping[str, Any], records: Sequence[Record]) -> str:
             f"{_duration(last.get('train_seconds') or 0)} ({last.get('iteration') or 0:,} steps) "
             f"on {device}.")
     scores = [record for record in records if record.get("event") == "eval"
-              and record.get("psnr_cc") is not None]
+              and main_psnr(record) is not None]
     if scores:
-        views, plain = scores[-1].get("views"), scores[-1].get("psnr")
+        views, weight = scores[-1].get("views"), scores[-1].get("exposure_weight")
         tested = "held-out views" if views is None else f"{views} held-out view{'s' * (views != 1)}"
-        text += (f" PSNR on {tested}: {scores[-1]['psnr_cc']:.2f} dB after the colour fit"
-                 f"{'' if plain is None else f', {plain:.2f} dB plain'}.")
-        if scores[-1].get("exposure_weight") is not None:
-            text += f" {PREDICTED.format(scores[-1]['exposure_weight'])}"
+        text += (f" PSNR on {tested}{'' if weight is None else ', after the colour fit'}: "
+                 f"{with_quality(main_psnr(scores[-1]))}.")
+        if weight is not None:
+            text += f" {PREDICTED.format(weight)}"
     return f"{text} Schedule {options.get('schedule', '?')}, seed {options.get('seed', '?')}."
-
-
-def score_table(records: Sequence[Record]) -> Table | None:
-    """A row for each evaluation; None without any."""
-    evaluations = [record for record in records if record.get("event") == "eval"]
-    columns = [*COLUMNS, *(column for column in PERCEPTUAL if any(
-        record.get(column[0]) is not None for record in evaluations)), GAUSSIANS]
-    rows = [tuple(_number(record, key, form) for key, _, form in columns)
-            for record in evaluations]
-    note = ("Means over the held-out views; cc: after a quadratic fit of each render's colours to "
-            "its photo.")
-    if len(columns) > len(COLUMNS) + 1:
-        note += (" FLIP and LPIPS, lower is better, are close to what people see; they are "
-                 "computed for the finished model only.")
-    return Table("", tuple(title for _, title, _ in columns), rows, range(len(columns)),
-                 (note,)) if rows else None
 
 
 def plan_table(records: Sequence[Record]) -> Table | None:
@@ -134,13 +125,13 @@ def level_table(records: Sequence[Record]) -> Table | None:
     for record in records:
         if record.get("event") == "level":
             rows.append((
-                _number(record, "iteration", ",.0f"), _number(record, "train_seconds", ",.1f"),
+                number(record, "iteration", ",.0f"), number(record, "train_seconds", ",.1f"),
                 f"{'-' if before is None else format(before, 'g')} → "
-                f"{_number(record, 'level', 'g')}", str(record.get("reason") or "-"),
-                _number(record, "since", ",.0f"), _number(record, "slope", ".3g"),
-                _number(record, "threshold", ".3g"), _number(record, "frequency", ".3g"),
-                _number(record, "hits", ".0f"), _number(record, "rounds", ".0f"),
-                _number(record, "gaussians", ",.0f")))
+                f"{number(record, 'level', 'g')}", str(record.get("reason") or "-"),
+                number(record, "since", ",.0f"), number(record, "slope", ".3g"),
+                number(record, "threshold", ".3g"), number(record, "frequency", ".3g"),
+                number(record, "hits", ".0f"), number(record, "rounds", ".0f"),
+                number(record, "gaussians", ",.0f")))
         before = record.get("level") if record.get("level") is not None else before
     return Table("Level changes", (
         "step", "training, s", "level", "reason", "steps at it", "slope", "threshold", "frequency",
@@ -166,7 +157,3 @@ def _duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     return (f"{minutes} min {rest} s" if minutes < 100
             else f"{minutes // 60} h {minutes % 60} min")
-
-
-def _number(record: Record, key: str, form: str) -> str:
-    return "-" if record.get(key) is None else format(record[key], form)

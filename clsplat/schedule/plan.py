@@ -262,3 +262,8 @@ def sizes_text(levels: tuple[float, ...], size: tuple[int, int]) -> str:
     """
     sizes = [f"{int(size[0] / level)} x {int(size[1] / level)}" for level in levels]
     return f"{sizes[0]} to {sizes[-1]} pixels" if len(sizes) > 1 else f"{sizes[0]} pixels"
+
+
+def size_at(level: float) -> str:
+    """The size of the photos at a level, in words, such as "1/3 size"."""
+    return "full size" if level == 1 else f"1/{level:.3g} size"

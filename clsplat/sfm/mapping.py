@@ -66,7 +66,11 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
         registered = itertools.count(3)  # the first call follows the first pair and one more
 
         def show() -> None:
-            progress.count("incremental mapping, photo", min(next(registered), photos), photos)
+            number = next(registered)  # more than all where a second attempt follows
+            if number < photos:
+                progress.count("incremental mapping, photo", number, photos)
+            else:
+                progress.phase("incremental mapping, last adjustments")
 
         progress.phase("incremental mapping")
         found["incremental"] = _incremental(database, work / "incremental", fixed, show)

@@ -1,10 +1,12 @@
 """Evaluates the held-out views during a training, and decides when that is due."""
 
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from clsplat.config.option import is_auto
 from clsplat.evaluation.views import METRICS, evaluate_views, final_metrics
+from clsplat.report.scores import disturbed, main_key
 from clsplat.training.clock import Clock
 from clsplat.training.recorder import Recorder
 from clsplat.training.session import Session
@@ -30,6 +32,7 @@ class Evaluator:
         self.evaluated_at: int | None = None
         self.per_view: list[dict[str, Any]] | None = None
         self.latest_seconds = self._all_seconds = 0.0
+        self._is_begun = False  # whether the head of the scores was shown
 
     def is_due(self) -> bool:
         """Whether an evaluation is due after the latest step, by its number and the time so far."""
@@ -64,12 +67,24 @@ class Evaluator:
         self._all_seconds += self.latest_seconds
         self.evaluated_at, self.per_view = session.iteration, result.pop("per_view")
         self.recorder.log("eval", **result)
-        predicted = (f", exposure predicted with weight {result['exposure_weight']:.2f}"
-                     if "exposure_weight" in result else "")
-        more = "".join(f"{name.upper()} {result[name]:.4f}, " for name in ("flip", "lpips")
-                       if name in result)
-        progress.message(
-            f"step {session.iteration}: PSNR {result['psnr']:.2f} dB ({result['psnr_cc']:.2f} "
-            f"after the colour fit), SSIM {result['ssim']:.4f}, "
-            f"{more}{result['views']} held-out views{predicted}, "
-            f"{session.model.count:,} gaussians, {self.clock.trained():.1f} s of training")
+        progress.message("\n".join([*self._head(result), self._line(result)]))
+
+    def _head(self, result: dict[str, Any]) -> Iterator[str]:
+        """The lines above the first evaluation of this process, which explain its columns."""
+        if self._is_begun:
+            return
+        self._is_begun = True
+        fitted = main_key(result) == "psnr_cc"
+        yield (f"scores of {result['views']} held-out photo{'s' * (result['views'] != 1)}"
+               + ", their colours fitted, as exposures are learned" * fitted)
+        yield f"{'step':>7}{'PSNR, dB':>10}{'SSIM':>9}{'gaussians':>13}{'training':>11}"
+
+    def _line(self, result: dict[str, Any]) -> str:
+        """An evaluation in columns, in at most 79 characters."""
+        key = main_key(result)
+        ssim = result[key.replace("psnr", "ssim")]
+        note = ", ".join(f"{name.upper()} {result[name]:.4f}" for name in ("flip", "lpips")
+                         if name in result) or disturbed(self.recorder.upheavals,
+                                                         self.session.iteration)
+        return (f"{self.session.iteration:>7}{result[key]:>10.2f}{ssim:>9.4f}"
+                f"{self.session.model.count:>13,}{self.clock.trained():>9.1f} s  {note}").rstrip()

@@ -12,6 +12,7 @@ from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
 from clsplat.placement.corrections import Correction
 from clsplat.report.run import write_report
+from clsplat.scene import Scene
 from clsplat.training.frequency import VARIANTS, scene_frequency
 from clsplat.training.interrupt import was_interrupted
 from clsplat.training.session import Session
@@ -49,19 +50,22 @@ def _comments(session: Session) -> tuple[str, ...]:
             *placement_comments(session.scene.up, session.scene.georeference))
 
 
-def draw_report(run: RunFolder, session: Session, per_view: list[dict[str, Any]] | None) -> None:
+def draw_report(run: RunFolder, session: Session, scene: Scene,
+                per_view: list[dict[str, Any]] | None) -> None:
     """Write the report of a run; failure is only a warning, as the model is complete.
 
     Parameters
     ----------
     run : the folder.
     session : the finished training.
+    scene : its scene, at the size of the photos.
     per_view : scores of the held-out views, if known.
     """
     try:
         write_report(run, pictures=pictures_of(
             session.renderer, session.model.current_rows(), session.options.sh_degree,
-            session.test_views, session.corrected_views(), per_view, session.predicted()))
+            session.test_views, session.corrected_views(), per_view, session.predicted()),
+            scene=scene)
     except ClsplatError:
         raise
     except Exception as error:  # noqa: BLE001  (fonts, locales, matplotlib settings)

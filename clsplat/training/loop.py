@@ -34,7 +34,7 @@ from clsplat.training.finish import draw_report, save_model, save_snapshot
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.interrupt import deferred_interrupt, was_interrupted
 from clsplat.training.photos import THREADS, epoch_order, size_note
-from clsplat.training.progress import WARNING, SilentProgress
+from clsplat.training.progress import WARNING, SilentProgress, training_at
 from clsplat.training.recorder import LOG_EVERY, Callback, Recorder, broken
 from clsplat.training.scene_checks import find_warnings
 from clsplat.training.session import Session
@@ -162,7 +162,7 @@ class Training:
         if any(view.lens for view in scene.views):
             progress.phase("undistorting photos")
             scene = undistorted(with_depths(scene, options.depth), run.undistorted, THREADS)
-        self.clock = Clock(device)
+        self._scene, self.clock = scene, Clock(device)
         self.session = Session.build(scene, options, device, progress, gaussians, run.path, level)
         self.recorder = Recorder(self.session, self.clock, run, progress, callbacks)
         self.evaluator = Evaluator(self.session, self.clock, self.recorder)
@@ -221,7 +221,8 @@ class Training:
         if not is_part:
             if self.evaluator.evaluated_at != self.session.iteration:
                 self.evaluator.evaluate(final=True)
-            draw_report(self.run, self.session, self.evaluator.per_view)
+            self.progress.phase("writing the report")
+            draw_report(self.run, self.session, self._scene, self.evaluator.per_view)
 
     @contextmanager
     def resumable(self) -> Iterator[None]:
@@ -271,7 +272,7 @@ class Training:
         if session.iteration * batch % len(session.train_views) < batch:  # an epoch has ended
             session.recentre()
         self._measured = step.run(iteration, plan, self._samples(plan))
-        self.progress.phase(f"training level {plan.level:g}")
+        self.progress.phase(training_at(plan.level))
         event = step.densify(iteration, plan, session.schedule, session.scoring_views)
         session.iteration = iteration
         if not step.count:
@@ -281,7 +282,8 @@ class Training:
             self.recorder.log("grow", **event)
         if plan.resets_opacity:
             session.disturbed_at = iteration
-        frequency = self._observe()
+            self.recorder.log("reset")
+        frequency, decision = self._observe()
         if deadline:
             deadline.estimate()
         if self.finished():
@@ -291,6 +293,8 @@ class Training:
             if deadline:
                 deadline.budget.evaluation_seconds = self.evaluator.latest_seconds
         self.recorder.stepped(self._measured, frequency)
+        if decision:  # after all that belongs to the step, which was taken at the level before
+            self.recorder.log("level", **decision)
         if self.watcher and self.watcher.is_due():
             with self.clock.paused():
                 self.watcher.draw(session)
@@ -316,22 +320,18 @@ class Training:
                 self.session.expect(self.view_of(number + 1), number + 1, plan)
             yield sample
 
-    def _observe(self) -> dict[str, float] | None:
-        """Pass the scene frequency to the schedule if that is due, and log what it decides.
-
-        Returns the frequency, if it was measured.
-        """
+    def _observe(self) -> tuple[dict[str, float] | None, dict[str, Any] | None]:
+        """The scene frequency, if that is measured after this step, and what the schedule, to which
+        it is passed if that is due, decides about the level."""
         session, decision = self.session, None
         observes = self._due(session.schedule.observe_every)
         if not (observes or self._due(LOG_EVERY)):
-            return None
+            return None, None
         session.model.catch_up()
         frequency = scene_frequency(session.device, session.model.rows, session.scene.unit)
         if observes:
             decision = session.schedule.observe(session.iteration, frequency)
-        if decision:
-            self.recorder.log("level", **decision)
-        return frequency
+        return frequency, decision
 
     def _evaluates(self) -> bool:
         """Whether an evaluation follows the latest step, other than the last."""

@@ -7,9 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from clsplat.io.lock import note_work
+from clsplat.schedule.plan import size_at
 
 WARNING = "warning: "  # begins a message that is always shown
 NOTE_SECONDS = 10.0
+
+
+def training_at(level: float) -> str:
+    """The phase of a training at a level."""
+    return f"training at {size_at(level)}"
 
 
 class SilentProgress:

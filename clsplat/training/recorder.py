@@ -7,6 +7,7 @@ import numpy as np
 
 from clsplat.errors import InputError, StopTraining
 from clsplat.io.run import RunFolder
+from clsplat.report.scores import is_upheaval
 from clsplat.training.clock import Clock
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
@@ -25,12 +26,14 @@ class Recorder:
     ----------
     progress : the progress line.
     stop : whether a callback has raised StopTraining.
+    upheavals : event -> step of its latest record, of those that lower the scores for a while.
     """
 
     def __init__(self, session: Session, clock: Clock, run: RunFolder, progress: SilentProgress,
                  callbacks: Iterable[Callback] = ()) -> None:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
         self._callbacks, self.stop = tuple(callbacks), False
+        self.upheavals: dict[str, int] = {}
 
     def _place(self) -> dict[str, Any]:
         """The keys of every record, which tell where the training is."""
@@ -44,6 +47,8 @@ class Recorder:
         record = {"event": event, **self._place(), "pixel_pairs": self.session.step.pixel_pairs,
                   "kernel_bytes": self.clock.moved(), **values}
         self.run.log(record)
+        if is_upheaval(record):
+            self.upheavals[event] = self.session.iteration
         if event != "step":  # callbacks receive every step from `stepped`
             self._show(record)
 

@@ -22,6 +22,7 @@ from clsplat.rendering.pipeline import Renderer
 from clsplat.response import Response
 from clsplat.scene import Scene, View, corrected_views
 from clsplat.schedule import Plan, Schedule, laid_over
+from clsplat.schedule.plan import size_at
 from clsplat.training.dense_start import first_gaussians
 from clsplat.training.depth_maps import DepthMapsOnDevice
 from clsplat.training.initialise import initial_responses
@@ -157,7 +158,7 @@ class Session:
         if level == self.level:
             return False
         self.level = level
-        self.progress.phase(f"reading photos of level {level:g}")
+        self.progress.phase(f"reading photos at {size_at(level)}")
         self.photos.use(level)
         self._draw_layers()
         cameras = [view.camera for view in self.photos.views]
@@ -176,7 +177,8 @@ class Session:
     def _draw_layers(self) -> None:
         """Draw the layers of the photos' level, if there are any."""
         if self.layers:
-            self.progress.phase(f"drawing what surrounds the block, level {self.photos.level:g}")
+            size = size_at(self.photos.level)
+            self.progress.phase(f"drawing what surrounds the block at {size}")
             self.layers.use(self.photos.level, self.photos.views, self.photos.spare_bytes)
 
     def sample(self, view: int, number: int, plan: Plan) -> TrainingSample:

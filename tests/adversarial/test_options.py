@@ -44,7 +44,7 @@ def accepted(name):
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_module, "checkout_commit", lambda: None)
+    monkeypatch.setattr(run_module, "origin", dict)
     return RunFolder.create(tmp_path / "run")
 
 

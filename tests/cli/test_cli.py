@@ -76,6 +76,9 @@ def calls(monkeypatch):
         def scene_path(self, given):
             return given or "recorded"
 
+        def georeference(self):
+            return None
+
         def read_options(self):
             record = {"scene": "city", "version": "0", **dataclasses.asdict(self.stored)}
             return json.loads(json.dumps(record))
@@ -87,7 +90,7 @@ def calls(monkeypatch):
                 progress(iteration=0, total=5, loss=1.0, gaussians=1, memory_bytes=0, level=2.0)
         return call
 
-    module(monkeypatch, "clsplat.io.run", RunFolder=FakeRun)
+    module(monkeypatch, "clsplat.io.run", RunFolder=FakeRun, REPORT="report.html")
     module(monkeypatch, "clsplat.io.scenes", read_scene=lambda path, given: f"scene {path}{given}")
     module(monkeypatch, "clsplat.device", choose_device=lambda spec, **_: f"device {spec}")
     train = module(monkeypatch, "clsplat.training")
@@ -150,7 +153,7 @@ def test_a_bug_shows_its_traceback_and_exit_1():
 
 @pytest.mark.parametrize("error, said", [
     (Interrupted("stopped at 5; go on with --resume"), "stopped at 5; go on with --resume"),
-    (KeyboardInterrupt(), "interrupted; what was saved is kept: give the same command again")])
+    (KeyboardInterrupt(), "interrupted: give the same command again")])
 def test_interrupts_exit_130(error, said):
     result = CliRunner().invoke(raising(error), ["fail"])
     assert result.exit_code == 130 and result.stderr.strip() == said
@@ -175,7 +178,7 @@ def test_train_calls_with_resolved_options(calls, tmp_path):
     (_, path, overwrite), (_, scene, options, device, progress) = calls
     assert (str(path), overwrite, scene, device) == ("run", True, "scene city", "device cpu")
     assert options == resolve({}, {"iterations": 50, "seed": 2, "device": "cpu"})
-    assert progress is not None and "clsplat eval run" in result.output
+    assert progress is not None and "look:    clsplat view run" in result.output
 
 
 def test_train_completes_what_a_choice_sets(calls):
@@ -365,7 +368,7 @@ def test_progress_in_a_log(tmp_path):
     lines = logged(tmp_path, (0, 50, 100), (100, 100, 100))
     assert sum("100/100" in line for line in lines) == 1
     last = next(line for line in lines if "100/100" in line)
-    for part in ("it/s", "loss 0.2500", "level 2.5", "12,345 gaussians", "3 MiB", "left"):
+    for part in ("it/s", "loss 0.2500", "at 1/2.5 size", "12,345 gaussians", "3 MiB"):
         assert part in last
 
 

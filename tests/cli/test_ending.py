@@ -7,11 +7,16 @@ import sys
 import threading
 import time
 from importlib.machinery import ExtensionFileLoader
+from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import pytest
 from click.testing import CliRunner
 
+from clsplat.cli.main import main, verdict
+from clsplat.cli.train import ending
+from clsplat.io.run import RunFolder
 from clsplat.training.interrupt import handled_interrupts, signals_held
 from tests.cli.test_cli import python, raising
 
@@ -36,8 +41,37 @@ def test_an_interrupt_that_a_library_made_an_error_of_is_no_bug(number, code, re
     request.addfinalizer(lambda: signal.signal(number, was))
     result = CliRunner().invoke(group, ["burn"])
     assert result.exit_code == code and "bug" not in result.stderr
-    assert result.stderr.startswith("interrupted; what was saved is kept: give the same command")
+    assert result.stderr == "interrupted: give the same command again\n"
     assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("name, shown, page", [
+    ("run", "run", "run.html"), ("my run", "'my run'", "'my run.html'"),
+    ("v1.2", "v1.2", "v1.2.html"), ("out/", "out", "out.html"), ("a;b", "'a;b'", "'a;b.html'")])
+def test_a_training_ends_with_what_can_be_done(name, shown, page, tmp_path, monkeypatch):
+    """Trial of f3a1525: it named neither the report nor a page."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).mkdir()
+    look = [f"look:    clsplat view {shown}", f"send:    clsplat export {shown} -o {page}"]
+    assert ending(Path(name)) == look  # its report could not be drawn
+    (tmp_path / name / "report.html").touch()
+    assert ending(Path(name)) == [f"report:  {Path(name)}/report.html", *look]
+    place = SimpleNamespace(warnings=("the residual is large",))
+    monkeypatch.setattr(RunFolder, "georeference", lambda self: place)
+    assert ending(Path(name))[0] == "warning: the residual is large"
+    monkeypatch.chdir(tmp_path / name)
+    page = ending(Path())[-1].removeprefix("send:    clsplat export . -o ")
+    assert page.strip("'") == f"{Path(name).name}.html"
+
+
+@pytest.mark.parametrize("arguments, kept", [
+    (("train", "photos"), True), (("--traceback", "sfm"), True), (("city",), True),
+    (("plan", "train"), False), (("export",), False), ((), False), (("nothing",), False)])
+def test_an_interrupt_promises_no_more_than_was_saved(arguments, kept):
+    """Trial of f3a1525: `plan`, which saves nothing, said that what was saved is kept."""
+    message, code = verdict(KeyboardInterrupt(), 0, main._keeps(list(arguments)))
+    assert code == 130 and ("what was saved is kept" in message) is kept
+    assert message.endswith(": give the same command again")
 
 
 @pytest.mark.parametrize("name", ["verdict", "say"])
@@ -53,7 +87,7 @@ def test_a_second_ctrl_c_while_the_first_one_is_told(name):
         "sys.argv = ['clsplat', 'devices']\nentry.run()")
     assert result.returncode == 130 and "Traceback" not in result.stderr
     told = result.stderr.strip()  # click begins a new line after ^C
-    assert told == "interrupted; what was saved is kept: give the same command again"
+    assert told == "interrupted: give the same command again"
 
 
 def test_ctrl_c_after_the_end_changes_nothing():

@@ -31,7 +31,14 @@ def test_help_lists_every_command_under_a_heading():
 def test_every_command_has_help(name):
     result = clsplat_(name, "--help")
     assert result.exit_code == 0 and "--traceback" in result.output
-    assert main.commands[name].get_short_help_str().endswith((".", "..."))
+    shown = main.commands[name].get_short_help_str(64)  # as many as `clsplat --help` has room for
+    assert shown.endswith(".") and not shown.endswith("...")
+
+
+def test_help_begins_with_what_photos_alone_can_do():
+    first = clsplat_("--help").output.partition("Options:")[0]
+    assert first.index("train PHOTOS") < first.index("view RUN") < first.index("export RUN")
+    assert "a folder of photos" in clsplat_("train", "--help").output
 
 
 def test_help_is_short_and_help_all_is_whole():

@@ -5,11 +5,12 @@ import os
 import struct
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from clsplat.cli.progress import Progress, clock, fitted
+from clsplat.cli.progress import Progress, bar, clock, fitted
 from clsplat.training.progress import SilentProgress
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,8 +33,9 @@ def drawn(columns, report, monkeypatch):
     except OSError as error:  # a container without /dev/pts
         pytest.skip(f"no pseudo terminal can be had here: {error}")
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    clock = Clock(monkeypatch)
     with os.fdopen(terminal, "w") as file, Progress(file=file) as progress:
-        report(progress, Clock(monkeypatch))
+        report(progress, clock)
     sent = b""
     try:
         while part := os.read(reader, 1 << 16):
@@ -59,12 +61,12 @@ def test_a_terminal_gets_one_line_that_fits(columns, monkeypatch):
     lines = drawn(columns, steps, monkeypatch)
     assert max(map(len, lines)) < columns
     assert "compiling kernels" in [line.strip() for line in lines] and "PSNR 20 dB" in lines
-    training = [line for line in lines if line.startswith("training level 3")]
+    training = [line for line in lines if line.startswith("training at 1/3")]
     assert training and not any("?" in line for line in lines)
     assert "left" not in training[0] and "it/s" not in training[0]  # nothing is known yet
     if columns == 80:
-        assert training[-1].strip() == ("training level 3, 150/300000, 1:40:37 left, 49.7 it/s, "
-                                        "loss 0.1542")
+        assert training[-1].strip() == ("training at 1/3 size, [--------------------], 150/300000, "
+                                        "1:40:37 left")
     if columns == 200:
         assert "1,229,336 gaussians, 9,216 MiB" in training[-1]
 
@@ -115,7 +117,64 @@ def test_a_log_has_the_last_of_what_is_counted_before_what_follows(monkeypatch):
         progress.phase("writing files")
         progress.message("done")
     assert log.getvalue().splitlines() == [
-        "tile 1 of 4", "tile 4 of 4, 0s left", "writing files", "done"]
+        "tile 1 of 4", "tile 4 of 4, 3s so far", "writing files", "done"]
+
+
+def mapping_photos(progress, clock):
+    """Features are counted, mapping is not, and counting ends long before the work."""
+    for photo in range(1, 4):
+        clock.now += 1
+        progress.count("features, photo", photo, 3)
+    progress.phase("global mapping")
+    clock.now += 25
+    progress._draw_line()  # as every second
+    for photo in range(1, 29):
+        clock.now += 1
+        progress.count("incremental, photo", photo, 28)
+    clock.now += 180
+    progress._draw_line()
+
+
+def test_what_nothing_foretells_shows_the_time_that_passed(monkeypatch):
+    """Trial of f3a1525: global mapping stood at "0s left", a counter at "28 of 28" for minutes."""
+    lines = [line.strip() for line in drawn(80, mapping_photos, monkeypatch) if line.strip()]
+    assert "global mapping" in lines and "global mapping, 25s so far" in lines
+    assert lines[-1] == "incremental, photo 28 of 28, [####################], 3:27 so far"
+    assert "incremental, photo 14 of 28, [##########----------], 14s left" in lines
+    assert not any(", 0s left" in line for line in lines)
+
+
+def late(progress, clock):
+    """The last of four tiles takes ten times as long as the others."""
+    for tile in range(1, 4):
+        clock.now += 5
+        progress.count("tile", tile, 4)
+    for _ in range(4):
+        clock.now += 2
+        progress._draw_line()
+
+
+def test_a_forecast_runs_out(monkeypatch):
+    lines = [line.strip() for line in drawn(80, late, monkeypatch)]
+    times = [line.rpartition(", ")[2] for line in lines if line.startswith("tile 3")]
+    assert times == ["5s left", "3s left", "1s left", "16s so far", "18s so far"]
+
+
+def test_a_terminal_is_drawn_while_a_library_works(monkeypatch):
+    monkeypatch.setattr("clsplat.cli.progress.TICK_SECONDS", 0.01)
+
+    def works(progress, clock):
+        progress.phase("global mapping")
+        clock.now += 7
+        threading.Event().wait(0.2)
+
+    assert "global mapping, 7s so far" in [line.strip() for line in drawn(80, works, monkeypatch)]
+
+
+@pytest.mark.parametrize("done, total, shown", [(0, 3, 0), (1, 3, 6), (3, 3, 20), (9, 3, 20),
+                                                (0, 0, 0)])
+def test_a_bar(done, total, shown):
+    assert bar(done, total) == f"[{'#' * shown}{'-' * (20 - shown)}]"
 
 
 class Failing(io.StringIO):

@@ -114,7 +114,9 @@ def test_a_report_begins_with_pictures(run):
     assert Balanced(html).pictures == 9
     assert headings(html)[:2] == ["Held-out views", "Scores"]
     assert "Worst: a&lt;b.jpg" in html and "Best: c.jpg" in html
-    assert "PSNR 18.00 dB, SSIM 0.800 after the colour fit (17.00 dB, 0.700 plain)" in html
+    assert "<p>PSNR 18.00 dB (poor)</p>" in html and "a PSNR from 28 dB is very good" in html
+    assert ("<td>c.jpg</td><td class=number>25.00</td><td class=number>24.00</td>"
+            "<td class=number>0.8000</td><td class=number>0.7000</td>") in html
     assert re.findall("<figcaption>(.*?)</figcaption>", html) == [
         "photo", "render after the colour fit", "its error"] * 3
     assert f"{LARGEST_ERROR:.0%} of full brightness" in html
@@ -151,7 +153,7 @@ def test_scores_are_renewed_too(run):
     assert [record.get("flip") for record in run.records()] == [None, 0.1234, None]
     html = renew_report(run, pictures()).read_text()
     assert "FLIP cc" in html and "0.1234" in html and "<h2>Blocks</h2>" in html
-    assert html.count("PSNR cc, dB") == 1
+    assert html.count("PSNR cc, dB") == 2  # of the pictures, and of all views
     (run.path / "metrics.jsonl").unlink()
     run.add_scores({"flip": 0.5})
     assert not run.has_metrics

@@ -139,8 +139,10 @@ def test_numbers():
     assert result["different"] == ["schedule"] and result["equal"]["opencl_device"] == "H100"
 
     final, time = final_table(result), time_table(result)
-    assert final.rows[0][:5] == ("sig", "2", "0, 1", "25.00 ± 1.41", "24.00 ± 1.41")
-    assert final.rows[1][-4:] == ("2,000", "40.0", "-", "-")
+    # what it costs stands before the scores, and only the main scores have their deviation
+    assert final.rows[0] == ("sig", "2", "0, 1", "18.0 ± 2.8", "2,000", "-", "-", "25.00 ± 1.41",
+                             "0.9000 ± 0.0000", "24.00", "0.8000")
+    assert final.rows[1][3:7] == ("40.0", "2,000", "-", "-")
     assert time.rows == [("sig", "12.8 ± 3.1", "-", "24.20 ± 2.55"),
                          ("dash", "≤ 10.0", "40.0", "23.80")]
     notes = " ".join(time.notes)
@@ -152,7 +154,7 @@ def test_costs():
               "kernel_bytes": i * 10**12} for i in (1, 2)]
     counted = Trained("a", {"schedule": "sig"}, costs, True)
     groups = grouped([counted, trained("b", schedule="dash")])
-    assert [row[-2:] for row in final_table(compare(groups)).rows] == [
+    assert [row[5:7] for row in final_table(compare(groups)).rows] == [
         ("2e+09", "2e+12"), ("-", "-")]
     assert cost_figure(grouped([Trained("a", {"schedule": "sig"}, costs[:1], True)])) is None
     panels = cost_figure(groups).axes

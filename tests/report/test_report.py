@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import clsplat
+from clsplat.io.origin import origin
 from clsplat.io.run import RunFolder
 from clsplat.report import run as run_page
 from clsplat.report.curves import (
@@ -25,7 +27,8 @@ from clsplat.report.curves import (
 from clsplat.report.drawing import drawn, own_settings
 from clsplat.report.figures import score_figure, step_figure
 from clsplat.report.page import Table, page
-from clsplat.report.run import lead, level_table, score_table, write_report
+from clsplat.report.run import heading, lead, level_table, write_report
+from clsplat.report.scores import falls, score_table, with_quality
 from tests.data.made_runs import made_records, made_run
 
 LINE = (np.array([1.0, 3.0, 5.0]), np.array([10.0, 20.0, 16.0]))
@@ -107,7 +110,7 @@ class Balanced(HTMLParser):
             assert name not in ("src", "srcset", "href") or value.startswith("data:"), (tag, value)
         self.pictures += tag == "img"
         assert tag not in ("script", "link", "iframe")
-        if tag not in ("img", "meta", "source"):
+        if tag not in ("br", "img", "meta", "source"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
@@ -134,7 +137,7 @@ def test_the_report_of_a_run(tmp_path):
     assert Balanced(html).pictures == 3 and html.count("<source media=") == 3
     assert headings(html) == ["Scores over training time", "Growth and loss", "Plan",
                               "Level changes"]
-    assert "city: run run &lt;1&gt;" in html and "(10,000 steps)" in html
+    assert "<h1>city: run &lt;1&gt;</h1>" in html and "(10,000 steps)" in html
     assert "each level earns its share" in html and "5 → 4" in html and "deadline" in html
     # the frequency is for who knows the method: last, folded, and explained
     last = html.rindex("<details>")
@@ -175,7 +178,10 @@ def test_the_lead_says_what_was_trained():
                 "psnr_cc": 24.5, "psnr": 23.25, "views": 1}]
     assert lead(options, records) == (
         "A model of 12,345 gaussians, trained in 3 min 20 s (900 steps) on H100. PSNR on 1 "
-        "held-out view: 24.50 dB after the colour fit, 23.25 dB plain. Schedule dash, seed 3.")
+        "held-out view: 23.25 dB (fair). Schedule dash, seed 3.")
+    records[0]["exposure_weight"] = 0.25
+    assert ("PSNR on 1 held-out view, after the colour fit: 24.50 dB (fair). Held-out views have "
+            "an exposure") in lead(options, records)
     assert "1 h 40 min" in lead(options, [{"train_seconds": 6012}])
     assert "PSNR" not in lead(options, [{"train_seconds": 1}])
     assert "has no records" in lead({}, [])
@@ -239,7 +245,7 @@ def test_names_that_are_no_text(tmp_path):
         os.mkdir(folder)
     except OSError:
         pytest.skip("this file system wants names in UTF-8")
-    assert "run out_\\udcff" in write_report(bare_run(folder)).read_text()
+    assert "<h1>out_\\udcff</h1>" in write_report(bare_run(folder)).read_text()
 
 
 def test_tables_of_a_run():
@@ -252,6 +258,75 @@ def test_tables_of_a_run():
     assert level_table(sparse).rows[0][:4] == ("-", "-", "3 → 2", "-")
     last = score_table(records).rows[-1]
     assert last[0] == "10,000" and float(last[2]) == pytest.approx(float(last[3]) + 0.8, abs=0.011)
+
+
+LEVEL, GROW = {"event": "level"}, {"event": "grow", "cloned": 3, "split": 0}
+
+
+def evaluations(*steps):
+    """Records of evaluations with their (step, PSNR), and of what happened at other steps."""
+    return [{"iteration": at, "train_seconds": float(at),
+             **({"event": "eval", "psnr": what} if isinstance(what, float) else what)}
+            for at, what in steps]
+
+
+@pytest.mark.parametrize("steps, words", [
+    (((100, 20.0), (110, {"event": "reset"}), (200, 18.0)), "opacities just lowered"),
+    (((100, 20.0), (110, {"event": "reset"}), (211, 18.0)), None),
+    (((100, 20.0), (170, GROW), (200, 18.0)), "gaussians just added"),
+    (((100, 20.0), (170, {"event": "grow", "pruned": 9}), (200, 18.0)), None),
+    (((100, 20.0), (150, GROW), (170, LEVEL), (200, 18.0)), "photos just became larger"),
+    (((100, 20.0), (170, GROW), (200, 19.96)), None), (((170, GROW), (200, 18.0)), None),
+    (((100, 20.0), (170, GROW), (200, None)), None)])
+def test_a_fall_of_the_scores_is_explained(steps, words):
+    records = evaluations(*(step for step in steps if step[1] is not None))
+    found = falls(records)
+    assert found == ([] if words is None else [
+        f"The scores fall at step 200: {words}, from which the model recovers."])
+    if words:
+        labels = [text.get_text() for text in score_figure(records).legends[0].get_texts()]
+        assert len(labels) in (3, 4)
+        assert score_table(records).notes[1:] == tuple(found)
+
+
+@pytest.mark.parametrize("psnr, shown", [
+    (28.0, "28.00 dB (very good)"), (27.99, "27.99 dB (good)"), (22.0, "22.00 dB (fair)"),
+    (3.0, "3.00 dB (poor)"), (-2.0, "-2.00 dB (poor)"), (float("inf"), "inf dB (very good)"),
+    (float("nan"), "unknown"), (None, "unknown")])
+def test_a_number_and_a_word(psnr, shown):
+    assert with_quality(psnr) == shown
+
+
+@pytest.mark.parametrize("scene, run, title", [
+    ("run", "run", "run"), ("cal_scene", "cal", "cal"), ("city", "cityrun", "city: cityrun"),
+    ("?", "cal", "cal")])
+def test_a_report_is_called_by_scene_and_run_but_not_twice(scene, run, title):
+    assert heading(scene, run) == title
+
+
+@pytest.mark.parametrize("made, line", [
+    ({"date": "2026-11-27T19:20:01+01:00", "version": "0.1.0", "commit": "f3a1525" * 6,
+      "command": "clsplat train 'a <b>'"},
+     "2026-11-27 19:20 · clsplat 0.1.0 (f3a1525f) · "
+     "<code>clsplat train &#x27;a &lt;b&gt;&#x27;</code>"),
+    ({"version": "0.1.0", "commit": None}, "clsplat 0.1.0"),  # of an older run
+    ({"date": 7, "command": ["x"]}, "7 · <code>[&#x27;x&#x27;]</code>"),  # edited by hand
+    ({"command": "x" * 5000}, f"<code>{'x' * 1000} ...</code>"), ({}, None)])
+def test_the_head_says_when_by_what_and_how(made, line):
+    html = page("title", "lead", made=made)
+    assert f"<p class=facts>{line}</p>" in html if line else "class=facts" not in html
+    Balanced(html)
+
+
+def test_a_command_is_recorded(monkeypatch, tmp_path):
+    own = str(Path(clsplat.__file__).with_name("__main__.py"))
+    for argv, command in ((["/bin/clsplat", "train", "a b"], "clsplat train 'a b'"),
+                          ([own, "plan"], "clsplat plan"), (["/other/__main__.py"], None),
+                          (["notebook.py"], None), ([], None)):
+        monkeypatch.setattr(sys, "argv", argv)
+        assert origin()["command"] == command
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d\d:\d\d", origin()["date"])
+    assert bare_run(tmp_path / "run").read_options()["version"] == clsplat.__version__
 
 
 def test_a_new_run_removes_the_report_of_the_old(tmp_path):

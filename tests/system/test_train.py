@@ -238,7 +238,7 @@ def test_evaluation_is_not_training(item_device, city, tmp_path, monkeypatch):
 def test_records_carry_what_reports_read(item_device, city, tmp_path):
     run = trained(tmp_path / "run", city, item_device, eval_every=50)
     every = run.records()
-    assert {record["event"] for record in every} == {"plan", "step", "grow", "eval"}
+    assert {record["event"] for record in every} == {"plan", "step", "grow", "reset", "eval"}
     for record in every:
         assert list(record)[:len(COMMON)] == COMMON
         assert record["level"] == 1.0
@@ -248,11 +248,11 @@ def test_records_carry_what_reports_read(item_device, city, tmp_path):
             assert earlier[key] <= later[key]
         assert later["train_seconds"] <= later["wall_seconds"]
     own = {event: set(records(run, event)[-1]) - set(COMMON)
-           for event in ("plan", "step", "grow", "eval")}
+           for event in ("plan", "step", "grow", "reset", "eval")}
     assert own == {"plan": {"reasons", "levels"},
                    "step": {"loss", "l1", "ssim", "memory_bytes", "peak_bytes", "skipped_rows",
                             "skipped_since", "frequency", "convergence"},
-                   "grow": {"cloned", "split", "pruned"},
+                   "grow": {"cloned", "split", "pruned"}, "reset": set(),
                    "eval": {"psnr", "ssim", "flip", "psnr_cc", "ssim_cc", "flip_cc", "views"}}
     assert ["flip" in record for record in records(run, "eval")] == [False, False, True]
     assert [record["iteration"] for record in records(run, "step")] == [1, 100]
@@ -272,8 +272,11 @@ def test_levels_and_frequencies_are_recorded(levelled):
     assert set(level) - set(COMMON) == {"reason", "since", "rounds", "frequency", "slope",
                                         "threshold", "hits"}
     assert level["level"] == 1.0 and level["since"] == level["iteration"]
-    for record in levelled.records():
-        assert record["level"] == (2.0 if record["iteration"] < level["iteration"] else 1.0)
+    every = levelled.records()
+    place = every.index(level)  # after all records of the step before it, which had the old level
+    assert {record["level"] for record in every[:place]} == {2.0}
+    assert {record["level"] for record in every[place:]} == {1.0}
+    assert all(record["iteration"] > level["iteration"] for record in every[place + 1:])
     first, later = records(levelled, "step")
     assert (first["iteration"], later["iteration"]) == (1, 100) and first["frequency"] is None
     assert set(later["frequency"]) == {f"{variant}_{axis}" for variant in VARIANTS for axis in AXES}
@@ -336,12 +339,15 @@ def test_progress_is_told(item_device, city, tmp_path):
                RunFolder.create(tmp_path / "run"), Progress())
     assert [values["iteration"] for values in Progress.told] == [1, 50]
     assert list(dict.fromkeys(Progress.phases)) == [
-        "planning", "reading photos", "reading photos of level 1", "compiling kernels",
-        "training level 1", "writing the checkpoint", "evaluating"]
+        "planning", "reading photos", "reading photos at full size", "compiling kernels",
+        "training at full size", "writing the checkpoint", "evaluating", "writing the report"]
     assert set(Progress.told[0]) == {"iteration", "total", "loss", "gaussians", "memory_bytes",
                                      "level"}
     assert {values["total"] for values in Progress.told} == {60}
-    assert len(Progress.messages) == 1 and "PSNR" in Progress.messages[0]
+    lines = Progress.messages[0].splitlines()
+    assert len(Progress.messages) == 1 and lines[0] == "scores of 4 held-out photos"
+    assert lines[1].split() == ["step", "PSNR,", "dB", "SSIM", "gaussians", "training"]
+    assert lines[2].split()[0] == "60" and "FLIP" in lines[2] and max(map(len, lines)) < 80
 
 
 @pytest.mark.slow

@@ -1,9 +1,12 @@
 """The last evaluation of a training, which has time for more metrics."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.scenes import read_scene
+from clsplat.training.evaluator import Evaluator
 from tests.data.tiny_training import CITY, STILL, resumed, trained
 from tests.evaluation.test_lpips import NETWORK
 
@@ -35,3 +38,36 @@ def test_a_network_that_is_missing_is_told_before_the_first_step(city, item_devi
     with pytest.raises(InputError, match="missing.onnx: no such file"):
         resumed(stopped, city, item_device, **SHORT, lpips=missing)
     assert resumed(stopped, city, item_device, **SHORT).is_finished  # nothing was lost
+
+
+# result -> (first line, columns of the last line, its note)
+PLAIN = {"views": 5, "psnr": 12.375, "psnr_cc": 25.48, "ssim": 0.5, "ssim_cc": 0.75}
+FITTED = "scores of 5 held-out photos, their colours fitted, as exposures are learned"
+USUAL = ["750", "12.38", "0.5000", "35,840", "29.0", "s"]
+
+
+@pytest.mark.parametrize("result, upheavals, head, columns, note", [
+    (PLAIN, {}, "scores of 5 held-out photos", USUAL, ""),
+    ({**PLAIN, "exposure_weight": 0.25}, {}, FITTED,
+     ["750", "25.48", "0.7500", "35,840", "29.0", "s"], ""),
+    ({**PLAIN, "views": 1}, {"grow": 711}, "scores of 1 held-out photo",
+     USUAL, "gaussians just added"),
+    ({**PLAIN, "flip": 0.125, "lpips": 0.25}, {"grow": 749}, "scores of 5 held-out photos",
+     USUAL, "FLIP 0.1250, LPIPS 0.2500"),
+    ({**PLAIN, "psnr": float("nan")}, {}, "scores of 5 held-out photos",
+     ["750", "nan", "0.5000", "35,840", "29.0", "s"], ""),
+    ({**PLAIN, "psnr": float("inf")}, {"reset": 749}, "scores of 5 held-out photos",
+     ["750", "inf", "0.5000", "35,840", "29.0", "s"], "opacities just lowered")])
+def test_an_evaluation_is_a_line_of_columns_with_one_number(result, upheavals, head, columns,
+                                                            note):
+    """Trial of f3a1525: two PSNR, 13 dB apart, on lines wider than the terminal."""
+    told = Evaluator.__new__(Evaluator)
+    told._is_begun = False
+    told.session = SimpleNamespace(iteration=750, model=SimpleNamespace(count=35_840))
+    told.clock = SimpleNamespace(trained=lambda: 29.0)
+    told.recorder = SimpleNamespace(upheavals=upheavals)
+    lines = [*told._head(result), told._line(result)]
+    assert lines[0] == head and lines[-1].split()[:6] == columns and lines[-1].endswith(note)
+    assert max(map(len, lines)) < 80 and list(told._head(result)) == []  # only once
+    told.session.iteration, told.session.model.count = 1_000_000, 20_000_000
+    assert len(told._line(result)) < 80

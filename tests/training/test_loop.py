@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.io.scenes import read_scene
+from clsplat.schedule.sig import Sig
 from clsplat.training import loop
 from clsplat.training.checkpoint import Checkpoint
 from clsplat.training.loop import SAVE_SECONDS, SAVE_SHARE, Training
@@ -53,3 +54,25 @@ def test_half_a_minute_begins_again_with_each_checkpoint(item_device, tmp_path, 
     trained(tmp_path / "run", read_scene(CITY).part(range(6)), item_device, iterations=12,
             checkpoint_every="auto", eval_every=0, exposure="off")
     assert written == [5, 10, 12]
+
+
+def test_a_level_is_recorded_after_the_step_before_it(item_device, tmp_path, monkeypatch):
+    """A curve of levels jumped back if a step or an evaluation of the same iteration followed."""
+    def observe(self, iteration, frequency):
+        if iteration == 6:
+            self.index, self.began = 1, 6
+            return {"level": 1.0}
+
+    monkeypatch.setattr(Sig, "observe_every", 3)
+    monkeypatch.setattr(Sig, "observe", observe)
+    monkeypatch.setattr("clsplat.training.recorder.LOG_EVERY", 6)
+    monkeypatch.setattr("clsplat.training.recorder.REPORT_EVERY", 6)
+    run = trained(tmp_path / "run", read_scene(CITY).part(range(6)), item_device, schedule="sig",
+                  levels=(2.0, 1.0), downscale=4.0, iterations=12, eval_every=3, exposure="off",
+                  init="sfm", test_every=3, sphere=False, rounds=1, level_reset=True)
+    found = [(r["event"], r["iteration"], r["level"]) for r in run.records()]
+    place = found.index(("level", 6, 1.0))
+    assert {("step", 6, 2.0), ("eval", 6, 2.0)} <= set(found[:place])
+    assert {level for _, _, level in found[:place]} == {2.0}
+    assert {level for _, _, level in found[place:]} == {1.0}
+    assert found[place + 1] == ("reset", 7, 1.0)

@@ -1,0 +1,232 @@
+"""What a surveyor asks of a scene: how much the photos cover, how finely, and how well it fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, distance_transform_edt
+
+from clsplat.georeference import Georeference
+from clsplat.io.records import object_of
+from clsplat.io.regular import read_regular
+from clsplat.partition.region import map_axes
+from clsplat.scene import Scene
+from clsplat.sfm.photos import RECORD
+
+CELLS = 72  # of the longer side of the map of overlap
+EXTENT = (0.01, 0.99)  # quantiles of the points that the map of overlap contains
+CLOSED = 3  # cells: holes between points up to about twice as wide are covered ground
+MOST_POINTS = 20_000  # of the sparse model, which the maps and the sizes need
+MOST_MEASURED = 300  # photos whose ground sampling distance is measured
+ABOVE = 0.8  # quantile of the heights of points above which the cameras of a flight are
+
+
+@dataclass(frozen=True, eq=False)
+class Overlap:
+    """How many photos look at the places of a map, whatever stands in between.
+
+    Attributes
+    ----------
+    counts : int[R, C], from south to north and from west to east; -1 where there are no points.
+    bounds : (west, east, south, north), map coordinates without the offset of a georeference.
+    area : of a cell, square units of the map.
+    """
+
+    counts: NDArray[np.intp]
+    bounds: tuple[float, float, float, float]
+    area: float
+
+    @property
+    def covered(self) -> float:
+        """The area at which at least two photos look, square units of the map."""
+        return self.area * int((self.counts >= 2).sum())
+
+    @property
+    def mean(self) -> float:
+        """The mean number of photos that look at a place of the map."""
+        known = self.counts[self.counts >= 0]
+        return float(known.mean()) if len(known) else 0.0
+
+    @property
+    def thin(self) -> float:
+        """The share of the map at which fewer than three photos look."""
+        known = self.counts[self.counts >= 0]
+        return float((known < 3).mean()) if len(known) else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A scene as a survey.
+
+    Attributes
+    ----------
+    names : of the photos.
+    cameras : float64[N, 2], their places on the map; without the offset of a georeference.
+    ground : float64[M, 2], a part of the points on the map.
+    record : sfm.json, {} if the scene was not made by `clsplat sfm`.
+    georeference : of the scene; None: its units are unknown.
+    overlap : None where the photos were not taken from above.
+    pixel : map units on the ground, the size of a pixel of the photos, median; None: unknown.
+    height : map units, the median distance of the points from the photos that show them.
+    """
+
+    names: tuple[str, ...]
+    cameras: NDArray[np.float64]
+    ground: NDArray[np.float64]
+    record: dict[str, Any] = field(default_factory=dict)
+    georeference: Georeference | None = None
+    overlap: Overlap | None = None
+    pixel: float | None = None
+    height: float | None = None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether more is known than the cameras: how they were found, or where they are."""
+        return bool(self.record) or self.georeference is not None
+
+    @property
+    def size(self) -> float:
+        """How far the measured places or, if that is not recorded, the cameras extend, map units;
+        0: unknown."""
+        recorded: float = getattr(self.georeference, "size", 0.0)
+        extent = float(np.linalg.norm(np.ptp(self.cameras, axis=0)))
+        return recorded or (extent if np.isfinite(extent) else 0.0)
+
+    @property
+    def residuals(self) -> tuple[Any, ...]:
+        """The residual of each measured place, see `Georeference`; () of an older scene."""
+        return tuple(getattr(self.georeference, "residuals", ()))
+
+    @property
+    def camera_residuals(self) -> NDArray[np.float64]:
+        """float64[N], metres, how far the place of each photo is from its GPS; nan: unknown."""
+        lengths = {each.name: float(np.linalg.norm([each.east, each.north, each.up or 0.0]))
+                   for each in self.residuals if each.pixels is None}
+        return np.array([lengths.get(name, np.nan) for name in self.names])
+
+
+def survey_of(scene: Scene) -> Survey:
+    """A scene as a survey.
+
+    Parameters
+    ----------
+    scene : with cameras of the size of its photos, one or more.
+    """
+    axes = np.vstack([map_axes(scene.up), scene.up])
+
+    def placed(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        original: NDArray[np.float64] = (scene.offset + scene.unit * points) @ axes.T
+        return original
+
+    points = scene.points[::max(1, len(scene.points) // MOST_POINTS)]
+    points = points[np.isfinite(points).all(axis=1)]
+    cameras = placed(np.array([view.camera.position for view in scene.views]))
+    ground = placed(points)
+    distances, pixels = _sizes(scene, points)
+    above = len(points) and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
+    return Survey(
+        tuple(view.name for view in scene.views), cameras[:, :2], ground[:, :2],
+        _read_record(scene.path), scene.georeference,
+        _overlap(scene, ground, axes) if above else None,
+        scene.unit * float(np.median(pixels)) if pixels else None,
+        scene.unit * float(np.median(distances)) if distances else None)
+
+
+def _read_record(folder: Path) -> dict[str, Any]:
+    """sfm.json of a scene's folder; {} if there is none, or none that can be read."""
+    try:
+        return object_of(read_regular(folder / RECORD))
+    except (OSError, ValueError):
+        return {}
+
+
+def _sizes(scene: Scene, points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+    """The median depth of the points in each photo, and the size of its pixel there, local
+    units."""
+    depths, pixels = [], []
+    for view in scene.views[::max(1, len(scene.views) // MOST_MEASURED)]:
+        seen = points[view.sees(points)]
+        if len(seen):
+            depths.append(float(np.median(view.camera.project(seen)[1])))
+            pixels.append(depths[-1] / view.camera.focal[0])
+    return depths, pixels
+
+
+def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64]
+             ) -> Overlap | None:
+    """The map of overlap, on the heights of the points nearby.
+
+    Parameters
+    ----------
+    ground : float64[M, 3], points in the axes of the map.
+    axes : float64[3, 3], those axes as rows, in original coordinates.
+    """
+    low, high = np.quantile(ground[:, :2], EXTENT, axis=0)
+    size = float((high - low).max()) / CELLS
+    if not size > 0:
+        return None
+    columns, rows = (np.ceil((high - low) / size).astype(int) + 1).tolist()
+    cells = np.floor((ground[:, :2] - low) / size).astype(int)
+    inside = ((cells >= 0) & (cells < (columns, rows))).all(axis=1)
+    flat = cells[inside, 1] * columns + cells[inside, 0]
+    found = np.bincount(flat, minlength=rows * columns).reshape(rows, columns)
+    sums = np.bincount(flat, ground[inside, 2], rows * columns).reshape(rows, columns)
+    nearest = distance_transform_edt(found == 0, return_distances=False, return_indices=True)
+    heights = (sums / np.maximum(found, 1))[tuple(nearest)]
+    # the border of the closing is empty: pad, so that ground at the edge stays covered
+    closed = binary_closing(np.pad(found > 0, CLOSED), iterations=CLOSED)
+    row, column = np.nonzero(closed[CLOSED:-CLOSED, CLOSED:-CLOSED])
+    middles = np.column_stack([low[0] + size * (column + 0.5), low[1] + size * (row + 0.5),
+                               heights[row, column]])
+    local = (middles @ axes - scene.offset) / scene.unit
+    counts = np.full((rows, columns), -1)
+    counts[row, column] = sum((view.sees(local).astype(int) for view in scene.views),
+                              np.zeros(len(local), int))
+    west, south = low.tolist()
+    return Overlap(counts, (west, west + size * columns, south, south + size * rows), size**2)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Residuals along one direction: mean, standard deviation, root mean square (RMS), and the
+    distance within which 90 % of them are, metres."""
+
+    mean: float | None
+    sigma: float | None
+    rms: float
+    most: float
+
+
+def spreads(residuals: Sequence[Any]) -> dict[str, Spread]:
+    """The residuals by axis ("east", "north", "up") and "along the ground"; what is not known of
+    any place is missing.
+
+    Parameters
+    ----------
+    residuals : of measured places, see `Georeference`.
+    """
+    result: dict[str, Spread] = {}
+    for axis in ("east", "north", "up"):
+        values = np.array([value for each in residuals
+                           if (value := getattr(each, axis)) is not None], np.float64)
+        if len(values):
+            result[axis] = Spread(float(values.mean()), float(values.std()),
+                                  float(np.sqrt(np.mean(values**2))),
+                                  float(np.quantile(np.abs(values), 0.9)))
+    if result:
+        along = np.array([np.hypot(each.east, each.north) for each in residuals])
+        result["along the ground"] = Spread(None, None, float(np.sqrt(np.mean(along**2))),
+                                            float(np.quantile(along, 0.9)))
+    return result
+
+
+def missing_photos(record: Mapping[str, Any]) -> dict[str, str]:
+    """Names of the photos that sfm.json says were not registered, and why."""
+    missing = record.get("not_registered")
+    return {str(name): str(why) for name, why in missing.items()} if isinstance(
+        missing, dict) else {}

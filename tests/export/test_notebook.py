@@ -1,0 +1,84 @@
+"""A model in a notebook: its page in a frame, of any model, and what is said of it."""
+
+import html
+import re
+
+import numpy as np
+import pytest
+
+from clsplat.export import notebook
+from clsplat.export.notebook import likely_up, model_frame, smaller
+from clsplat.gaussians import Gaussians
+from tests.export.browser import answer_of, needs_chromium
+
+
+def ground(count=500, offset=(0.0, 0.0, 0.0), **changed):
+    """Opaque gaussians on a floor of 20 by 20 by 1."""
+    random = np.random.default_rng(0)
+    made = max(2, count)
+    rows = Gaussians.from_points(random.uniform((-10, -10, 0), (10, 10, 1), (made, 3)),
+                                 random.integers(0, 255, (made, 3), np.uint8), 1).rows
+    rows = {name: values[:count] for name, values in rows.items()}
+    rows = {**rows, "opacity_logits": np.full(count, 3.0, np.float32), **changed}
+    return Gaussians(rows, 1, np.array(offset))
+
+
+def page_of(shown):
+    return html.unescape(re.search('srcdoc="([^"]*)"', shown)[1])
+
+
+def test_a_model_shows_its_page_in_a_frame():
+    shown = ground()._repr_html_()
+    assert shown.startswith("<iframe srcdoc=") and 'sandbox="allow-scripts"' in shown
+    assert page_of(shown).lstrip().lower().startswith("<!doctype html>")
+    assert "<p>500 gaussians, SH degree 1</p>" in shown
+
+
+@pytest.mark.parametrize("model, words", [
+    (lambda: ground(1), "1 gaussians"), (lambda: ground(2), "2 gaussians"),
+    (lambda: ground(offset=(587670.0, 3338097.0, 309.0)), "500 gaussians"),
+    (lambda: ground(positions=np.zeros((500, 3), np.float32)), "500 gaussians"),  # at one place
+    (lambda: ground(positions=np.eye(500, 3, dtype=np.float32)), "500 gaussians"),
+    (lambda: ground(log_scales=np.full((500, 3), -30, np.float32)), "500 gaussians"),
+    (lambda: ground().with_sh_degree(0), "SH degree 0"),
+    (lambda: ground(opacity_logits=np.full(500, -20, np.float32)), "nothing to show"),
+    (lambda: Gaussians({name: rows[:0] for name, rows in ground().rows.items()}, 1),
+     "nothing to show")], ids=range(9))
+def test_any_model_is_shown(model, words):
+    assert words in model_frame(model())
+
+
+def test_a_large_model_is_shown_by_a_smaller_one(monkeypatch):
+    monkeypatch.setattr(notebook, "MOST_SHOWN", 100)
+    monkeypatch.setattr(notebook, "MOST_MERGED", 200)
+    shown = model_frame(ground(500))
+    assert "500 gaussians, SH degree 1; 100 are shown here, merged of their neighbours" in shown
+    logits = np.full(500, -2.0, np.float32)
+    logits[::5] = 5.0  # a hundred that are opaque
+    kept = smaller(ground(500, opacity_logits=logits))
+    assert kept.count == 100 and np.median(kept.opacity_logits) > 0
+
+
+@pytest.mark.parametrize("axes, up", [
+    (np.eye(3), (0, 0, 1)), (np.eye(3)[[0, 2, 1]], (0, -1, 0)),  # flat in z, and in y
+    (np.eye(3)[[2, 1, 0]], None)])
+def test_up_is_the_thin_side(axes, up):
+    found = likely_up(ground().positions.astype(np.float64) @ axes)
+    assert np.linalg.norm(found) == pytest.approx(1)
+    if up is not None:
+        assert found @ up > 0.99
+    ball = np.random.default_rng(0).normal(size=(500, 3))
+    assert any(np.array_equal(likely_up(ball), usual) for usual in notebook.USUAL_UPS)
+    assert np.array_equal(likely_up(np.zeros((1, 3))), likely_up(np.zeros((1, 3))))
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_the_frame_is_drawn(tmp_path):
+    """The sandbox of the frame lets its scripts and its worker run."""
+    shown = ground()._repr_html_()
+    said = html.escape("""<script>setInterval(() => {
+        if (viewer?.ordered) parent.postMessage("drawn", "*"); }, 100);</script>""")
+    shown = shown.replace('" sandbox', f'{said}" sandbox')
+    cell = f"<script>onmessage = ({{ data }}) => window.found = data;</script>{shown}"
+    assert answer_of(tmp_path, cell, "await until(() => page.found); return page.found;") == "drawn"

@@ -1,0 +1,72 @@
+"""How scenes, views and cameras show themselves in notebooks."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clsplat.camera import Camera
+from clsplat.evaluation.score import Score
+from clsplat.io.images import write_image
+from clsplat.scene import Scene, View
+from tests.report.test_survey_hostile import flight, words_of
+
+CAMERA = Camera(64, 48, (50.0, 50.0), (32.0, 24.0), np.eye(3), np.array([0.0, 0.0, 2.0]))
+
+
+@pytest.fixture
+def photo(tmp_path):
+    path = tmp_path / "photo.png"
+    write_image(path, np.full((48, 64, 3), 0.5, np.float32))
+    return path
+
+
+def test_objects_are_one_short_line(photo):
+    view = View("a.jpg", CAMERA, photo)
+    score = Score(5, 27.0, 0.875, 28.5, 0.9, ({"name": "a.jpg"},) * 999)
+    assert repr(CAMERA) == "<clsplat.Camera 64 x 48, focal length 50, at (0, 0, -2)>"
+    assert repr(view) == "<clsplat.View 'a.jpg': 64 x 48>"
+    assert repr(score) == ("<clsplat.Score of 5 views: PSNR 27.00 dB (28.50 after the colour fit), "
+                           "SSIM 0.8750>")
+
+
+def test_a_view_shows_its_photo_and_its_camera(photo):
+    html = View("a <b>.jpg", CAMERA, photo)._repr_html_()
+    assert "data:image/jpeg;base64," in html and "width=64 height=48" in html
+    assert "a &lt;b&gt;.jpg<br>64 x 48, focal length 50 pixels" in words_of(html)
+    large = replace(CAMERA, width=6400, height=4800, focal=(5e3, 5e3))
+    assert "width=320 height=240" in View("a", large, photo)._repr_html_()  # never the whole photo
+
+
+@pytest.mark.parametrize("change", [
+    {"source": Path("gone.jpg")}, {"source": b"no image"}, {"source": Path(__file__)},
+    {"source": Path(__file__).parent}, {"name": "\udcff.jpg", "source": b""},
+    {"name": "x" * 5000, "source": Path("gone.jpg")}], ids=range(6))
+def test_a_view_without_its_photo_shows_the_rest(change, photo):
+    html = replace(View("a.jpg", CAMERA, photo), **change)._repr_html_()
+    assert "<em>" in html and "focal length 50" in html
+    html.encode()  # a notebook stores UTF-8
+    words_of(html)
+
+
+def test_a_part_of_a_photo_is_shown(photo):
+    part = View("a.jpg", CAMERA.cropped(8, 8, 40, 32), photo)
+    assert "width=32 height=24" in part._repr_html_()
+
+
+@pytest.mark.parametrize("count, photos", [(0, 0), (1, 1), (12, 12), (13, 7), (60, 12)])
+@pytest.mark.one_in(2)
+def test_a_scene_shows_a_map_and_some_photos(count, photos, photo):
+    scene = flight(max(1, count))
+    scene = replace(scene, views=tuple(replace(view, source=photo) for view in scene.views[:count]))
+    html = scene._repr_html_()
+    words_of(html)
+    assert html.count("<figure") == photos and ("<picture>" in html) is (count > 0)
+    if count:
+        assert f"{count}, 800 x 600 pixels" in html and "4,000" in html
+
+
+def test_a_scene_without_points_and_photos_shows_its_cameras():
+    scene = Scene("<s>", flight(3).views, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    assert "&lt;s&gt;" in words_of(scene._repr_html_())

@@ -1,0 +1,258 @@
+"""The section Survey of reports: scenes and records of every kind, and what each of them shows."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clsplat.camera import Camera
+from clsplat.evaluation import survey as survey_module
+from clsplat.evaluation.survey import spreads, survey_of
+from clsplat.georeference import Georeference
+from clsplat.report.run import renew_report, write_report
+from clsplat.report.survey import area, facts_table, length, survey_figure, survey_html, warnings
+from clsplat.scene import Scene, View
+from tests.evaluation.test_pictures import pictures
+from tests.report.test_report import Balanced, bare_run, headings
+
+SFM = {"photos": 42, "registered": 40, "points": 1200, "mean_track_length": 5.25,
+       "reprojection_error_pixels": 0.734, "not_registered": {"a<b>.jpg": "matches no other photo"}}
+
+
+def flight(count=12, height=50.0, spacing=20.0, side=100.0, scale=1.0, names="{}.jpg"):
+    """A scene of nadir photos in a row, in a georeferenced frame: 10 cm a pixel at 50 m."""
+    random = np.random.default_rng(0)
+    points = np.column_stack([random.uniform(-side, side, (4000, 2)), random.normal(0, 0.1, 4000)])
+    views = []
+    for number in range(count):
+        x = spacing * (number - (count - 1) / 2)
+        camera = Camera.looking_at((scale * x, 0, 0), (scale * x, 0, scale * height),
+                                   up=(0, 1, 0), width=800, height=600)
+        views.append(View(names.format(number), replace(camera, focal=(500.0, 500.0)), Path("x")))
+    return Scene("flight", tuple(views), scale * points, np.zeros((4000, 3), np.uint8),
+                 georeference=Georeference("EPSG:32614", (587670.0, 3338097.0, 309.0),
+                                           "GPS of 12 photos", 0.5))
+
+
+def residual(name, role="control", pixels=None, east=0.3, north=0.4, up=1.2):
+    return SimpleNamespace(name=name, role=role, east=east, north=north, up=up, pixels=pixels)
+
+
+def measured(scene, residuals=(), said=(), size=0.0, vertical=""):
+    """The scene with the fields that newer georeferences have."""
+    known = scene.georeference
+    return replace(scene, georeference=SimpleNamespace(
+        crs=known.crs, offset=known.offset, source=known.source, residual=known.residual,
+        residuals=tuple(residuals), warnings=tuple(said), size=size, vertical=vertical))
+
+
+def stored(scene, folder, record):
+    """The scene in a folder whose sfm.json holds this text, or this record."""
+    text = record if isinstance(record, (str, bytes)) else json.dumps(record)
+    (folder / "sfm.json").write_bytes(text if isinstance(text, bytes) else text.encode())
+    return replace(scene, path=folder)
+
+
+def words_of(html):
+    """A page without its pictures, which must be balanced."""
+    Balanced(html)
+    return re.sub('data:[^"]+', "", html)
+
+
+def facts(scene):
+    return dict(facts_table(survey_of(scene)).rows)
+
+
+def test_numbers_of_a_flight_that_can_be_computed_by_hand(tmp_path):
+    scene = stored(measured(flight(), vertical="EGM96 height", size=250.0), tmp_path, SFM)
+    found = facts(scene)
+    assert found["photos used"] == "12 of 42" and found["points of the sparse model"] == "1,200"
+    assert found["ground sampling distance"] == "10 cm a pixel of the photos"  # 50 m / 500
+    assert found["distance of the ground"] == "50 m from the cameras, median"
+    assert found["heights"] == "EGM96 height"
+    assert found["reprojection error, pixels"] == "0.73"
+    assert found["residual"] == "50 cm along the ground, RMS; the flight extends over 250 m"
+    survey = survey_of(scene)
+    # photos of 80 m by 60 m every 20 m: a place below the flight is in four of them
+    middle = survey.overlap.counts[survey.overlap.counts.shape[0] // 2]
+    assert np.median(middle) == 4
+    assert survey.overlap.covered == pytest.approx(200 * 60, rel=0.05)  # as the points end there
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e5])
+def test_another_unit_changes_no_number(scale):
+    one, other = survey_of(flight()), survey_of(replace(flight(scale=scale), unit=1 / scale))
+    assert other.pixel == pytest.approx(one.pixel) and other.height == pytest.approx(one.height)
+    assert np.abs(other.overlap.counts - one.overlap.counts).max() <= 1
+    assert other.overlap.covered == pytest.approx(one.overlap.covered, rel=0.01)
+    assert np.allclose(other.cameras, one.cameras)
+
+
+def test_residuals_by_axis():
+    found = spreads([residual("a", east=3, north=4, up=None), residual("b", east=-3, north=4,
+                                                                       up=2)])
+    assert (found["east"].mean, found["east"].sigma, found["east"].rms) == (0, 3, 3)
+    assert found["north"].mean == 4 and found["north"].sigma == 0
+    assert found["up"].mean == found["up"].rms == 2  # of the one that is known
+    assert found["along the ground"].rms == found["along the ground"].most == 5
+    assert spreads([]) == {} and "up" not in spreads([residual("a", up=None)])
+
+
+ROWS = [residual("0.jpg"), residual("1.jpg", "left out", east=300), residual("<GCP>", "check", 1.5)]
+# name -> (scene, words that the section has, words that it lacks); None: there is no section
+SCENES = {
+    "neither": (lambda: replace(flight(), georeference=None), None, ()),
+    "older georeference": (flight, ("50 cm along the ground", "extends over 220 m"),
+                           ("Warning", "Residuals:", "heights")),
+    "large residual, older": (lambda: replace(flight(), georeference=replace(
+        flight().georeference, residual=17.0)), ("Warning: the places", "8 % of the size"), ()),
+    "warnings": (lambda: measured(flight(), said=("x and y <exchanged>?",)),
+                 ("Warning: x and y &lt;exchanged&gt;?",), ()),
+    "residual not recorded": (lambda: replace(flight(), georeference=replace(
+        flight().georeference, residual=0.0, source="")), ("not recorded", "files of the scene"),
+        ("Warning",)),
+    "residuals": (lambda: measured(flight(), ROWS), (
+        "Residuals: GPS of photos, which decided the place (1)",
+        "Residuals: ground control points, which took no part (1)",
+        "&lt;GCP&gt;", "CE90", "left out</td><td>1.jpg"), ("<GCP>",)),
+    "no heights measured": (lambda: measured(flight(), [residual("0.jpg", up=None)]),
+                            ("along the ground",), ("<td>up</td>",)),
+    "a thousand control points": (lambda: measured(flight(), [
+        residual(str(number), pixels=1.0) for number in range(1000)]), ("940 more points",), ()),
+    "unknown role": (lambda: measured(flight(), [residual("0.jpg", "judge")]), (),
+                     ("Residuals:",)),
+    "one photo": (lambda: flight(1), ("<td>1</td>",), ()),
+    "no points": (lambda: replace(flight(), points=np.zeros((0, 3)),
+                                  colours=np.zeros((0, 3), np.uint8)), ("photos used",),
+                  ("overlap</td>", "sampling")),
+    "one point": (lambda: replace(flight(), points=np.zeros((1, 3)), colours=np.zeros((1, 3))),
+                  ("sampling",), ("overlap</td>",)),
+    "points at one place": (lambda: replace(flight(), points=np.zeros((50, 3))), ("sampling",),
+                            ("overlap</td>",)),
+    "points in a line": (lambda: replace(flight(), points=flight().points * [1, 0, 0]),
+                         ("photos look at a place",), ()),
+    "points that are not finite": (lambda: replace(flight(), points=np.where(
+        np.arange(4000)[:, None] < 9, np.nan, flight().points)), ("photos look at a place",), ()),
+    "cameras that see no point": (lambda: replace(flight(), views=tuple(
+        replace(view, camera=view.camera.shifted((1e7, 0, 0))) for view in flight().views)),
+        ("photos used",), ("sampling",)),
+    "cameras below the points": (lambda: flight(height=-50.0), ("photos used",),
+                                 ("photos look at a place",)),
+    "cameras that are not finite": (lambda: replace(flight(2), views=tuple(
+        replace(view, camera=replace(view.camera, translation=np.full(3, np.nan)))
+        for view in flight(2).views)), ("photos used",), ("<picture>",)),
+    "names with markup": (lambda: measured(flight(names="<b>{}.jpg"), [
+        residual("<b>0.jpg", "left out")]), ("&lt;b&gt;0.jpg",), ("<b>0.jpg",)),
+    "a name that is no text": (lambda: measured(flight(names="\udcff{}.jpg"), [
+        residual("\udcff0.jpg", "left out")]), ("0.jpg, which contradict",), ()),
+    "a CRS of 9,000 characters": (lambda: replace(flight(), georeference=replace(
+        flight().georeference, crs="PROJCRS[" + "x" * 9000)), ("PROJCRS[xx",), ("x" * 100,)),
+}
+
+
+@pytest.mark.one_in(6)
+@pytest.mark.parametrize("name", SCENES)
+def test_a_section_of_what_is_known(name):
+    make, words, lacking = SCENES[name]
+    html = words_of(survey_html(make()))
+    assert (html == "") is (words is None)
+    for word in words or ():
+        assert word in html
+    for word in (*lacking, "could not be"):
+        assert word not in html
+    assert not re.search(r"\b(nan|inf|None)\b", html)
+
+
+RECORDS = {  # sfm.json -> (words, words that are lacking)
+    "whole": (SFM, ("12 of 42", "Photos that were not used", "a&lt;b&gt;.jpg", "0.73"), ()),
+    "warnings": ({"warnings": ["not <georeferenced>", "not <georeferenced>"]},
+                 ("Warning: not &lt;georeferenced&gt;",), ("<georeferenced>",)),
+    "warnings that are none": ({"warnings": "all is well"}, ("<td>12</td>",), ("Warning",)),
+    "cut": (json.dumps(SFM)[:40], ("<td>12</td>",), ("reprojection",)),
+    "empty": ("", ("<td>12</td>",), ()), "no object": ("[1]", ("<td>12</td>",), ()),
+    "no text": (b"\xff\xfe", ("<td>12</td>",), ()),
+    "nan": ('{"photos": NaN}', ("<td>12</td>",), ()),
+    "words for numbers": ({"photos": "many", "points": "x", "reprojection_error_pixels": None},
+                          ("<td>12</td>",), (">many", "reprojection")),
+    "a list of the missing": ({"photos": 13, "not_registered": ["a.jpg"]}, ("12 of 13",),
+                              ("not used",)),
+    "thousands missing": ({"photos": 9999, "not_registered": {
+        f"{number}.jpg": "matches no other photo" for number in range(5000)}},
+        ("4,940 more photos",), ()),
+}
+
+
+@pytest.mark.one_in(5)
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_record_of_sfm_that_is_damaged_costs_no_page(name, tmp_path):
+    record, words, lacking = RECORDS[name]
+    html = words_of(survey_html(stored(flight(), tmp_path, record)))
+    assert all(word in html for word in words) and not any(word in html for word in lacking)
+
+
+@pytest.mark.slow
+def test_a_record_that_is_a_folder_or_a_file_within_a_file(tmp_path):
+    (tmp_path / "sfm.json").mkdir()
+    packed = tmp_path / "scene.npz"
+    packed.touch()
+    for path in (tmp_path, packed, tmp_path / "gone"):
+        assert "photos used" in survey_html(replace(flight(), path=path))
+
+
+@pytest.mark.slow
+def test_thousands_of_cameras():
+    views = flight(3000, spacing=0.06)
+    html = survey_html(measured(views, [residual(view.name) for view in views.views]))
+    assert "(3000)</h3>" in html and len(html) < 4e6
+
+
+def test_a_camera_is_coloured_by_its_residual_if_that_is_known():
+    scene = measured(flight(3), [residual("0.jpg"), residual("0.jpg", pixels=2.0, east=99.0),
+                                 residual("2.jpg", "left out", east=5.0, up=None)])
+    found = survey_of(scene).camera_residuals
+    assert found[0] == pytest.approx(1.3) and np.isnan(found[1]) and found[2] > 5
+    figure = survey_figure(survey_of(scene))
+    assert [axes.get_title() for axes in figure.axes[:2]] == ["cameras, by their residual",
+                                                               "overlap"]
+    assert survey_figure(survey_of(flight(3))).axes[0].get_title() == "cameras"
+
+
+@pytest.mark.parametrize("metres, words", [(0.0054, "5.4 mm"), (0.049, "4.9 cm"), (57.04, "57 m"),
+                                           (999.0, "999 m"), (12345.6, "12,346 m")])
+def test_lengths_for_people(metres, words):
+    assert length(metres) == words
+
+
+@pytest.mark.parametrize("square, words", [(85.0, "85 m²"), (11400, "1.14 ha"), (2.4e6, "2.4 km²"),
+                                           (3.2e9, "3.2e+03 km²"), (0.0, "0 m²")])
+def test_areas_for_people(square, words):
+    assert area(square) == words
+
+
+def test_a_survey_stands_between_pictures_and_scores(tmp_path):
+    run = bare_run(tmp_path / "run")
+    run.log({"event": "eval", "iteration": 9, "psnr": 21.0})
+    html = write_report(run, pictures=pictures(), scene=flight()).read_text()
+    assert headings(html)[:3] == ["Held-out views", "Survey", "Scores"]
+    assert renew_report(run, pictures()).read_text() == html  # it stays
+    (run.path / "report.html").unlink()
+    assert "Survey" in headings(renew_report(run, pictures(), flight).read_text())
+
+
+def test_a_survey_that_fails_is_a_line(monkeypatch):
+    def fails(*_):
+        raise MemoryError("no <room>")
+
+    monkeypatch.setattr(survey_module, "_overlap", fails)
+    assert "The survey could not be shown (no &lt;room&gt;)" in survey_html(flight())
+
+
+def test_a_warning_follows_from_the_size_of_the_flight():
+    small, large = (replace(flight(), georeference=replace(flight().georeference, residual=each))
+                    for each in (6.5, 6.7))  # of 220 m
+    assert warnings(survey_of(small)) == () and len(warnings(survey_of(large))) == 1
+    assert warnings(survey_of(measured(large, size=1000.0))) == ()
