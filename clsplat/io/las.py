@@ -17,16 +17,11 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.georeference.crs import pyproj_crs
 from clsplat.io.las_header import check_las
-from clsplat.io.model_values import (
-    Notes,
-    check_expansion,
-    colours_of,
-    opacities,
-    reading,
-)
+from clsplat.io.model_values import Notes, colours_of, opacities, reading
 from clsplat.io.points import cloud_gaussians
 from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular
+from clsplat.io.unpack import check_expansion
 
 VERSION, POINT_FORMAT = "1.4", 7  # with colours of 16 bits, and a CRS as WKT
 STEPS = (1 << 31) - 1  # of a coordinate, above and below its offset
