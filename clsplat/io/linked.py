@@ -11,7 +11,7 @@ import numpy as np
 from clsplat.errors import InputError
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.georeference.files import write_placement
-from clsplat.io.masks import MASKS
+from clsplat.io.mask_files import MASKS
 from clsplat.io.packed import write_packed
 from clsplat.scene import Scene, View
 

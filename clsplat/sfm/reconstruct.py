@@ -24,7 +24,7 @@ from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import place_reconstruction
 from clsplat.io.lock import HOLDER, LOCK, exclusive
-from clsplat.io.masks import MASKS
+from clsplat.io.mask_files import MASKS
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, write_object
 from clsplat.io.regular import read_regular
@@ -239,7 +239,11 @@ def _photos(source: Path, options: SfmOptions, progress: Progress
         check_video(source)
         return None
     progress.phase("reading metadata of photos")
-    return find_photos(source, options.masks)
+    photos, refused = find_photos(source, options.masks)
+    masked = sum(photo.mask is not None for photo in photos)
+    if masked:
+        progress.message(f"{masked} of {len(photos)} photos have a mask: dark pixels are not used")
+    return photos, refused
 
 
 def _mapped(unfinished: Unfinished, photos: Sequence[SourcePhoto], refused: dict[str, str],

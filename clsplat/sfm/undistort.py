@@ -18,7 +18,8 @@ from clsplat.camera import Camera
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_image, write_image
-from clsplat.io.masks import LEAST_BRIGHT, MASKS, read_mask, unmasked
+from clsplat.io.mask_files import MASKS
+from clsplat.io.masks import LEAST_BRIGHT, read_mask, unmasked
 from clsplat.io.regular import native
 from clsplat.io.sources import IMAGES
 from clsplat.scene import View

@@ -1,4 +1,4 @@
-"""Text models that other programs and editors leave: read, or refused with the line and the cure."""
+"""Text models that other programs and editors leave: read, or refused with line and cure."""
 
 import re
 import shutil
