@@ -10,6 +10,7 @@ from clsplat.io.beside import check_shape
 from clsplat.io.images import image_size
 from clsplat.io.mask_files import FOLDERS, MaskFiles, mask_folders, photo_of
 from clsplat.io.metadata import Calibration, PhotoMetadata, read_metadata
+from clsplat.io.photo import Levels
 from clsplat.io.regular import in_unicode, native
 from clsplat.io.run import CITY, OPTIONS
 from clsplat.io.sources import IMAGES, PHOTO_SUFFIXES
@@ -35,12 +36,14 @@ class SourcePhoto:
     path : of its file.
     metadata : from its header.
     mask : the file of its mask (io/masks.py), or None.
+    levels : as of `scene.View`.
     """
 
     name: str
     path: Path
     metadata: PhotoMetadata
     mask: Path | None = None
+    levels: Levels | None = None
 
 
 @dataclass(frozen=True)

@@ -141,7 +141,8 @@ def _photo(item: Registered, folder: Path) -> NDArray[np.uint8]:
         sure = _undistorted(item, valid[:, :, None] * np.uint8(255)) >= LEAST_BRIGHT
         write_image(mask, sure * np.uint8(255))
     if not path.exists():
-        write_image(path, _undistorted(item, read_image(item.photo.path)), QUALITY)
+        pixels = read_image(item.photo.path, levels=item.photo.levels)
+        write_image(path, _undistorted(item, pixels), QUALITY)
     return read_image(path)  # as the file has it, so that a continued command sees the same
 
 
