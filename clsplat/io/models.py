@@ -28,7 +28,8 @@ class Format:
     Attributes
     ----------
     what : what it is, in a few words.
-    read : called with the path and the offset of `read_model`.
+    read : called with the path and the offset of `read_model`, and where it has map coordinates
+        with the CRS of the scene.
     write : called with the path, the gaussians and the notes of `write_model`.
     harmonics : whether it holds spherical harmonics above the constant.
     map_coordinates : whether files of a georeferenced scene hold map coordinates.
@@ -36,7 +37,7 @@ class Format:
     """
 
     what: str
-    read: Callable[[Path, NDArray[np.float64] | None], Gaussians]
+    read: Callable[..., Gaussians]
     write: Callable[[Path, Gaussians, Notes], None]
     harmonics: bool = True
     map_coordinates: bool = False
@@ -96,7 +97,7 @@ def read_model(path: str | Path, offset: ArrayLike | None = None,
     offset : float64[3], original coordinates of the origin of the local ones; None: the one that
         the file records.
     georeference : of the scene for which it is read: LAS and LAZ hold map coordinates, which
-        become original ones.
+        become original ones, from whatever CRS they name.
 
     Raises
     ------
@@ -106,7 +107,7 @@ def read_model(path: str | Path, offset: ArrayLike | None = None,
     local = None if offset is None else np.asarray(offset, np.float64)
     if kind.map_coordinates and georeference is not None:
         origin = np.asarray(georeference.offset, np.float64)
-        gaussians = kind.read(path, None if local is None else origin + local)
+        gaussians = kind.read(path, None if local is None else origin + local, georeference.crs)
         return gaussians.located(gaussians.offset - origin)
     return kind.read(path, local)
 
