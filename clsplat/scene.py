@@ -47,6 +47,8 @@ class View:
     quarter_turns : how many clockwise quarter turns show the photo upright, by its EXIF.
     weighed : whether a training may leave out pixels of the photo (training/robust.py).
     visits : how often a training visits it, in proportion to others.
+    levels : the samples of 16 bits that become black and white (io/levels.py); None: the least and
+        the greatest.
     """
 
     name: str
@@ -59,6 +61,7 @@ class View:
     quarter_turns: int = 0
     weighed: bool = False
     visits: float = 1.0
+    levels: tuple[float, float] | None = None
 
     @property
     def may_have_mask(self) -> bool:

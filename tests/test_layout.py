@@ -56,7 +56,7 @@ NO_DEVICE = {"camera", "config", "options", "gaussians", "georeference", "placem
 WALLS = {
     "pyopencl": ("clsplat/device/",),
     "pycolmap": ("clsplat/io/", "clsplat/sfm/"),
-    **dict.fromkeys(("laspy", "lazrs"), ("clsplat/io/",)),
+    **dict.fromkeys(("laspy", "lazrs", "zstandard"), ("clsplat/io/",)),
     "pyproj": ("clsplat/io/georeference/crs.py",),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/flip.py"),
     "onnxruntime": ("clsplat/evaluation/lpips.py",),
@@ -69,10 +69,10 @@ WALLS = {
 }
 
 # imports inside functions: folder -> packages (None: any). Start-up is worth it in these only
-FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None,
-                    "clsplat/io/": {"laspy", "lazrs", "pycolmap", "OpenImageIO", "pyproj"},
+FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None, "clsplat/io/": {
+                        "laspy", "lazrs", "pycolmap", "OpenImageIO", "pyproj", "zstandard"},
                     "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
-                    "clsplat/bench/": {"gsplat", "torch"},  # to compare with, where they are
+                    "clsplat/bench/": {"gsplat", "torch"},  # to compare with
                     "clsplat/distribute/": {"distributed"}}  # an extra, seldom asked for
 
 # classes of the Python API that read, write and show themselves, by functions of layers above them

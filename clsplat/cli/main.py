@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import sys
 import traceback
@@ -106,6 +107,9 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
         return f"error: {error.format_message()} See `{command} --help`.", 2
     if isinstance(error, click.ClickException):
         return f"error: {error.format_message()}", 2
+    if no_files_left(error):
+        return ("error: more files are open than the system allows at once; raise the limit "
+                "(`ulimit -n`)"), 2
     if isinstance(error, ClsplatError):
         return f"error: {error}", 2
     if isinstance(error, BrokenPipeError):
@@ -117,6 +121,15 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
         return ("error: this machine does not have enough memory left; close other programs, or "
                 "use smaller images with --downscale or --max-resolution"), 2
     return "error: this is a bug in clsplat; please report it with the lines above", BUG
+
+
+def no_files_left(error: BaseException | None) -> bool:
+    """Whether an exception came of one that says that no further file can be opened."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def say(text: str) -> None:

@@ -19,8 +19,8 @@ SHOWN = 5  # photos that were not registered
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
               help="Folder of the new scene. The same command continues one that was killed.")
 @click.option("--masks", type=click.Path(path_type=Path),
-              help="Folder of masks NAME.png, dark where a photo shall not be used. Default: "
-              "masks/ in PHOTOS.")
+              help="Folder of masks NAME.png, dark where a photo shall not be used. Default: those "
+              "that are named as such in PHOTOS.")
 @click.option("--matching", type=click.Choice(MATCHING), default="auto", show_default=True,
               help="Which pairs of photos are matched: neighbours by GPS, photos that follow each "
               "other by name, or all.")

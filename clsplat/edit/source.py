@@ -18,7 +18,7 @@ from clsplat.evaluation.run import Run, shown
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.model_values import MIP
-from clsplat.io.models import read_model, read_notes
+from clsplat.io.models import is_model, read_model, read_notes
 from clsplat.io.scenes import read_scene
 
 
@@ -48,7 +48,7 @@ class Source:
     @classmethod
     def open(cls, path: Path) -> Source:
         """Read the model of a run's folder or of a file; InputError if it cannot be read."""
-        if path.is_dir():
+        if not is_model(path):
             run = Run.open(path)
             model = shown(run.finished_model, path).without_spheres()
             return cls(path, model, run.georeference, run.known_up, run.options.antialiased, run)

@@ -18,7 +18,7 @@ from clsplat.evaluation.score import Score
 from clsplat.evaluation.views import evaluate_run, final_metrics, opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.models import read_model, read_notes
+from clsplat.io.models import is_model, read_model, read_notes
 from clsplat.io.poses import read_poses
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
@@ -54,7 +54,7 @@ def to_render(path: Path, scene_path: Path | None) -> tuple[Gaussians, Scene, Tr
     ------
     clsplat.ClsplatError : the run is not finished, or a file is given without a scene.
     """
-    if path.is_dir():
+    if not is_model(path):
         run = Run.open(path)
         options, model, scene = run.options, run.finished_model, scene_of_views(run, scene_path)
     elif scene_path is None:

@@ -145,6 +145,7 @@ def _directions(begin: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray
 def mean_colour(views: Sequence[View]) -> NDArray[np.uint8]:
     """The mean colour, uint8[3], of at most 16 of the photos, evenly chosen."""
     chosen = views[::-(-len(views) // COLOUR_PHOTOS)]
-    means = [read_image(view.source, COLOUR_SIZE).mean(axis=(0, 1)) for view in chosen]
+    means = [read_image(view.source, COLOUR_SIZE, levels=view.levels).mean(axis=(0, 1))
+             for view in chosen]
     mean: NDArray[np.float64] = np.mean(means, axis=0)
     return mean.round().astype(np.uint8)

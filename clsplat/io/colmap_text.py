@@ -1,5 +1,7 @@
 """The text form of a COLMAP sparse model; see `colmap_format`."""
 
+import codecs
+import re
 from collections.abc import Callable, Iterator
 from io import BufferedReader
 from pathlib import Path
@@ -7,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clsplat.errors import InputError
 from clsplat.io.colmap_format import CAMERA_MODELS, Camera, Image, Points
 from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular
@@ -15,7 +18,7 @@ from clsplat.io.regular import open_regular
 def read_text(path: Path, part: str) -> Any:
     """Read one part of a model, as `colmap_binary.read_binary` does."""
     with open_regular(path) as file:
-        lines = _Lines(file)
+        lines = _Lines(file, path)
         try:
             content = READERS[part](lines)
         except (ValueError, IndexError, OverflowError) as error:
@@ -28,8 +31,8 @@ def read_text(path: Path, part: str) -> Any:
 class _Lines:
     """The lines of a file that are neither empty nor comments."""
 
-    def __init__(self, file: BufferedReader) -> None:
-        self.file = file
+    def __init__(self, file: BufferedReader, path: Path) -> None:
+        self.file, self.path = file, path
         self.number, self.last = 0, b""
         self.made_by_colmap = False
 
@@ -42,6 +45,8 @@ class _Lines:
     def skip(self) -> bytes:
         """The next line, comments included; b"" at the end."""
         line = self.file.readline()
+        if not self.number:
+            line = line.removeprefix(codecs.BOM_UTF8)
         if line:
             self.number, self.last = self.number + 1, line
         if b"\0" in line:
@@ -83,8 +88,22 @@ def _read_images(lines: _Lines) -> list[Image]:
         number, *words, camera, name = fields
         pose = tuple(map(float, words))
         images.append(Image(_id(number), pose[:4], pose[4:], _id(camera), name.decode()))
-        lines.skip()  # the observations of the image
+        _check_observations(lines, images[-1])
     return images
+
+
+def _check_observations(lines: _Lines, image: Image) -> None:
+    """Skip the observations of an image, rows of x, y and the id of a point; InputError if the line
+    is missing, as programs leave it out that have no observations."""
+    line = lines.skip()
+    fields = line.split(maxsplit=10)
+    whole = len(fields) % 3 == 0 or len(fields) > 10
+    if not whole or fields and not re.fullmatch(rb"-?\d+", line.rsplit(maxsplit=1)[-1]):
+        if lines.is_cut_short:
+            raise ValueError("cut short")
+        raise InputError(f"{lines.path}: line {lines.number} is not the observations of image "
+                         f"{image.name[:80]}: each image has two lines, of which the second may "
+                         "be empty; add the empty lines, or export the model again")
 
 
 def _id(text: bytes) -> int:

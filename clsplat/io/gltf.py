@@ -21,7 +21,6 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.model_values import (
     Notes,
-    check_expansion,
     colours_of,
     doubles,
     gaussians_of,
@@ -38,6 +37,7 @@ from clsplat.io.quantise import unit
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.io.spz import unpacked_spz
+from clsplat.io.unpack import check_expansion
 
 EXTENSION = "KHR_gaussian_splatting"
 COMPRESSION = "KHR_gaussian_splatting_compression_spz_2"
@@ -107,8 +107,12 @@ def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
     """
     with reading(path, f"a binary glTF with {EXTENSION}"):
         document, content = _chunks(read_regular(path))
-        rows, origin = _joined([(_rows(document, content, primitive), place)
-                                for primitive, place in _primitives(document)])
+        parts, size = [], 0
+        for primitive, place in _primitives(document):
+            parts.append((_rows(document, content, primitive), place))
+            size += sum(values.nbytes for values in parts[-1][0].values())
+            check_expansion(len(content), size)  # many primitives may name the same gaussians
+        rows, origin = _joined(parts)
         return gaussians_of(path, half_turn(rows, axis=2), origin * TURN, offset)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.photo import Photo, opened, reason_of
+from clsplat.io.photo import Levels, Photo, opened, reason_of
 from clsplat.io.resample import joined, resampled_bands
 
 JPEG_QUALITY = 92
@@ -133,7 +133,8 @@ def _piped(write: Callable[[str], bool], end: Callable[[bool], None]) -> bytes:
 
 
 def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
-               window: tuple[int, int, int, int] | None = None) -> NDArray[np.uint8]:
+               window: tuple[int, int, int, int] | None = None,
+               levels: Levels | None = None) -> NDArray[np.uint8]:
     """Read a photo as uint8[H, W, 3], sRGB.
 
     Grey becomes three equal channels, alpha is dropped, deeper samples are rounded to 8 bits, and
@@ -144,24 +145,28 @@ def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
     source : a path, or the encoded bytes of a photo.
     size : (width, height), pixels, to which the image is resampled by area averaging.
     window : (left, top, right, bottom), pixels, the part to read; None reads all.
+    levels : the samples of 16 bits that become black and white (io/levels.py).
     """
     with opened(source) as photo:
+        photo.levels = levels
         left, top, right, bottom = window = window or (0, 0, photo.width, photo.height)
         size = size or (right - left, bottom - top)
         return joined(_bands(photo, size, window), size)
 
 
 def image_bands(source: str | Path | bytes, size: tuple[int, int],
-                window: tuple[int, int, int, int] | None = None) -> Iterator[NDArray[np.uint8]]:
+                window: tuple[int, int, int, int] | None = None,
+                levels: Levels | None = None) -> Iterator[NDArray[np.uint8]]:
     """Yield what `read_image` reads from the top down, uint8[n, W, 3] each.
 
     Where the format allows, no more than a few rows of the photo are in memory at once.
 
     Parameters
     ----------
-    source, size, window : as for `read_image`.
+    source, size, window, levels : as for `read_image`.
     """
     with opened(source) as photo:
+        photo.levels = levels
         yield from _bands(photo, size, window or (0, 0, photo.width, photo.height))
 
 

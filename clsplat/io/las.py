@@ -4,10 +4,12 @@ Gaussians are written as their centres, with colour, and with opacity as the int
 map coordinates where the scene is georeferenced: the format has room for large numbers.
 """
 
+import logging
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,18 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.georeference.crs import pyproj_crs
+from clsplat.io.georeference.crs import cloud_on_map, has_pyproj, pyproj_crs
 from clsplat.io.las_header import check_las
-from clsplat.io.model_values import (
-    Notes,
-    check_expansion,
-    colours_of,
-    opacities,
-    reading,
-)
+from clsplat.io.model_values import Notes, colours_of, opacities, reading
 from clsplat.io.points import cloud_gaussians
-from clsplat.io.reason import reason
+from clsplat.io.reason import clean, reason
 from clsplat.io.regular import open_regular
+from clsplat.io.unpack import check_expansion
 
 VERSION, POINT_FORMAT = "1.4", 7  # with colours of 16 bits, and a CRS as WKT
 STEPS = (1 << 31) - 1  # of a coordinate, above and below its offset
@@ -85,8 +82,14 @@ def write_points(path: Path, parts: Iterable[Part], ends: tuple[ArrayLike, Array
             writer.write_points(record)
 
 
-def read_las(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians:
-    """Read the points of a LAS or LAZ file as gaussians; see `models.read_model`."""
+def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None
+             ) -> Gaussians:
+    """Read the points of a LAS or LAZ file as gaussians; see `models.read_model`.
+
+    Parameters
+    ----------
+    crs : to which the points are converted, if the file says that it has another; None: its own.
+    """
     laspy = laspy_for(path)
     with reading(path, "a LAS or LAZ file"), open_regular(path) as file:
         size = file.seek(0, 2)
@@ -112,8 +115,26 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
                 done += len(part)
             if done != count:
                 raise ValueError(f"it has {done} points, not {count}")
+        points = _converted(path, header, crs, points)
         return cloud_gaussians(path, points, colours if coloured and colours.any() else None,
                                offset)
+
+
+def _converted(path: Path, header: Any, crs: str | None, points: NDArray[np.float64]
+               ) -> NDArray[np.float64]:
+    """Points in a CRS; as they are if the file names none that is known."""
+    if crs is None or not has_pyproj():
+        return points
+    try:
+        system = header.parse_crs()
+    except Exception:  # noqa: BLE001  (of any kind, for damaged records)
+        system = None
+    found = None if system is None else cloud_on_map(system, crs, points, path)
+    if found is None:
+        return points
+    logging.getLogger(__name__).warning("%s: its points are converted from %s to %s", path,
+                                        clean(system.name), clean(crs))
+    return found
 
 
 def _shares(values: NDArray[np.floating]) -> NDArray[np.uint16]:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from clsplat.camera import Lens
 from clsplat.errors import InputError
+from clsplat.io import brown
 
-Model = tuple[str, tuple[float, ...]]  # COLMAP's name of a camera model, and its parameters
+Model = tuple[str, tuple[float, ...]]  # name of a camera model, most of COLMAP, and parameters
 PANORAMA = "EQUIRECTANGULAR"
 MOST_DEGREES = 60.0  # from the axis, in a single view: there pixels are stretched fourfold
 MOST_LOST = 0.1  # of the photo's pixels, to have an undistorted photo without uncovered pixels
@@ -31,6 +32,26 @@ SHORT = 1e-6  # of x/z and y/z, for the focal length in the middle
 FACES = {"front": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "right": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
          "back": ((-1, 0, 0), (0, 1, 0), (0, 0, -1)), "left": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
          "up": ((1, 0, 0), (0, 0, -1), (0, 1, 0)), "down": ((1, 0, 0), (0, 0, 1), (0, -1, 0))}
+
+
+def brown_model(pinhole: Sequence[float], radial: Sequence[float],
+                tangential: Sequence[float] = (0.0, 0.0)) -> Model | None:
+    """The simplest camera model that equals Brown's with these coefficients; None: a pinhole's.
+
+    Parameters
+    ----------
+    pinhole : fx, fy, cx, cy, pixels.
+    radial : up to four coefficients, of r^2, r^4, r^6 and r^8.
+    tangential : in OpenCV's order: the first is the factor of 2 x y in x.
+    """
+    k1, k2, k3, k4 = (*radial, 0.0, 0.0, 0.0, 0.0)[:4]
+    if k4:
+        return brown.NAME, (*pinhole, k1, k2, k3, k4, *tangential)
+    if k3:
+        return "FULL_OPENCV", (*pinhole, k1, k2, *tangential, k3, 0.0, 0.0, 0.0)
+    if any((k1, k2, *tangential)):
+        return "OPENCV", (*pinhole, k1, k2, *tangential)
+    return None
 
 
 def undistorted_model(path: Path | str, arrays: Mapping[str, NDArray[Any]],
@@ -302,6 +323,8 @@ def _rays(lens: Lens, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _camera(lens: Lens) -> Any:
+    if lens.model == brown.NAME:
+        return brown.Brown(lens.parameters)
     import pycolmap
 
     try:

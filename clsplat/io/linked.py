@@ -11,7 +11,8 @@ import numpy as np
 from clsplat.errors import InputError
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.georeference.files import write_placement
-from clsplat.io.masks import MASKS
+from clsplat.io.images import encode_image, read_image
+from clsplat.io.mask_files import MASKS
 from clsplat.io.packed import write_packed
 from clsplat.scene import Scene, View
 
@@ -40,6 +41,12 @@ def write_linked(folder: Path, scene: Scene) -> None:
     for photo, link in _photo_links(folder, views):
         link.parent.mkdir(parents=True, exist_ok=True)
         _link(photo, link)
+    for view in views:
+        if view.levels:  # those of the whole scene, not those of a part
+            link = folder / "images" / view.name
+            link.unlink()
+            link.write_bytes(encode_image(read_image(view.source, levels=view.levels), "png", 0,
+                                          view.name))
 
 
 def _photo_links(folder: Path, views: Iterable[View]) -> Iterator[tuple[Path, Path]]:

@@ -1,7 +1,8 @@
 """Masks of photos: which pixels count in training and in scores.
 
-A mask is an image in masks/ beside the photos (io/beside.py): dark pixels do not count. Nor do
-transparent pixels of a photo with alpha, and those that a lens does not show.
+A mask is an image in masks/ beside the photos, or has a name by which io/mask_files.py finds it:
+dark pixels do not count. Nor do transparent pixels of a photo with alpha, and those that a lens
+does not show.
 """
 
 from collections.abc import Iterator
@@ -12,28 +13,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
-from clsplat.io.beside import check_shape, file_beside, photo_size
+from clsplat.io.beside import check_shape, photo_size
 from clsplat.io.images import read_alpha
+from clsplat.io.mask_files import MaskFiles, mask_folders
 from clsplat.io.photo import opened
 from clsplat.io.resample import resample
 from clsplat.scene import Scene, View
 
-MASKS = "masks"
 LEAST_BRIGHT = 128  # of 255, of pixels that count
 
 
 def with_masks(scene: Scene, folder: Path) -> Scene:
-    """The scene with the masks that a folder has for its photos, and a note that says so."""
-    if not (folder / MASKS).is_dir():
-        return scene
-    views = tuple(replace(view, mask=view.mask or file_beside(folder / MASKS, view))
-                  for view in scene.views)
+    """The scene with the masks that its folder has for its photos, and a note that says so."""
+    folders = mask_folders(folder)
+    files = MaskFiles(folders)
+    views = tuple(view if view.mask is not None else replace(view, mask=files.of(
+        view.name, view.source if isinstance(view.source, Path) else None))
+        for view in scene.views)
     count = sum(view.mask is not None for view in views)
-    note = (f"{count} of {len(views)} photos have a mask in {MASKS}/: dark pixels are left out of "
-            "training and scores")
-    if not count:
-        raise InputError(f"{folder / MASKS}: has no mask for any photo; name them after the photos,"
+    if folders and not count:
+        raise InputError(f"{folders[0]}: has no mask for any photo; name them after the photos,"
                          f" such as {scene.views[0].name}.png, or rename the folder")
+    if not files.used and not folders:
+        return replace(scene, views=views)
+    places = sorted({mask.parent.name for mask in files.used})
+    where = f" in {', '.join(f'{place}/' for place in places)}" if places else ""
+    note = (f"{count} of {len(views)} photos have a mask{where}: dark pixels are left out of "
+            "training and scores")
     return replace(scene, views=views, notes=(*scene.notes, note))
 
 

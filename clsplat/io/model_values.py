@@ -21,15 +21,16 @@ from clsplat.io.georeference.files import (
 )
 from clsplat.io.ply import needs_double
 from clsplat.io.reason import reason
+from clsplat.io.usable import (
+    GREATEST_OPACITY,
+    LARGEST_LOG_SCALE,
+    LEAST_OPACITY,
+    usable,
+    with_meaning,
+)
 
-# what a file holds unpacked may have this many times its size, plus a share for small files; a
-# bomb has more
-LARGEST_EXPANSION, FREE_BYTES = 100, 1 << 26
-# opacities that single precision and logits can hold
-LEAST_OPACITY, GREATEST_OPACITY = 1e-30, 1 - 2.0**-24
 MODE = "SplatRenderMode: "  # the comment that says how a model was trained
 MIP = f"{MODE}mip"  # with --antialiased
-LARGEST_LOG_SCALE = 80.0  # its exponential is a finite float32, as is that of its negative
 
 
 def mode_comment(antialiased: bool) -> str:
@@ -47,24 +48,20 @@ def reading(path: Path, what: str) -> Iterator[None]:
     what : the format with its article, for the message.
     """
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # `gaussians_of` refuses the results
+        with np.errstate(over="ignore", invalid="ignore"):  # `gaussians_of` checks the results
             yield
     except InputError:
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
+    except ImportError as error:
+        raise InputError(f"{path}: {reason(error)}") from None
     except MemoryError:
         raise InputError(f"{path}: not enough memory to read it; free some, or give a smaller "
                          "model") from None
     except Exception as error:
         raise InputError(f"{path}: not {what}, damaged or cut short ({reason(error)}); "
                          "export or copy it again") from None
-
-
-def check_expansion(size: int, claimed: int) -> None:
-    """ValueError if a file of some bytes claims to hold too many when it is unpacked."""
-    if claimed > FREE_BYTES + LARGEST_EXPANSION * size:
-        raise ValueError(f"its {size} bytes claim to hold {claimed}")
 
 
 @dataclass(frozen=True)
@@ -116,7 +113,7 @@ def stored_positions(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray
 
 def gaussians_of(path: Path, rows: dict[str, NDArray[np.float64]],
                  origin: NDArray[np.float64], offset: NDArray[np.float64] | None) -> Gaussians:
-    """Gaussians in local coordinates, from the values of a file.
+    """Gaussians in local coordinates, from the values of a file; see `usable.usable`.
 
     Parameters
     ----------
@@ -124,22 +121,14 @@ def gaussians_of(path: Path, rows: dict[str, NDArray[np.float64]],
     rows : the fields of `gaussians.LEARNED`; positions relative to the origin.
     origin : float64[3], original coordinates, as the file records it.
     offset : float64[3], original coordinates of the origin of the local ones; None: `origin`.
-
-    Raises
-    ------
-    InputError : a value is not finite in single precision.
     """
     offset = np.array(origin if offset is None else offset, np.float64)
     rows = {**rows, "positions": rows["positions"] + (origin - offset)}
     bands = rows["sh_rest"].shape[1]
     with np.errstate(over="ignore"):
-        single = {name: values.astype(np.float32) for name, values in rows.items()}
-    for name, values in single.items():
-        bad = np.count_nonzero(~np.isfinite(values))
-        if bad:
-            raise InputError(f"{path}: {bad} of {values.size} values of {name} are not finite; "
-                             "remove those gaussians, or export the model again")
-    return Gaussians(single, round((bands + 1) ** 0.5) - 1, offset)
+        single = {name: with_meaning(name, values.astype(np.float32))
+                  for name, values in rows.items()}
+    return Gaussians(usable(path, single), round((bands + 1) ** 0.5) - 1, offset)
 
 
 def opacities(gaussians: Gaussians) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from clsplat.io.las import read_las, write_las
 from clsplat.io.model_values import Notes
 from clsplat.io.ply import gaussians_of, read_elements, write_ply
 from clsplat.io.points import is_cloud, ply_cloud
-from clsplat.io.sog import read_sog, sog_notes, write_sog
+from clsplat.io.sog import is_unbundled, read_sog, sog_notes, write_sog
 from clsplat.io.splat_file import read_splat, write_splat
 from clsplat.io.spz import read_spz, spz_notes, write_spz
 
@@ -28,7 +28,8 @@ class Format:
     Attributes
     ----------
     what : what it is, in a few words.
-    read : called with the path and the offset of `read_model`.
+    read : called with the path and the offset of `read_model`, and where it has map coordinates
+        with the CRS of the scene.
     write : called with the path, the gaussians and the notes of `write_model`.
     harmonics : whether it holds spherical harmonics above the constant.
     map_coordinates : whether files of a georeferenced scene hold map coordinates.
@@ -36,7 +37,7 @@ class Format:
     """
 
     what: str
-    read: Callable[[Path, NDArray[np.float64] | None], Gaussians]
+    read: Callable[..., Gaussians]
     write: Callable[[Path, Gaussians, Notes], None]
     harmonics: bool = True
     map_coordinates: bool = False
@@ -92,21 +93,21 @@ def read_model(path: str | Path, offset: ArrayLike | None = None,
 
     Parameters
     ----------
-    path : a file with one of SUFFIXES.
+    path : a file with one of SUFFIXES, or SOG in a folder: that, or its meta.json.
     offset : float64[3], original coordinates of the origin of the local ones; None: the one that
         the file records.
     georeference : of the scene for which it is read: LAS and LAZ hold map coordinates, which
-        become original ones.
+        become original ones, from whatever CRS they name.
 
     Raises
     ------
     InputError : the suffix is unknown, or the file is missing, damaged or of another format.
     """
-    path, kind = Path(path), format_of(path)
+    path, kind = Path(path), _stored_format(path)
     local = None if offset is None else np.asarray(offset, np.float64)
     if kind.map_coordinates and georeference is not None:
         origin = np.asarray(georeference.offset, np.float64)
-        gaussians = kind.read(path, None if local is None else origin + local)
+        gaussians = kind.read(path, None if local is None else origin + local, georeference.crs)
         return gaussians.located(gaussians.offset - origin)
     return kind.read(path, local)
 
@@ -116,7 +117,7 @@ def count_of(path: str | Path) -> int:
 
     Of a PLY only the header is read, unless its rows are text.
     """
-    path, kind = Path(path), format_of(path)
+    path, kind = Path(path), _stored_format(path)
     if kind.read is not _read_ply:
         return kind.read(path, None).count
     elements, _ = read_elements(path)
@@ -150,7 +151,18 @@ def write_model(path: str | Path, gaussians: Gaussians, comments: Iterable[str] 
 def read_notes(path: str | Path) -> Notes:
     """What a file of a model says besides its gaussians: how it was trained, what is up, and its
     georeference, as far as its format has a place for them; raises as `read_model`."""
-    return format_of(path).notes(Path(path))
+    return _stored_format(path).notes(Path(path))
+
+
+def is_model(path: str | Path) -> bool:
+    """Whether a path is one that `read_model` may read; else it is a run's folder."""
+    path = Path(path)
+    return not path.is_dir() or is_unbundled(path)
+
+
+def _stored_format(path: str | Path) -> Format:
+    """The format of a file that is read."""
+    return FORMATS[".sog"] if is_unbundled(Path(path)) else format_of(path)
 
 
 def format_of(path: str | Path) -> Format:

@@ -1,10 +1,10 @@
 """Arrays from an .npz that may be damaged or malicious.
 
 numpy allocates the size that a header claims before it reads, and its header parser raises any kind
-of exception. Here the claim of each member is compared with its bytes first; nothing is unpickled.
+of exception. Here the claim of each member is compared with its bytes first, and no more than that
+is unpacked (io/unpack.py); nothing is unpickled.
 """
 
-import io
 import json
 import math
 import zipfile
@@ -17,11 +17,8 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.reason import reason
-from clsplat.io.regular import open_regular
+from clsplat.io.unpack import Archive, Bounded, opened_archive
 
-# the members may have this many times the size of the file, plus a share for small files; a zip
-# bomb has more
-LARGEST_EXPANSION, FREE_BYTES = 100, 1 << 26
 CHUNK = 1 << 21  # bytes that are copied while the processor's cache holds them
 READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0,
                (2, 0): np.lib.format.read_array_header_2_0}
@@ -39,15 +36,12 @@ def read_npz(path: Path, complaint: str, cure: str,
     rows : ascending indices of those rows that are kept of every array; None: all.
     """
     try:
-        with Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:
-            members = {member.filename.removesuffix(".npy"): member
-                       for member in archive.infolist()}
-            members = {name: member for name, member in members.items() if wanted(name)}
-            claimed = sum(member.file_size for member in members.values())
-            if claimed > FREE_BYTES + LARGEST_EXPANSION * file.size:
-                raise ValueError(f"its {file.size} bytes claim to hold {claimed}")
-            return {name: _member(archive, name, member, rows)
-                    for name, member in members.items()}
+        with opened_archive(path) as archive:
+            members = {short: name for name in archive.members
+                       if wanted(short := name.removesuffix(".npy"))}
+            archive.check(members.values())
+            return {short: _member(archive, short, name, rows)
+                    for short, name in members.items()}
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
     except Exception as error:  # zipfile and numpy raise many kinds
@@ -68,28 +62,16 @@ def state_array(state: Mapping[str, Any]) -> NDArray[np.uint8]:
     return np.frombuffer(json.dumps(state, default=lambda value: value.tolist()).encode(), np.uint8)
 
 
-class Bounded(io.BufferedReader):
-    """A file that reads no more than its size: zipfile reads as much as a header claims, and Python
-    allocates that much first."""
-
-    def __init__(self, raw: io.RawIOBase) -> None:
-        super().__init__(raw)
-        self.size = self.seek(0, io.SEEK_END)
-
-    def read(self, size: int | None = -1) -> bytes:
-        """As of a file, but at most its size."""
-        return super().read(-1 if size is None else min(size, self.size))
-
-
-def _member(archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo,
+def _member(archive: Archive, short: str, name: str,
             rows: NDArray[np.integer] | None) -> NDArray[Any]:
-    with archive.open(member) as stream:
-        array = read_array(name, stream, member.file_size, rows)
-        stream.read(1)  # at its end the CRC is compared
-    return array
+    with archive.opened(name) as stream:
+        array = read_array(short, stream, archive.members[name].file_size, rows)
+        if rows is None or len(rows):
+            stream.check_end()
+        return array
 
 
-def read_array(name: str, stream: IO[bytes], size: int,
+def read_array(name: str, stream: IO[bytes] | Bounded, size: int,
                rows: NDArray[np.integer] | None = None) -> NDArray[Any]:
     """Read the array of an .npy from its stream.
 
@@ -123,7 +105,7 @@ def read_array(name: str, stream: IO[bytes], size: int,
     return np.ndarray(shape, dtype, content.data, order="F" if by_columns else "C")
 
 
-def _read_rows(name: str, stream: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any],
+def _read_rows(name: str, stream: IO[bytes] | Bounded, shape: tuple[int, ...], dtype: np.dtype[Any],
                by_columns: bool, rows: NDArray[np.integer]) -> NDArray[Any]:
     """Some rows of an array: memory is taken for these only. If there are any, all of it is read,
     for its CRC."""

@@ -48,7 +48,7 @@ def write_packed(scene: Scene, path: str | Path, downscale: float = 1) -> None:
     cameras, photos, masks = [], [], []
     for view in scene.views:
         camera, source = view.camera, view.source
-        if downscale == 1 and not view.lens:
+        if downscale == 1 and not (view.lens or view.levels):
             read_image(source)
             photo = source if isinstance(source, bytes) else source.read_bytes()
         else:

@@ -25,6 +25,7 @@ CONVERT = "convert it to JPEG or PNG"
 # TIFF's PhotometricInterpretation: white is zero, black is zero, RGB, palette, CMYK, YCbCr
 COLOUR_MODELS = (0, 1, 2, 3, 5, 6)
 FLOAT_SAMPLES = ("half", "float")
+Levels = tuple[float, float]  # samples of 16 bits that become black and white
 LUMINANCE_CHANNELS, LINEAR_FORMATS = ("Y", "I", "L"), ("openexr", "hdr")
 
 
@@ -38,6 +39,8 @@ class Photo:
     orientation : the number in EXIF, 1 without one.
     linear : whether its samples are linear light.
     extra : how many channels there are beyond colour and alpha.
+    is_deep : whether it is grey, with samples of 16 bits.
+    levels : the samples that become black and white; None: the least and the greatest of all.
     """
 
     def __init__(self, name: str | Path, image: Any) -> None:
@@ -52,6 +55,8 @@ class Photo:
         self.linear: bool = space.startswith("lin") or (deep and not space.startswith("srgb"))
         # every GIF is read with alpha
         self.has_alpha: bool = spec.alpha_channel >= 0 and image.format_name() != "gif"
+        self.is_deep: bool = str(spec.format) == "uint16" and len(set(self._channels)) == 1
+        self.levels: Levels | None = None
         self.extra: int = spec.nchannels - len(set(self._channels)) - (spec.alpha_channel >= 0)
 
     def attribute(self, name: str) -> object:
@@ -62,10 +67,12 @@ class Photo:
 
     def bands(self, top: int, bottom: int) -> Iterator[NDArray[np.uint8]]:
         """Yield the rows from `top` to `bottom` in order, uint8[n, W, 3], sRGB."""
-        return self._bands(top, bottom, self._colours)
+        if self.levels is None:
+            return self._bands(top, bottom, self._colours)
+        return self._bands(top, bottom, self._stretched, "uint16")
 
-    def _bands(self, top: int, bottom: int, converted: Callable[[NDArray[Any]], NDArray[np.uint8]]
-               ) -> Iterator[NDArray[np.uint8]]:
+    def _bands(self, top: int, bottom: int, converted: Callable[[NDArray[Any]], NDArray[Any]],
+               kind: str = "") -> Iterator[NDArray[Any]]:
         spec = self._spec
         # OpenImageIO refuses parts of tiles, and reads wrong rows for parts of some TIFFs' strips
         unit = spec.tile_height or spec.get_int_attribute("tiff:RowsPerStrip", 1)
@@ -73,8 +80,13 @@ class Photo:
         step = max(1, band_rows(self.width, spec.nchannels) // unit) * unit
         for row in range(top // unit * unit, bottom, step):
             end = min(row + step, -(-bottom // unit) * unit, self.height)
-            pixels = converted(self._rows(row, end))
+            pixels = converted(self._rows(row, end, kind))
             yield pixels[max(0, top - row):bottom - row]
+
+    def samples(self) -> NDArray[np.uint16]:
+        """The grey samples of a deep photo, uint16[H, W]."""
+        return np.concatenate([*self._bands(0, self.height, lambda rows: rows[
+            ..., self._channels[0]], "uint16")])
 
     def alpha(self) -> NDArray[np.uint8]:
         """The alpha channel, uint8[H, W]; the photo must have one."""
@@ -86,9 +98,10 @@ class Photo:
             opacities = np.clip(np.nan_to_num(opacities), 0, 1) * 255 + 0.5
         return opacities.astype(np.uint8)
 
-    def _rows(self, begin: int, end: int) -> NDArray[Any]:
-        """Samples [end - begin, W, channels], float32 if they are linear light, else uint8."""
-        spec, kind = self._spec, "float" if self.linear else "uint8"
+    def _rows(self, begin: int, end: int, kind: str) -> NDArray[Any]:
+        """Samples [end - begin, W, channels] of a kind; "": float32 if they are linear light, else
+        uint8."""
+        spec, kind = self._spec, kind or ("float" if self.linear else "uint8")
         low, high, channels = spec.y + begin, spec.y + end, spec.nchannels
         if spec.tile_width:
             pixels = self._image.read_tiles(spec.x, spec.x + spec.width, low, high, spec.z,
@@ -102,6 +115,14 @@ class Photo:
                              f"copy it again, or {CONVERT}")
         samples: NDArray[Any] = pixels.reshape(end - begin, spec.width, channels)
         return samples
+
+    def _stretched(self, samples: NDArray[np.uint16]) -> NDArray[np.uint8]:
+        assert self.levels is not None
+        low, high = self.levels
+        grey = (samples[..., list(self._channels)] - np.float32(low)) * np.float32(
+            255 / (high - low))
+        pixels: NDArray[np.uint8] = (np.clip(grey, 0, 255) + np.float32(0.5)).astype(np.uint8)
+        return pixels
 
     def _colours(self, samples: NDArray[Any]) -> NDArray[np.uint8]:
         # a list of channels copies them one after the other, and who reads rows copies them again

@@ -15,6 +15,7 @@ from clsplat.gaussians import LEARNED, SPHERE, Field, Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.reason import reason
 from clsplat.io.regular import open_regular
+from clsplat.io.usable import MOST_LEFT_OUT, usable, with_meaning
 
 ROWS_AT_A_TIME = 1 << 13  # so few that they stay in the cache while columns are copied
 # positions are written as double if float would move one by more than this share of the median
@@ -112,7 +113,7 @@ def _write_vertices(path: str | Path, layout: Sequence[tuple[str, str]], comment
 
 
 def read_ply(path: str | Path, offset: ArrayLike | None = None) -> Gaussians:
-    """Read the gaussians of a PLY file in local coordinates.
+    """Read the gaussians of a PLY file that clsplat wrote, in local coordinates.
 
     Normals and missing bands are left out.
 
@@ -120,13 +121,19 @@ def read_ply(path: str | Path, offset: ArrayLike | None = None) -> Gaussians:
     ----------
     offset : float64[3], world, subtracted from the positions instead of the offset in the header,
         for gaussians from which the training of another scene starts.
+
+    Raises
+    ------
+    InputError : it is missing, damaged, or holds numbers that are not finite.
     """
-    return gaussians_of(path, *read_vertices(path), offset)
+    return gaussians_of(path, *read_vertices(path), offset, most_left_out=0)
 
 
 def gaussians_of(path: str | Path, element: plyfile.PlyElement, comments: Iterable[str],
-                 offset: ArrayLike | None = None) -> Gaussians:
-    """The gaussians of vertices that were read; otherwise as `read_ply`."""
+                 offset: ArrayLike | None = None, most_left_out: float = MOST_LEFT_OUT
+                 ) -> Gaussians:
+    """The gaussians of vertices that were read, without those that are not finite; see
+    `usable.usable`. Otherwise as `read_ply`."""
     degree = _sh_degree(path, element.data.dtype.names)
     fields: tuple[Field, ...] = LEARNED
     if all(name in element.data.dtype.names for field in SPHERE for name in field.ply):
@@ -143,7 +150,6 @@ def gaussians_of(path: str | Path, element: plyfile.PlyElement, comments: Iterab
     if lists:
         raise InputError(f"{path}: column {lists[0]} is a list, not a number; "
                          "give a PLY that a gaussian splatting program wrote")
-    bad = dict.fromkeys(columns, 0)
     for begin in range(0, len(element.data), ROWS_AT_A_TIME):
         part = slice(begin, begin + ROWS_AT_A_TIME)
         vertices = element.data[part]
@@ -154,12 +160,8 @@ def gaussians_of(path: str | Path, element: plyfile.PlyElement, comments: Iterab
                 if field in PLACES:
                     values = values.astype(np.float64) - offset[index[0]]
                 column[...] = values
-            bad[name] += len(column) - int(np.count_nonzero(np.isfinite(column)))
-    for name, count in bad.items():
-        if count:
-            raise InputError(f"{path}: {count} of {len(element.data)} values in column {name} are "
-                             "not finite; remove those gaussians, or export the model again")
-    return Gaussians(rows, degree, offset)
+    rows = {name: with_meaning(name, values) for name, values in rows.items()}
+    return Gaussians(usable(path, rows, most_left_out), degree, offset)
 
 
 def _columns(degree: int, fields: Iterable[Field]) -> dict[str, tuple[str, tuple[int, ...]]]:

@@ -1,6 +1,7 @@
 """Clouds of points with colours, as the gaussians from which a training starts."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plyfile
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.checks import LARGEST_COORDINATE
+from clsplat.io.usable import usable
 
 COLOURS = ("red", "green", "blue")
 GREY = 128
@@ -50,12 +52,15 @@ def cloud_gaussians(path: Path, points: NDArray[np.float64],
 
     Raises
     ------
-    InputError : fewer than two places, or a coordinate that is not finite or too large.
+    InputError : fewer than two places, or more than half of the coordinates are not finite or too
+        large; see `usable.usable`.
     """
-    bad = ~(np.abs(points) <= LARGEST_COORDINATE).all(axis=1)
-    if bad.any():
-        raise InputError(f"{path}: {bad.sum()} of {len(points)} points are not finite or not below "
-                         f"{LARGEST_COORDINATE:g}; remove them")
+    rows: dict[str, NDArray[Any]] = {
+        "positions": np.where(np.abs(points) <= LARGEST_COORDINATE, points, np.nan)}
+    if colours is not None:
+        rows["colours"] = np.nan_to_num(colours)
+    rows = usable(path, rows)
+    points, colours = rows["positions"], rows.get("colours")
     if not len(points) or (points == points[0]).all():
         raise InputError(f"{path}: its {len(points)} points have fewer than two places; gaussians "
                          "take their size from the distance of points, so give a larger cloud")
@@ -68,7 +73,7 @@ def cloud_gaussians(path: Path, points: NDArray[np.float64],
 
 def _bytes(colours: NDArray[np.generic]) -> NDArray[np.uint8]:
     """Colours of 8 bits. Some programs write 8 bits into 16, without multiplying."""
-    values = np.nan_to_num(colours.astype(np.float64))
+    values = colours.astype(np.float64)
     if colours.dtype.kind == "f":
         values = values * 255
     elif values.max(initial=0) > 255:

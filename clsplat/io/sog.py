@@ -1,4 +1,6 @@
-"""Gaussians as SOG, the format of PlayCanvas: a zip of lossless WebP textures, version 2.
+"""Gaussians as SOG, the format of PlayCanvas: lossless WebP textures in a zip, version 2.
+
+The textures may also lie in a folder, beside meta.json.
 
 Each gaussian is a pixel of every texture. Positions have 16 bits a coordinate, on a scale that is
 logarithmic far from the origin; log scales, colours and harmonics are numbers of a codebook of 256;
@@ -7,19 +9,21 @@ the harmonics of all gaussians are chosen from a palette.
 
 import json
 import zipfile
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.model_values import (
     MIP,
     Notes,
     byte_logits,
-    check_expansion,
     doubles,
     gaussians_of,
     opacities,
@@ -27,7 +31,6 @@ from clsplat.io.model_values import (
     stored_positions,
     to_bytes,
 )
-from clsplat.io.npz import Bounded
 from clsplat.io.quantise import (
     codebook,
     from_smallest_three,
@@ -36,11 +39,15 @@ from clsplat.io.quantise import (
     smallest_three,
 )
 from clsplat.io.records import object_of
-from clsplat.io.regular import open_regular
+from clsplat.io.regular import native, read_regular
+from clsplat.io.unpack import check_rows, opened_archive
 from clsplat.io.webp import decode_webp, encode_webp
 
 META, GENERATOR, ORIGIN = "meta.json", "clsplat", "clsplat_origin"
 MEANS, SCALES, QUATERNIONS, COLOURS, HARMONICS = "means", "scales", "quats", "sh0", "shN"
+KIND = "a SOG file of version 2"
+TEXTURES = {MEANS: 2, QUATERNIONS: 1, COLOURS: 1, SCALES: 1}  # how many files a part has
+BANDS = {0: 0, 1: 3, 2: 8, 3: 15}  # harmonics above the constant, by their degree
 DATE = (1980, 1, 1, 0, 0, 0)  # of every member, so that equal models give equal bytes
 FIRST_TAG = 252  # of the last channel of quaternions: tag + which component is the largest
 PALETTE_COLUMNS = 64
@@ -92,28 +99,35 @@ def write_sog(path: Path, gaussians: Gaussians, notes: Notes) -> None:
                 archive.writestr(zipfile.ZipInfo(name, DATE), encode_webp(pixels))
 
 
+def is_unbundled(path: Path) -> bool:
+    """Whether a path is that of a folder with textures, or of its meta.json."""
+    return path.name.lower() == META or (path / META).is_file()
+
+
 def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians:
-    """Read the gaussians of a SOG file; see `models.read_model`."""
-    with reading(path, "a SOG file of version 2"):
-        members = _members(path)
-        meta = object_of(members[META])
-        if meta.get("version") != 2:
-            raise ValueError(f"it has version {meta.get('version')}")
-        count = meta["count"]
-        textures = {part: [_bytes(members, name, count) for name in meta[part]["files"]]
-                    for part in (MEANS, SCALES, QUATERNIONS, COLOURS)}
+    """Read the gaussians of a SOG file, or of a folder; see `models.read_model`."""
+    with reading(path, KIND), _opened(path) as part:
+        meta = _meta(path, part)
+        size, count = 0, meta["count"]
+        textures: dict[str, list[NDArray[np.uint8]]] = {}
+        for name, number in TEXTURES.items():
+            contents = [part(file) for file in _files(meta, name, number)]
+            size += sum(map(len, contents))
+            textures[name] = [decode_webp(content) for content in contents]
+        check_rows(size, _count(count), BANDS[meta.get(HARMONICS, {}).get("bands", 0)])
         low, high = (np.array(meta[MEANS][end], np.float64) for end in ("mins", "maxs"))
-        steps = textures[MEANS][0][:, :3] + 256.0 * textures[MEANS][1][:, :3]
-        quaternions, colours = textures[QUATERNIONS][0], textures[COLOURS][0]
+        lower, upper, quaternions, colours, scales = (
+            _bytes(texture, count) for name in TEXTURES for texture in textures[name])
+        steps = lower[:, :3] + 256.0 * upper[:, :3]
         tag = quaternions[:, 3].astype(int) - FIRST_TAG
         if count and not 0 <= tag.min() <= tag.max() < 4:
             raise ValueError("a quaternion has no largest component")
         rows = {
             "positions": _from_logarithm(low + (high - low) * (steps / 65535)),
             "sh_constant": _codes(meta[COLOURS])[colours[:, :3]],
-            "sh_rest": _read_harmonics(meta, members, count),
+            "sh_rest": _read_harmonics(meta, part, count),
             "opacity_logits": byte_logits(colours[:, 3]),
-            "log_scales": _codes(meta[SCALES])[textures[SCALES][0][:, :3]],
+            "log_scales": _codes(meta[SCALES])[scales[:, :3]],
             "quaternions": from_smallest_three(
                 tag, (quaternions[:, :3] / 255 - 0.5) * np.sqrt(2)),
         }
@@ -125,8 +139,56 @@ def read_sog(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
 
 def sog_notes(path: Path) -> Notes:
     """What a SOG file says besides its gaussians; see `models.read_notes`."""
-    with reading(path, "a SOG file of version 2"):
-        return Notes((MIP,) if object_of(_members(path)[META]).get("antialias") else ())
+    with reading(path, KIND), _opened(path) as part:
+        return Notes((MIP,) if _meta(path, part).get("antialias") else ())
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Callable[[str], bytes]]:
+    """A function that reads a part by its name: a member of the zip, which may all be in one of its
+    folders, or a file beside meta.json."""
+    if is_unbundled(path):
+        folder = path / META if path.is_dir() else path
+        yield lambda name: read_regular(folder.with_name(native(_plain(name))))
+        return
+    with opened_archive(path) as archive:
+        if len(archive.members) > MOST_MEMBERS:
+            raise ValueError(f"it has {len(archive.members)} members")
+        archive.check(archive.members)
+        found = min((name for name in archive.members if PurePosixPath(name).name == META),
+                    key=len, default=META)
+        yield lambda name: archive.read(found.removesuffix(META) + name)
+
+
+def _plain(name: object) -> str:
+    """The name of a file, which has no folder."""
+    if not isinstance(name, str) or "\0" in name or name in ("", "..") or (
+            PurePosixPath(name).name != name):
+        raise ValueError(f"{str(name)[:40]!r} is not the name of a texture")
+    return name
+
+
+def _meta(path: Path, part: Callable[[str], bytes]) -> dict[str, Any]:
+    meta = object_of(part(META))
+    version = meta.get("version", 1)
+    if version != 2:
+        raise InputError(f"{path}: SOG of version {str(version)[:20]}, which is not read; write "
+                         "version 2, as splat-transform does, or a PLY")
+    return meta
+
+
+def _files(meta: dict[str, Any], name: str, number: int) -> list[str]:
+    """The names of the textures of a part."""
+    files = meta[name]["files"]
+    if not isinstance(files, list) or len(files) != number:
+        raise ValueError(f"{name} has not {number} textures")
+    return files
+
+
+def _count(count: object) -> int:
+    if type(count) is not int or count < 0:
+        raise ValueError("count is not a number of gaussians")
+    return count
 
 
 def _harmonics(sh_rest: NDArray[np.float64], degree: int
@@ -145,19 +207,18 @@ def _harmonics(sh_rest: NDArray[np.float64], degree: int
                   "shN_labels.webp": _texture(np.stack([labels & 255, labels >> 8, 0 * labels], 1))}
 
 
-def _read_harmonics(meta: dict[str, Any], members: dict[str, bytes], count: int
+def _read_harmonics(meta: dict[str, Any], read: Callable[[str], bytes], count: int
                     ) -> NDArray[np.float64]:
     """The harmonics float64[count, bands, 3] above the constant."""
     if HARMONICS not in meta:
         return np.zeros((count, 0, 3))
     part = meta[HARMONICS]
-    bands = {1: 3, 2: 8, 3: 15}[part["bands"]]
-    centroids, labels = part["files"]
-    pixels = decode_webp(members[centroids])
+    bands = BANDS[part["bands"]]
+    pixels, labels = (decode_webp(read(file)) for file in _files(meta, HARMONICS, 2))
     if pixels.shape[1] != PALETTE_COLUMNS * bands:
         raise ValueError(f"its palette is {pixels.shape[1]} pixels wide")
     chosen = pixels[..., :3].reshape(-1, bands, 3)
-    numbers = _bytes(members, labels, count)
+    numbers = _bytes(labels, count)
     label = numbers[:, 0] + 256 * numbers[:, 1].astype(int)
     if label.max(initial=-1) >= len(chosen):
         raise ValueError(f"its palette has only {len(chosen)} entries")
@@ -175,11 +236,11 @@ def _texture(values: NDArray[Any]) -> NDArray[np.uint8]:
     return pixels.reshape(height, width, 4)
 
 
-def _bytes(members: dict[str, bytes], name: str, count: int) -> NDArray[np.uint8]:
+def _bytes(texture: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
     """The first `count` pixels of a texture, uint8[count, 4]."""
-    pixels = decode_webp(members[name]).reshape(-1, 4)
-    if not isinstance(count, int) or not 0 <= count <= len(pixels):
-        raise ValueError(f"{name} has {len(pixels)} pixels for {count} gaussians")
+    pixels = texture.reshape(-1, 4)
+    if count > len(pixels):
+        raise ValueError(f"a texture has {len(pixels)} pixels for {count} gaussians")
     return pixels[:count]
 
 
@@ -189,15 +250,6 @@ def _codes(part: dict[str, Any]) -> NDArray[np.float64]:
     if codes.ndim != 1 or len(codes) > 256:
         raise ValueError(f"a codebook has the shape {codes.shape}")
     return np.pad(codes, (0, 256 - len(codes)))
-
-
-def _members(path: Path) -> dict[str, bytes]:
-    with Bounded(open_regular(path).detach()) as file, zipfile.ZipFile(file) as archive:
-        members = archive.infolist()
-        if len(members) > MOST_MEMBERS:
-            raise ValueError(f"it has {len(members)} members")
-        check_expansion(file.size, sum(member.file_size for member in members))
-        return {member.filename: archive.read(member) for member in members}
 
 
 def _single(values: NDArray[np.float64]) -> list[float]:

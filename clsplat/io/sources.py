@@ -1,6 +1,6 @@
 """The photos of a scene: their folder, whether they fit their cameras, and notes on their content.
 
-Only headers are read here.
+Only headers are read here, and samples of photos with 16 bits.
 """
 
 import os
@@ -15,6 +15,7 @@ import numpy as np
 
 from clsplat.camera import Lens
 from clsplat.errors import InputError
+from clsplat.io.levels import common_levels, levels_note
 from clsplat.io.metadata import QUARTERS
 from clsplat.io.photo import Photo, opened
 from clsplat.io.reason import MOST_CHARACTERS
@@ -77,8 +78,11 @@ def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
     if smaller and (smaller.name != IMAGES or factor != 1):
         notes.insert(0, _factor_note(smaller, factor))
     resized = cache(Lens.resized)  # views share a lens, and with it the map of its pixels
-    views = tuple(_fitted(view, photo, factor, resized)
-                  for view, photo in zip(scene.views, photos))
+    levels = common_levels([view.source for view in scene.views],
+                           [photo.is_deep for photo in photos])
+    notes += filter(None, [levels_note(levels)])
+    views = tuple(replace(_fitted(view, photo, factor, resized), levels=each)
+                  for view, photo, each in zip(scene.views, photos, levels))
     return replace(scene, views=views, notes=tuple(notes))
 
 

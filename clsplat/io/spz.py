@@ -1,14 +1,17 @@
-"""Gaussians as SPZ, the compressed format of Niantic, version 3 (versions 2 and 3 are read).
+"""Gaussians as SPZ, the compressed format of Niantic: version 3 is written, 1 to 4 are read.
 
 A gzip stream of a header and then, one after the other for all gaussians: positions of 24 bits,
-opacities, colours, scales, rotations, and harmonics of 8 bits. The axes are right, up, backward:
-those of a PLY, which are right, down, forward, after half a turn about x.
+opacities, colours, scales, rotations, and harmonics of 8 bits. Version 4 has these parts as streams
+of Zstandard (io/spz_streams.py). The axes are right, up, backward: those of a PLY, which are right,
+down, forward, after half a turn about x.
 """
 
+import logging
 import re
 import struct
 import zlib
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +23,6 @@ from clsplat.io.model_values import (
     MIP,
     Notes,
     byte_logits,
-    check_expansion,
     doubles,
     gaussians_of,
     half_turn,
@@ -31,15 +33,22 @@ from clsplat.io.model_values import (
 )
 from clsplat.io.quantise import from_smallest_three, morton_order, smallest_three
 from clsplat.io.regular import read_regular
+from clsplat.io.spz_streams import check_extensions, streams
+from clsplat.io.unpack import check_expansion, check_rows
 
 HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractional bits, flags
-ANTIALIASED = 1  # of the flags
-MAGIC, VERSION, VERSIONS = b"NGSP", 3, (2, 3)
+ANTIALIASED, EXTENDED = 1, 2  # of the flags
+MAGIC, VERSION = b"NGSP", 3
+WITH_STREAMS = 4  # the version whose parts are streams of their own
 # with the flags, and without the time, so that equal models give equal bytes
 GZIP_HEADER = b"\x1f\x8b\x08%c\0\0\0\0\2\xff"
 COMMENT = 16  # the flag of a comment, which ends with a zero byte; other readers skip it
 ORIGIN = re.compile(rb"origin_of_positions (\S+) (\S+) (\S+)")
-ROTATION_BYTES = {2: 3, 3: 4}
+# of a version: bytes of a position and of a rotation
+PLACE_BYTES, ROTATION_BYTES = {1: 6, 2: 9, 3: 9, 4: 9}, {1: 3, 2: 3, 3: 4, 4: 4}
+HALF = 6  # bytes of a position that are three numbers of 16 bits
+MOST_EXTENSION_BYTES = 1 << 16  # of a gzip stream, behind the gaussians
+HIGHEST_DEGREE, KEPT_DEGREE = 4, 3  # of harmonics
 XYZW = np.array([1, 2, 3, 0])  # where these components stand in w, x, y, z
 POSITION_LIMIT = (1 << 23) - 1
 MOST_FRACTIONAL_BITS = 24
@@ -99,40 +108,123 @@ def read_spz(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians
     """Read the gaussians of a SPZ file; see `models.read_model`."""
     with reading(path, "a SPZ file"):
         data = read_regular(path)
-        if data.startswith(MAGIC):
-            raise InputError(f"{path}: SPZ of version 4, which is not read; write version 3 or "
-                             "another format")
-        return gaussians_of(path, unpacked_spz(data), _origin(data), offset)
+        content = _unpacked(data)
+        if content.degree > KEPT_DEGREE:
+            logging.getLogger(__name__).warning(
+                "%s: its spherical harmonics of degree %d are left out: degree %d is the highest "
+                "that is read", path, content.degree, KEPT_DEGREE)
+        return gaussians_of(path, _rows(content), _origin(data), offset)
 
 
 def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
     """The fields of `gaussians.LEARNED` of a SPZ file's content, positions relative to its origin;
     ValueError if it is damaged."""
-    version, count, degree, bits, content = _unpacked(data)
-    bands = (degree + 1) ** 2 - 1
-    parts = []
-    for width in (9, 1, 3, 3, ROTATION_BYTES[version], 3 * bands):
-        parts.append(content[:count * width].reshape(count, width))
-        content = content[count * width:]
-    position, opacity, colour, scale, rotation, sh = parts
-    fixed = np.zeros((count, 3, 4), np.uint8)
-    fixed[..., 1:] = position.reshape(count, 3, 3)  # the upper bytes keep the sign
+    return _rows(_unpacked(data))
+
+
+def spz_notes(path: Path) -> Notes:
+    """What a SPZ file says besides its gaussians; see `models.read_notes`."""
+    with reading(path, "a SPZ file"):
+        return Notes((MIP,) if _header(_begin(read_regular(path))).flags & ANTIALIASED else ())
+
+
+class _Header(NamedTuple):
+    version: int
+    number: int
+    degree: int
+    bits: int
+    flags: int
+    streams: int
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """The bytes of a gaussian in each part."""
+        return (PLACE_BYTES[self.version], 1, 3, 3, ROTATION_BYTES[self.version],
+                3 * ((self.degree + 1) ** 2 - 1))
+
+
+class _Content(NamedTuple):
+    version: int
+    degree: int
+    bits: int
+    parts: list[NDArray[np.uint8]]  # [N, width] each
+
+
+def _begin(data: bytes) -> bytes:
+    """The first bytes, unpacked."""
+    if data.startswith(MAGIC):
+        return data[:HEADER.size]
+    return zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(data, HEADER.size)
+
+
+def _header(data: bytes) -> _Header:
+    magic, *numbers = HEADER.unpack(data)
+    header = _Header(*numbers)
+    if magic != MAGIC or header.version not in PLACE_BYTES:
+        raise ValueError(f"versions {min(PLACE_BYTES)} to {max(PLACE_BYTES)} are read, not "
+                         f"{header.version}" if magic == MAGIC else "its header is another")
+    if header.degree > HIGHEST_DEGREE or header.bits > MOST_FRACTIONAL_BITS:
+        raise ValueError(f"SH degree {header.degree}, {header.bits} fractional bits")
+    return header
+
+
+def _unpacked(data: bytes) -> _Content:
+    """All parts of a file."""
+    header = _header(_begin(data))
+    widths = header.widths
+    size = header.number * sum(widths)
+    check_expansion(len(data), size)
+    check_rows(len(data), header.number, widths[-1] // 3)
+    if header.version == WITH_STREAMS and (header.streams or not header.number):
+        contents = streams(data, header.streams, [header.number * width for width in widths],
+                           bool(header.flags & EXTENDED))
+    else:
+        whole = _whole(data, size, header)
+        ends = np.cumsum(header.number * np.array(widths, np.int64))
+        contents = [whole[end - header.number * width:end] for end, width in zip(ends, widths)]
+    return _Content(header.version, header.degree, header.bits, [
+        np.frombuffer(part, np.uint8).reshape(header.number, width)
+        for part, width in zip(contents, widths)])
+
+
+def _whole(data: bytes, size: int, header: _Header) -> bytes:
+    """The bytes after the header of a gzip stream, or of one that was unpacked on its way, as
+    servers do that send it with the encoding gzip."""
+    more = MOST_EXTENSION_BYTES if header.flags & EXTENDED else 0
+    if data.startswith(MAGIC):
+        content, ended = data[HEADER.size:], True
+    else:
+        stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
+        stream.decompress(data, HEADER.size)
+        content = stream.decompress(stream.unconsumed_tail, size + more + 1)
+        ended = stream.eof  # at the end its checksum was compared
+    if not size <= len(content) <= size + more or not ended:
+        raise ValueError(f"its {header.number} gaussians have another size")
+    check_extensions(content[size:])
+    return content[:size]
+
+
+def _rows(content: _Content) -> dict[str, NDArray[np.float64]]:
+    position, opacity, colour, scale, rotation, sh = content.parts
+    count, bands = len(position), min(sh.shape[1] // 3, (KEPT_DEGREE + 1) ** 2 - 1)
     return half_turn({
-        "positions": (fixed.view("<i4")[..., 0] >> 8) / 2.0**bits,
+        "positions": _positions(position, content.bits),
         "sh_constant": (colour / 255 - 0.5) / COLOUR_SCALE,
-        "sh_rest": (sh.reshape(count, bands, 3) - float(SH_STEPS)) / SH_STEPS,
+        "sh_rest": (sh[:, :3 * bands].reshape(count, bands, 3) - float(SH_STEPS)) / SH_STEPS,
         "opacity_logits": byte_logits(opacity[:, 0]),
         "log_scales": scale / SCALE_STEPS + SMALLEST_LOG_SCALE,
         "quaternions": _rotations(rotation),
     }, axis=0)
 
 
-def spz_notes(path: Path) -> Notes:
-    """What a SPZ file says besides its gaussians; see `models.read_notes`."""
-    with reading(path, "a SPZ file"):
-        stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
-        *_, flags, _ = HEADER.unpack(stream.decompress(read_regular(path), HEADER.size))
-        return Notes((MIP,) if flags & ANTIALIASED else ())
+def _positions(data: NDArray[np.uint8], bits: int) -> NDArray[np.float64]:
+    """Positions of 24 bits, or of version 1, which has numbers of half precision."""
+    if data.shape[1] == HALF:
+        return np.ascontiguousarray(data).view("<f2").astype(np.float64)
+    fixed = np.zeros((len(data), 3, 4), np.uint8)
+    fixed[..., 1:] = data.reshape(len(data), 3, 3)  # the upper bytes keep the sign
+    values: NDArray[np.float64] = (fixed.view("<i4")[..., 0] >> 8) / 2.0**bits
+    return values
 
 
 def _fractional_bits(path: Path, positions: NDArray[np.float64], log_scales: NDArray[np.float32]
@@ -180,27 +272,11 @@ def _rotations(data: NDArray[np.uint8]) -> NDArray[np.float64]:
     return values
 
 
-def _unpacked(data: bytes) -> tuple[int, int, int, int, NDArray[np.uint8]]:
-    """(version, count, SH degree, fractional bits, all bytes after the header)."""
-    stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
-    header = stream.decompress(data, HEADER.size)
-    magic, version, count, degree, bits, _, _ = HEADER.unpack(header)
-    if magic != MAGIC or version not in VERSIONS:
-        raise ValueError(f"versions {VERSIONS} are read, not {version}" if magic == MAGIC
-                         else "its header is another")
-    if degree > 3 or bits > MOST_FRACTIONAL_BITS:
-        raise ValueError(f"SH degree {degree}, {bits} fractional bits")
-    width = 16 + ROTATION_BYTES[version] + 3 * ((degree + 1) ** 2 - 1)
-    check_expansion(len(data), count * width)
-    content = stream.decompress(stream.unconsumed_tail, count * width + 1)
-    if len(content) != count * width or not stream.eof:  # at the end its checksum was compared
-        raise ValueError(f"its {count} gaussians have another size")
-    return version, count, degree, bits, np.frombuffer(content, np.uint8)
-
-
 def _origin(data: bytes) -> NDArray[np.float64]:
     """What the comment of the gzip header records, or zero."""
     begin = len(GZIP_HEADER % 0)
+    if data.startswith(MAGIC):
+        return np.zeros(3)
     found = ORIGIN.fullmatch(data[begin:].partition(b"\0")[0]) if data[3] & COMMENT else None
     origin = np.array([float(value) for value in found.groups()]) if found else np.zeros(3)
     if not np.isfinite(origin).all():

@@ -20,7 +20,7 @@ from clsplat.errors import InputError
 from clsplat.io.checks import CONTROL
 from clsplat.io.cloud import Cloud, read_cloud
 from clsplat.io.images import image_size
-from clsplat.io.lenses import PANORAMA, Model
+from clsplat.io.lenses import PANORAMA, Model, brown_model
 from clsplat.io.posed import PosedPhoto, posed_scene
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
@@ -29,10 +29,16 @@ from clsplat.scene import Scene
 
 ALL, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
 SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")  # tried if file_path has none
-# camera_model -> the keys of its parameters, in COLMAP's order, after focal length and centre
-RADIAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-LENSES = {"OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"), **dict.fromkeys(
-    ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), RADIAL)}
+# the keys of a lens; k4 is the factor of r^8, as nerfstudio has it, except in FULL_OPENCV, where it
+# is the first of the three factors that divide
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+# camera_model -> the keys that it has
+FISHEYE, RATIONAL = "OPENCV_FISHEYE", "FULL_OPENCV"
+MODEL = ("camera_model", "is_fisheye")
+FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
+LENSES = {FISHEYE: COEFFICIENTS[:4], RATIONAL: COEFFICIENTS, **dict.fromkeys(
+    ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"),
+    (*COEFFICIENTS[:4], "p1", "p2"))}
 MATRIXCITY_UNIT = 100.0  # metres
 LONGEST_SIDE = 1 << 20  # pixels
 
@@ -75,11 +81,30 @@ def _posed_photos(path: Path, table: Mapping[str, Any], held_out: bool) -> list[
     photos = []
     for number, frame in enumerate(table["frames"]):
         try:
-            photos.append(_posed_photo(path.parent, {**table, **frame}, held_out))
+            photos.append(_posed_photo(path.parent, _own(table, frame), held_out))
         except (ValueError, TypeError, OverflowError, OSError) as error:
             raise InputError(f"{path}: frame {number} is damaged ({reason(error)}); "
                              "export it again") from None
     return photos
+
+
+def _own(table: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a frame, and those of the table that these leave open.
+
+    A focal length and an angle of view say the same, as do the two ways to name a fisheye: where
+    the frame has one, the table's other one does not count. The table's y belongs to its x, and its
+    coefficients to its camera model.
+    """
+    if not isinstance(frame, Mapping):
+        raise ValueError("it is not an object")
+    x, y = FOCAL_X, FOCAL_Y
+    replaced: set[str] = set()
+    if frame.keys() & {*x, *y}:
+        replaced |= {*y} if frame.keys() & {*y} or table.keys() & {*x} else set()
+        replaced |= {*x} if frame.keys() & {*x} else set()
+    if frame.keys() & {*MODEL}:
+        replaced |= {*MODEL, *COEFFICIENTS}
+    return {**{key: value for key, value in table.items() if key not in replaced}, **frame}
 
 
 def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> PosedPhoto:
@@ -90,8 +115,8 @@ def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> Pose
         size = _side(frame, "w"), _side(frame, "h")
     else:
         size = image_size(source)
-    focal_x = _focal(frame, "fl_x", "camera_angle_x", size[0])
-    focal_y = _focal(frame, "fl_y", "camera_angle_y", size[1], focal_x)
+    focal_x = _focal(frame, *FOCAL_X, size[0])
+    focal_y = _focal(frame, *FOCAL_Y, size[1], focal_x)
     centre = (_number(frame, "cx", size[0] / 2), _number(frame, "cy", size[1] / 2))
     mask = frame.get("mask_path")
     return PosedPhoto(name, source, size, (focal_x, focal_y), centre, pose, held_out,
@@ -135,21 +160,28 @@ def _text(value: object, key: str) -> str:
 def _lens(frame: Mapping[str, Any], size: tuple[int, int], pinhole: tuple[float, ...]
           ) -> Model | None:
     """The camera model of a frame; None for a pinhole camera."""
+    if "ftheta_p0" in frame:
+        raise ValueError("the lens F-theta is not read; export with OPENCV_FISHEYE")
     name = frame.get("camera_model") or "OPENCV"
     if frame.get("is_fisheye"):
-        name = "OPENCV_FISHEYE"
+        name = FISHEYE
     if name == PANORAMA:
         return PANORAMA, tuple(map(float, size))
     if name not in LENSES:
         raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(LENSES)} "
                          f"or {PANORAMA}")
-    values = tuple(_number(frame, key, 0) for key in LENSES[name])
-    if name == "OPENCV_FISHEYE":
-        return name, (*pinhole, *values)
-    if not any(values):
-        return None
-    return ("FULL_OPENCV" if any(values[4:]) else "OPENCV",
-            (*pinhole, *(values if any(values[4:]) else values[:4])))
+    value = {key: _number(frame, key, 0) for key in COEFFICIENTS}
+    others = [key for key in COEFFICIENTS if value[key] and key not in LENSES[name]]
+    if others:
+        raise ValueError(f"its camera_model {name} has no coefficient {others[0]}; leave that out, "
+                         f"or name {RATIONAL} if it divides")
+    if name == FISHEYE:
+        return name, (*pinhole, *(value[key] for key in LENSES[name]))
+    if name == RATIONAL and any(value[key] for key in ("k4", "k5", "k6")):
+        return name, (*pinhole, *(value[key] for key in (
+            "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")))
+    return brown_model(pinhole, [value[key] for key in COEFFICIENTS[:4]],
+                       (value["p1"], value["p2"]))
 
 
 def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int,

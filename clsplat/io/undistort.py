@@ -31,7 +31,7 @@ from clsplat.scene import Scene, View
 DEPTH = ".depth.npy"
 QUALITY = 98  # of JPEG; photos in other formats become PNG
 FOLDER = "undistorted"  # of a run or a city
-VERSION = 2  # of the undistorted files
+VERSION = 3  # of the undistorted files
 HOST_BYTES = 640 << 20  # of the photos that are undistorted at the same time
 PIXEL_BYTES = 10  # of a pixel, while it is undistorted in a thread, beside the map of the lens
 
@@ -47,7 +47,7 @@ def undistorted_photo(view: View, pixels: NDArray[np.float32]) -> NDArray[np.uin
     -------
     uint8[H, W, 3], black where the stored photo does not show it.
     """
-    stored = read_image(view.source)
+    stored = read_image(view.source, levels=view.levels)
     photo = np.zeros((*pixels.shape[1:], 3), np.uint8)
     for patch in _patches(view.lens, stored.shape, pixels):
         source = stored[patch.source].reshape(-1, 3).astype(np.float32)
@@ -153,7 +153,8 @@ def _kept(view: View, folder: Path) -> View | None:
     try:
         known = object_of(record.read_bytes())
         found = replace(view, source=photo, lens=None, mask=mask if known["masked"] else None,
-                        transparent=False, depth=view.depth and photo.with_suffix(DEPTH))
+                        transparent=False, levels=None,
+                        depth=view.depth and photo.with_suffix(DEPTH))
     except (OSError, ValueError, KeyError):
         return None
     files = [path for path in (photo, found.mask, found.depth) if isinstance(path, Path)]
@@ -167,7 +168,7 @@ def _content(view: View) -> str:
     lens = view.lens
     assert lens is not None
     facts = [VERSION, QUALITY, lens.model, lens.size, lens.parameters, lens.rotation.tolist(),
-             lens.width, lens.height, lens.focal, lens.centre, view.transparent,
+             lens.width, lens.height, lens.focal, lens.centre, view.transparent, view.levels,
              _file_facts(view.source), _file_facts(view.mask)]
     return hashlib.sha256(repr(facts).encode()).hexdigest()
 

@@ -31,9 +31,10 @@ def photo_bands(view: View) -> Iterator[NDArray[np.uint8]]:
         left, top, right, bottom = window_of(camera, (view.lens.width, view.lens.height))
         yield resample(pixels[top:bottom, left:right], size)
     elif camera.whole is None:
-        yield from image_bands(view.source, size)
+        yield from image_bands(view.source, size, levels=view.levels)
     else:
-        yield from image_bands(view.source, size, window_of(camera, image_size(view.source)))
+        yield from image_bands(view.source, size, window_of(camera, image_size(view.source)),
+                               view.levels)
 
 
 def read_valid(view: View) -> NDArray[np.bool_] | None:

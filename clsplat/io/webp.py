@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.io.images import encode_image
-from clsplat.io.model_values import check_expansion
 from clsplat.io.photo import reason_of
 from clsplat.io.regular import memory_file
+from clsplat.io.unpack import check_expansion
 
 
 def encode_webp(pixels: NDArray[np.uint8]) -> bytes:

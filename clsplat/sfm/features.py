@@ -108,7 +108,7 @@ def _features(extractor: Any, photo: SourcePhoto) -> Features:
     width, height = image_size(photo.path)
     factor = min(WORKING_SIZE / max(width, height), LARGEST_FACTOR)
     size = max(1, round(width * factor)), max(1, round(height * factor))
-    pixels = read_image(photo.path, size if factor < 1 else None)
+    pixels = read_image(photo.path, size if factor < 1 else None, levels=photo.levels)
     bitmap = pycolmap.Bitmap.from_array((pixels @ LUMINANCE + 0.5).astype(np.uint8))
     if factor > 1:
         bitmap.rescale(*size)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clsplat.errors import InputError
-from clsplat.io.beside import check_shape, image_beside
+from clsplat.io.beside import check_shape
 from clsplat.io.images import image_size
-from clsplat.io.masks import MASKS
+from clsplat.io.mask_files import FOLDERS, MaskFiles, mask_folders, photo_of
 from clsplat.io.metadata import Calibration, PhotoMetadata, read_metadata
+from clsplat.io.photo import Levels
 from clsplat.io.regular import in_unicode, native
 from clsplat.io.run import CITY, OPTIONS
 from clsplat.io.sources import IMAGES, PHOTO_SUFFIXES
@@ -19,6 +20,7 @@ UNREAD = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".heic
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv")
 RECORD, UNFINISHED = "sfm.json", ".sfm"  # in the folder of a scene that was made of photos
 WRITTEN = (RECORD, UNFINISHED, OPTIONS, CITY)  # of which a folder that clsplat writes has one
+NO_PHOTO = "it is named as a mask, and the photo is missing: it is not used"
 LEAST_PHOTOS = 3
 LEAST_FOR_OPENCV = 8  # photos of a camera; fewer do not determine all parameters of the model
 DEFAULT_FOCAL = 1.2  # of the long side of a photo, COLMAP's value where nothing is known
@@ -34,12 +36,14 @@ class SourcePhoto:
     path : of its file.
     metadata : from its header.
     mask : the file of its mask (io/masks.py), or None.
+    levels : as of `scene.View`.
     """
 
     name: str
     path: Path
     metadata: PhotoMetadata
     mask: Path | None = None
+    levels: Levels | None = None
 
 
 @dataclass(frozen=True)
@@ -70,14 +74,15 @@ def photo_root(folder: Path) -> Path:
     if not folder.is_dir():
         what = "is neither a folder nor a video" if folder.exists() else "no such folder"
         raise InputError(f"{folder}: {what}; give a folder with photos, or a video")
-    if not any(is_photo(path) for path in folder.iterdir()) and (folder / IMAGES).is_dir():
+    if not any(is_photo(path) and not photo_of(path.name) for path in folder.iterdir()) and (
+            folder / IMAGES).is_dir():
         return folder / IMAGES
     return folder
 
 
 def has_photos(folder: Path) -> bool:
     """Whether a folder, its images/ or one of its other subfolders has a photo."""
-    return folder.is_dir() and any(map(is_photo, _files(folder, None)))
+    return folder.is_dir() and any(map(is_photo, _files(folder)))
 
 
 def is_video(path: Path) -> bool:
@@ -97,8 +102,8 @@ def find_photos(folder: Path, masks: Path | None = None
 
     Parameters
     ----------
-    masks : a folder with masks NAME.png, or NAME.jpg.png as COLMAP names them; None: the folder
-        masks/ beside images/ or among the photos, if there is one.
+    masks : a folder with masks NAME.png, or NAME.jpg.png as COLMAP names them; None: those that
+        io/mask_files.py finds.
 
     Returns
     -------
@@ -111,15 +116,19 @@ def find_photos(folder: Path, masks: Path | None = None
     root = photo_root(folder)
     if masks is not None and not masks.is_dir():
         raise InputError(f"--masks {masks}: no such folder; give one with masks NAME.png")
-    if masks is None and (folder / MASKS).is_dir() and (
-            root != folder or _are_masks(folder / MASKS, root)):
-        masks = folder / MASKS
+    beside = [masks] if masks is not None else mask_folders(folder) if root != folder else []
+    files = MaskFiles(beside, beside=masks is None)
+    hidden = [masks] if masks is not None else _mask_folders(root)
     photos, refused, unread, stems = [], {}, [], set()
-    for path in sorted(_files(root, masks), key=lambda path: in_unicode(path.relative_to(root))):
+    named = []  # as masks
+    for path in sorted(_files(root, hidden), key=lambda path: in_unicode(path.relative_to(root))):
         relative = path.relative_to(root)
         if path.suffix.lower() in UNREAD:
             unread.append(relative)
         if not is_photo(path):
+            continue
+        if photo_of(path.name):
+            named.append(path)
             continue
         stems.add(relative.with_suffix(""))
         name = in_unicode(relative)
@@ -131,7 +140,7 @@ def find_photos(folder: Path, masks: Path | None = None
         except InputError as error:
             refused[name] = str(error)
         else:
-            photos.append(SourcePhoto(name, path, metadata, _mask_of(name, metadata, masks)))
+            photos.append(SourcePhoto(name, path, metadata, _mask_of(files, name, path, metadata)))
     if len(photos) < LEAST_PHOTOS:
         why = (f"; {len(unread)} files are camera RAW or HEIC: convert them to JPEG" if unread else
                f"; {next(iter(refused.values()))}" if refused else "")
@@ -140,32 +149,51 @@ def find_photos(folder: Path, masks: Path | None = None
     # a camera may write each photo in both formats
     refused |= {in_unicode(relative): "camera RAW and HEIC are not read: convert it to JPEG"
                 for relative in unread if relative.with_suffix("") not in stems}
-    if masks is not None and not any(photo.mask for photo in photos):
-        raise InputError(f"--masks {masks}: has a mask for none of the photos; name them as the "
-                         "photos, with .png as the suffix or after it")
+    if masks is None:
+        named += [path for folder in hidden for path in _files(folder) if is_photo(path)]
+        refused |= {in_unicode(path.relative_to(root)): NO_PHOTO for path in named
+                    if path not in files.used}
+    if beside and not any(photo.mask for photo in photos):
+        raise InputError(f"{'--masks ' if masks else ''}{beside[0]}: has a mask for none of the "
+                         "photos; name them as the photos, with .png as the suffix or after it")
     return photos, refused
 
 
-def _files(root: Path, masks: Path | None) -> Iterator[Path]:
-    """The files below a folder, except hidden ones, masks, and those of scenes and runs, which may
-    have been written beside the photos."""
-    hidden = None if masks is None else os.path.realpath(masks)
+def _files(root: Path, masks: Iterable[Path] = ()) -> Iterator[Path]:
+    """The files below a folder, except hidden ones, those in folders of masks, and those of scenes
+    and runs, which may have been written beside the photos."""
+    hidden = {os.path.realpath(folder) for folder in masks}
+    for folder, files in _folders(root):
+        if hidden.isdisjoint(map(os.path.realpath, (folder, *folder.parents))):
+            yield from files
+
+
+def _folders(root: Path) -> Iterator[tuple[Path, list[Path]]]:
+    """The folders below a folder with their files, except those that `_files` leaves out."""
     for folder, names, files in os.walk(root):
         names[:] = [name for name in names if not name.startswith(".")
-                    and os.path.realpath(os.path.join(folder, name)) != hidden
                     and not any((Path(folder) / name / mark).exists() for mark in WRITTEN)]
-        yield from (Path(folder) / name for name in files)
+        yield Path(folder), [Path(folder) / name for name in files]
 
 
-def _are_masks(folder: Path, root: Path) -> bool:
-    """Whether a folder has a mask for one of the photos below another one."""
-    names = (in_unicode(path.relative_to(root)) for path in _files(root, folder) if is_photo(path))
-    return any(image_beside(folder, name) for name in names)
+def _mask_folders(root: Path) -> list[Path]:
+    """The folders among the photos that have a mask for one of those beside them. A folder of
+    photos may be named so, too."""
+    return [folder for folder, _ in _folders(root) if folder.name.lower() in FOLDERS
+            and folder != root and _are_masks(folder)]
 
 
-def _mask_of(name: str, metadata: PhotoMetadata, masks: Path | None) -> Path | None:
+def _are_masks(folder: Path) -> bool:
+    """Whether a folder has a mask for one of the photos beside it."""
+    files = MaskFiles([folder], beside=False)
+    names = (in_unicode(path.relative_to(folder.parent))
+             for path in _files(folder.parent, [folder]) if is_photo(path))
+    return any(map(files.of, names))
+
+
+def _mask_of(files: MaskFiles, name: str, path: Path, metadata: PhotoMetadata) -> Path | None:
     """The mask of a photo, whose shape is checked; None: it has none."""
-    mask = None if masks is None else image_beside(masks, name)
+    mask = files.of(name, path)
     if mask is not None:
         check_shape(mask, "mask", image_size(mask), (metadata.width, metadata.height))
     return mask

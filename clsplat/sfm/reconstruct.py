@@ -4,7 +4,7 @@ import shutil
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,9 @@ from clsplat.io.georeference.control_points import (
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import place_reconstruction
+from clsplat.io.levels import common_levels, is_deep, levels_note
 from clsplat.io.lock import HOLDER, LOCK, exclusive
-from clsplat.io.masks import MASKS
+from clsplat.io.mask_files import MASKS
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, write_object
 from clsplat.io.regular import read_regular
@@ -154,6 +155,7 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         missing = reasons(unfinished.database, photos, set(names), mapped.elsewhere, refused)
         record = {"version": __version__, "source": plain(source.resolve()),
                   "masks": _kept(options)["masks"], "matching": matching,
+                  "levels": next((photo.levels for photo in photos if photo.levels), None),
                   **record_of(mapped, cameras, placed, missing), "seconds": times.seconds,
                   "resumed": resumed}
         write_object(output / RECORD, record)
@@ -239,7 +241,16 @@ def _photos(source: Path, options: SfmOptions, progress: Progress
         check_video(source)
         return None
     progress.phase("reading metadata of photos")
-    return find_photos(source, options.masks)
+    photos, refused = find_photos(source, options.masks)
+    masked = sum(photo.mask is not None for photo in photos)
+    if masked:
+        progress.message(f"{masked} of {len(photos)} photos have a mask: dark pixels are not used")
+    paths = [photo.path for photo in photos]
+    levels = common_levels(paths, map(is_deep, paths))
+    note = levels_note(levels)
+    if note:
+        progress.message(note)
+    return [replace(photo, levels=each) for photo, each in zip(photos, levels)], refused
 
 
 def _mapped(unfinished: Unfinished, photos: Sequence[SourcePhoto], refused: dict[str, str],

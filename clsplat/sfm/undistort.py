@@ -18,7 +18,8 @@ from clsplat.camera import Camera
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.folders import make_folder
 from clsplat.io.images import read_image, write_image
-from clsplat.io.masks import LEAST_BRIGHT, MASKS, read_mask, unmasked
+from clsplat.io.mask_files import MASKS
+from clsplat.io.masks import LEAST_BRIGHT, read_mask, unmasked
 from clsplat.io.regular import native
 from clsplat.io.sources import IMAGES
 from clsplat.scene import View
@@ -140,7 +141,8 @@ def _photo(item: Registered, folder: Path) -> NDArray[np.uint8]:
         sure = _undistorted(item, valid[:, :, None] * np.uint8(255)) >= LEAST_BRIGHT
         write_image(mask, sure * np.uint8(255))
     if not path.exists():
-        write_image(path, _undistorted(item, read_image(item.photo.path)), QUALITY)
+        pixels = read_image(item.photo.path, levels=item.photo.levels)
+        write_image(path, _undistorted(item, pixels), QUALITY)
     return read_image(path)  # as the file has it, so that a continued command sees the same
 
 

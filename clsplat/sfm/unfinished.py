@@ -10,7 +10,7 @@ import pycolmap
 
 from clsplat.errors import InputError
 from clsplat.io.colmap_write import write_reconstruction
-from clsplat.io.masks import MASKS
+from clsplat.io.mask_files import MASKS
 from clsplat.io.records import object_of, write_object
 from clsplat.io.regular import read_regular
 from clsplat.io.sources import IMAGES

@@ -11,7 +11,7 @@ from clsplat.config.option import AUTO, is_auto
 from clsplat.densify.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.models import count_of, read_model
+from clsplat.io.models import count_of, is_model, read_model
 from clsplat.io.quantise import morton_order
 from clsplat.options import TrainOptions
 from clsplat.response import Response
@@ -47,7 +47,7 @@ def initial_gaussians(scene: Scene, options: TrainOptions,
         if not os.path.exists(options.init):
             raise InputError(
                 f"{options.init}: no such file; --init expects sfm, dense, random or a file")
-        if os.path.isdir(options.init):
+        if not is_model(options.init):
             raise InputError(f"{options.init}: a folder; --init expects sfm, dense, random or a "
                              "file, such as the point_cloud.ply of a run")
         gaussians = read_model(options.init, scene.offset, scene.georeference).scaled(
@@ -80,7 +80,8 @@ def planned_initial(facts: SceneFacts, options: TrainOptions) -> SceneFacts:
     facts : with the number of points at which it begins otherwise.
     """
     points = is_auto(options.init) or options.init in POINTS
-    if points or not os.path.isfile(options.init):  # which a run that goes on no longer needs
+    # which a run that goes on no longer needs
+    if points or not (os.path.exists(options.init) and is_model(options.init)):
         return facts
     return replace(facts, count=count_of(options.init))
 

@@ -10,7 +10,9 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import socket
 import threading
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -25,13 +27,21 @@ from clsplat.io.images import encode_jpeg
 from clsplat.io.records import plain
 from clsplat.view.frames import FrameRequest, FrameRequests
 
+try:
+    import resource
+except ImportError:  # Windows has no such limits
+    resource = None  # type: ignore[assignment]
+
 LOOPBACK = "127.0.0.1"
 PORT = 8642  # if it is free
+RETRY_SECONDS = 0.1
 PATIENCE = 20.0  # seconds, for a frame: a training may evaluate in between
 JPEG_QUALITY = 90
+MOST_CONNECTIONS, SHARE_OF_FILES = 32, 0.25  # at once; or that share of the limit of open files
+IDLE_SECONDS = 15  # without a byte of a request
 LONGEST_BODY = 4096  # bytes of a request
 LARGEST_SIDE, LARGEST_FRAME = 4096, 2560 * 1600  # pixels
-FURTHEST = 1e9  # a larger number in a request is a mistake
+FURTHEST, LEAST_FOCAL = 1e9, 1e-3  # beyond these, a number in a request is a mistake
 HEADERS = {
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY",
@@ -83,8 +93,49 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
     allow_reuse_address = os.name != "nt"  # on Windows two servers would share a port
 
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._places = threading.BoundedSemaphore(most_connections())
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Accept a connection; without a file left, not again at once."""
+        try:
+            return super().get_request()
+        except OSError:
+            time.sleep(RETRY_SECONDS)
+            raise
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread, or close a connection that is one too many: its file is one that the
+        training needs."""
+        if not self._places.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # no further thread can be started
+            self._places.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer, then give the place free."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that goes away is no error."""
+
+
+def most_connections() -> int:
+    """How many connections there may be at once, so that files are left for a training."""
+    if resource is None:
+        return MOST_CONNECTIONS
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if files == resource.RLIM_INFINITY:
+        return MOST_CONNECTIONS
+    return max(1, min(MOST_CONNECTIONS, int(SHARE_OF_FILES * files)))
 
 
 def _bound(handler: Callable[..., BaseHTTPRequestHandler], port: int) -> _Server:
@@ -103,7 +154,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "clsplat", ""
-    timeout = 60  # seconds without a request
+    timeout = IDLE_SECONDS
 
     def __init__(self, view: ViewServer, *arguments: Any) -> None:
         self.view = view
@@ -204,7 +255,9 @@ def camera_of(text: bytes) -> Camera:
     numbers = np.concatenate([array.reshape(-1) for array in (rotation, position, focal, centre)])
     if shapes != [(3, 3), (3,), (2,), (2,)] or not (np.abs(numbers) < FURTHEST).all():
         raise ValueError("its numbers are too few, too many or too large")
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or not (focal > 0).all():
-        raise ValueError("it is no camera with a rotation and a focal length")
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
+        raise ValueError("its rotation is none, or mirrors")
+    if not (focal >= LEAST_FOCAL).all():
+        raise ValueError("its focal length is none")
     return Camera(width, height, (float(focal[0]), float(focal[1])),
                   (float(centre[0]), float(centre[1])), rotation, -rotation @ position)

@@ -1,5 +1,6 @@
 """How the command ends when it is interrupted, or when nobody can read what it says."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main, verdict
 from clsplat.cli.train import ending
+from clsplat.errors import InputError
 from clsplat.io.run import RunFolder
 from clsplat.training.interrupt import handled_interrupts, signals_held
 from tests.cli.test_cli import python, raising
@@ -239,3 +241,18 @@ def test_a_held_signal_arrives_after_the_block():
         time.sleep(60)
     assert done == ["held"] and handler.count == 1 and handler.number == signal.SIGTERM
     assert vars(ExtensionFileLoader) == imports
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE])
+@pytest.mark.parametrize("told", [None, "a.jpg: the image cannot be read; check the path"])
+def test_too_many_open_files_are_named_as_the_cause(number, told):
+    try:
+        try:
+            raise OSError(number, os.strerror(number), "a.jpg")
+        except OSError as error:
+            if told is None:
+                raise
+            raise InputError(told) from (error if number == errno.EMFILE else None)
+    except (OSError, InputError) as error:
+        message, code = verdict(error)
+    assert code == 2 and "raise the limit (`ulimit -n`)" in message and "path" not in message

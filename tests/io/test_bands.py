@@ -98,9 +98,9 @@ def test_no_photo_is_in_memory_beside_what_is_asked_for(large, monkeypatch, part
               "window": large.camera.cropped(640, 480, 800, 600)}[part]
     requested = []
 
-    def noted(photo, begin, end):
+    def noted(photo, begin, end, kind):
         requested.append((photo.name, begin, end))
-        return rows(photo, begin, end)
+        return rows(photo, begin, end, kind)
 
     rows = Photo._rows
     monkeypatch.setattr(Photo, "_rows", noted)

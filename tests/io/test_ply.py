@@ -126,15 +126,6 @@ def test_wrong_files(tmp_path):
     refused(tmp_path / "face.ply", "no vertices")
 
 
-@pytest.mark.parametrize("column", ["x", "f_dc_1", "f_rest_8", "opacity", "scale_2", "rot_0"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_not_finite(tmp_path, column, value):
-    def change(table):
-        table[column][2] = value
-        return table
-    refused(rewrite(tmp_path / "a.ply", change), f"1 of 5 values in column {column}")
-
-
 @pytest.mark.parametrize("share", [0, 0.1, 0.4, 0.7, 0.99, 1])
 def test_truncated(tmp_path, share):
     path = tmp_path / "a.ply"
@@ -225,4 +216,4 @@ def test_incomplete_or_non_finite_spheres(tmp_path, column):
     assert set(read_ply(path).rows) == {f.name for f in LEARNED}
     table[column][2] = np.nan
     plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")]).write(path)
-    refused(path, f"1 of 5 values in column {column}")
+    refused(path, "1 of 5 rows hold numbers that are not finite")

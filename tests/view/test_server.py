@@ -2,7 +2,14 @@
 
 import http.client
 import json
+import os
+import re
+import socket
+import subprocess
+import sys
 import threading
+import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -13,6 +20,7 @@ from clsplat.io.images import read_image
 from clsplat.view import server as server_module
 from clsplat.view.frames import FrameRequest, FrameRequests
 from clsplat.view.server import ViewServer, camera_of
+from tests.data.tiny_model import write_scene
 
 CAMERA = {"width": 8, "height": 6, "focal": [5, 5], "centre": [4, 3], "position": [1, 2, 3],
           "rotation": [[1, 0, 0], [0, 0, -1], [0, 1, 0]]}
@@ -123,7 +131,9 @@ def test_nobody_draws_a_frame_that_nobody_waits_for(server, requests, monkeypatc
 
 @pytest.mark.parametrize("changes", [
     {"width": 0}, {"width": 5000}, {"width": 4096, "height": 4096}, {"width": 8.5},
-    {"width": True}, {"focal": [5]}, {"focal": [5, -5]}, {"focal": [5, "x"]}, {"position": None},
+    {"width": True}, {"focal": [5]}, {"focal": [5, -5]},
+    {"focal": [1e-300, 5]}, {"focal": [5, 0]}, {"rotation": [[1, 0, 0], [0, 0, 1], [0, 1, 0]]},
+    {"rotation": [[-1, 0, 0], [0, -1, 0], [0, 0, -1]]}, {"focal": [5, "x"]}, {"position": None},
     {"position": [1e10, 0, 0]}, {"position": [float("nan"), 0, 0]}, {"rotation": [[1, 0, 0]]},
     {"rotation": np.zeros((3, 3)).tolist()}, {"centre": [[4, 3]]}, {"rotation": {}}])
 def test_what_is_no_camera_is_refused(changes):
@@ -159,3 +169,97 @@ def test_nobody_waits_after_the_end(requests):
     requests.end()
     requests.add(after)
     assert before.wait(0) and after.wait(0) and before.problem == after.problem != ""
+
+
+def connected(server):
+    connection = socket.create_connection(("127.0.0.1", server.port), timeout=30)
+    connection.settimeout(30)
+    return connection
+
+
+def is_closed(connection, seconds):
+    connection.settimeout(seconds)
+    try:
+        return connection.recv(1) == b""
+    except TimeoutError:
+        return False
+    except ConnectionResetError:
+        return True
+
+
+@pytest.fixture
+def two_places(requests, monkeypatch):
+    monkeypatch.setattr(server_module, "most_connections", lambda: 2)
+    with ViewServer("<h1>page</h1>", requests, dict) as opened:
+        yield opened
+
+
+def test_connections_beyond_the_most_are_closed_at_once(two_places):
+    with connected(two_places) as first, connected(two_places) as second:
+        first.send(b"GET /")  # and no more
+        with connected(two_places) as third:
+            assert is_closed(third, 30)
+        assert not is_closed(first, 0.05) and not is_closed(second, 0.05)
+        second.close()
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline:
+            try:
+                assert answer(two_places, f"/{two_places.token}/")[0] == 200
+                return
+            except OSError:  # the place is not free yet
+                time.sleep(0.01)
+        raise AssertionError("no place becomes free")
+
+
+def test_a_place_is_free_again_after_a_thread_that_could_not_start(two_places, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("can't start new thread")
+    with monkeypatch.context() as broken:
+        broken.setattr(server_module.ThreadingHTTPServer, "process_request", fail)
+        for _ in range(5):
+            with connected(two_places) as connection:
+                assert is_closed(connection, 30)
+    assert answer(two_places, f"/{two_places.token}/")[0] == 200
+
+
+@pytest.mark.parametrize("begin", [b"", b"GET / HTTP/1.1\r\n", b"POST / HTTP/1.1\r\nX: "])
+def test_an_unfinished_request_is_closed(server, monkeypatch, begin):
+    assert server_module.IDLE_SECONDS == server_module._Handler.timeout == 15
+    monkeypatch.setattr(server_module._Handler, "timeout", 0.1)
+    with connected(server) as connection:
+        connection.send(begin)
+        assert is_closed(connection, 30)
+
+
+@pytest.mark.parametrize("files, most", [(4, 1), (16, 4), (64, 16), (128, 32), (1 << 20, 32)])
+def test_few_files_leave_few_connections(monkeypatch, files, most):
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
+    assert server_module.most_connections() == most
+    monkeypatch.setattr(resource, "getrlimit", lambda _: 2 * (resource.RLIM_INFINITY,))
+    assert server_module.most_connections() == 32
+
+
+@pytest.mark.slow
+def test_idle_connections_do_not_end_a_training(tmp_path):
+    """It ended with sixty of them and a limit of 64 files: an image could not be read."""
+    resource = pytest.importorskip("resource")
+    write_scene(tmp_path / "town")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "clsplat", "train", tmp_path / "town", "-n", "3000", "--view",
+         "--checkpoint-every", "20", "-o", tmp_path / "run"],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"}, preexec_fn=lambda: resource.setrlimit(
+            resource.RLIMIT_NOFILE, (64, 64)))
+    told, idle = "", []
+    for line in process.stdout:
+        told += line
+        found = re.search(r"http://127\.0\.0\.1:(\d+)/", line)
+        if found and not idle:
+            for _ in range(60):
+                with suppress(OSError):  # more wait to be accepted than the system allows
+                    idle.append(socket.create_connection(("127.0.0.1", int(found[1]))))
+    assert process.wait() == 0, told
+    assert len(idle) > 16
+    for connection in idle:
+        connection.close()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -196,6 +197,34 @@ def on_ground(source: str, target: str, points: ArrayLike) -> NDArray[np.float64
     if source != target:
         result[:, :2] = converter(source, target, f"CRS {_shown(target)}")(result[:, :2])
     return result
+
+
+def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Path | str
+                 ) -> NDArray[np.float64] | None:
+    """Points of a file in the CRS of a scene; None if they are in it already.
+
+    Heights become metres, above whatever they were measured from. They are in the unit of east and
+    north where the file's CRS has none for them, and in metres beside degrees.
+
+    Parameters
+    ----------
+    system : the pyproj.CRS of the file.
+    target : as `normal_crs` returns it.
+    points : float64[N, 3]: east or longitude, north or latitude, height.
+    path : the file that messages name.
+
+    Raises
+    ------
+    InputError : a point has no coordinates in the target.
+    """
+    axes = system.axis_info
+    flat = system.sub_crs_list[0] if system.is_compound else system.to_2d()
+    height = axes[2] if len(axes) > 2 else axes[0] if flat.is_projected else None
+    unit = height.unit_conversion_factor if height else 1.0
+    if unit == 1 and flat.equals(pyproj_crs(target, "the scene"), ignore_axis_order=True):
+        return None
+    convert = conversion(flat.to_wkt(), target, f"{path}: CRS")
+    return np.column_stack([convert(points[:, :2]), unit * points[:, 2]])
 
 
 def _is_metric(system: Any) -> bool:

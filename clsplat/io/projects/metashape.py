@@ -175,12 +175,11 @@ def _optics(sensor: Element) -> Optics:
     focal = value["f"] + value["b1"], value["f"]
     centre = width / 2 + value["cx"], height / 2 + value["cy"]
     k1, k2, k3, k4 = (value[f"k{number}"] for number in range(1, 5))
-    unequal = ("b2", "p3", "p4") + (("k4",) if kind == "frame" else ())
-    for key in unequal:
+    for key in ("b2", "p3", "p4"):
         if value[key]:
             raise ValueError(f"no camera model of COLMAP has its coefficient {key}; {CURE}")
     if kind == "frame":
-        return brown((width, height), focal, centre, (k1, k2, k3), (value["p2"], value["p1"]))
+        return brown((width, height), focal, centre, (k1, k2, k3, k4), (value["p2"], value["p1"]))
     return Optics((width, height), focal, centre, ("THIN_PRISM_FISHEYE", (
         *focal, *centre, k1, k2, value["p2"], value["p1"], k3, k4, 0.0, 0.0)))
 

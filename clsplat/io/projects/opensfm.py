@@ -45,6 +45,11 @@ NAMES = ("reconstruction.topocentric.json", "reconstruction.json")
 ODM = "opensfm"  # the folder in a project of ODM
 REFERENCE, TRACKS, MOVED = "reference_lla.json", "tracks.csv", "exported_geocoords.txt"
 COORDINATES = ("latitude", "longitude", "altitude")
+# projection_type -> its coefficients of distortion
+TERMS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+COEFFICIENTS = {"perspective": TERMS[:2], "simple_radial": TERMS[:1], "radial": TERMS[:2],
+                "brown": (*TERMS[:3], "p1", "p2"), "fisheye": TERMS[:2],
+                "fisheye_opencv": TERMS[:4]}
 ASPECT = 2e-3  # relative tolerance of the ratio of a photo's sides: they may be rounded
 
 
@@ -147,15 +152,15 @@ def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
     focal = longer * value(both), longer * value("focal" if "focal" in camera else "focal_y")
     centre = size[0] / 2 + longer * value("c_x"), size[1] / 2 + longer * value("c_y")
     k = [value(f"k{number}") for number in range(1, 5)]
-    if kind in ("perspective", "simple_radial", "radial"):
-        return brown(size, focal, centre, k[:2])
-    if kind == "brown":
-        return brown(size, focal, centre, k[:3], (value("p1"), value("p2")))
-    if kind in ("fisheye", "fisheye_opencv"):
-        k[2:] = k[2:] if kind == "fisheye_opencv" else [0.0, 0.0]
+    if kind not in COEFFICIENTS:
+        raise ValueError(f"the camera model {str(kind)[:40]} is not read; reconstruct with "
+                         "perspective, brown or fisheye")
+    others = [key for key in TERMS if key not in COEFFICIENTS[kind] and value(key)]
+    if others:
+        raise ValueError(f"the camera model {kind} has no coefficient {others[0]}")
+    if "fisheye" in kind:
         return Optics(size, focal, centre, ("OPENCV_FISHEYE", (*focal, *centre, *k)))
-    raise ValueError(f"the camera model {str(kind)[:40]} is not read; reconstruct with "
-                     "perspective, brown or fisheye")
+    return brown(size, focal, centre, k[:3], (value("p1"), value("p2")))
 
 
 def _points(table: Mapping[str, Any], folder: Path, shots: list[str]) -> ProjectPoints | None:

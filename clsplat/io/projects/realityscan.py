@@ -223,12 +223,14 @@ def _xmp_optics(row: Row, size: tuple[int, int]) -> Optics:
             for side, axis in zip(size, "UV"))
     model = row.get("DistortionModel", "")
     if model not in MODELS:
-        raise ValueError(f"the distortion model {model[:40]} is not read; choose Brown3")
+        raise ValueError(f"the distortion model {model[:40]} is not read; choose Brown3 or Brown4")
     values = numbers(row.get("DistortionCoeficients", "0 0 0 0 0 0"), 6, "DistortionCoeficients")
     if model not in MODELS[3:]:
         values[:] = 0
     if model not in TANGENTIAL:
         values[4:] = 0
+    if model.startswith("brown3") and values[3]:
+        raise ValueError("the distortion model brown3 has no coefficient k4; export it again")
     return _optics(size, (focal, focal), (x, y), values.tolist(), model == "division")
 
 
@@ -239,8 +241,5 @@ def _optics(size: tuple[int, int], focal: tuple[float, float], centre: tuple[flo
     if division and k1:
         return Optics(size, focal, centre, ("FULL_OPENCV", (
             *focal, *centre, 0.0, 0.0, 0.0, 0.0, 0.0, k1, 0.0, 0.0)))
-    if k4 and not division:
-        raise ValueError("no camera model of COLMAP has the coefficient k4; align with the model "
-                         "Brown3, or export in COLMAP's format")
-    return brown(size, focal, centre, () if division else (k1, k2, k3),
+    return brown(size, focal, centre, () if division else (k1, k2, k3, k4),
                  (0.0, 0.0) if division else (t2, t1))

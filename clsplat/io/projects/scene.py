@@ -20,7 +20,7 @@ from clsplat.io.checks import LARGEST_COORDINATE, checked_scene
 from clsplat.io.cloud import read_cloud
 from clsplat.io.georeference.crs import has_pyproj, project_crs
 from clsplat.io.georeference.earth import on_map
-from clsplat.io.lenses import Model, undistorted_model
+from clsplat.io.lenses import Model, brown_model, undistorted_model
 from clsplat.io.posed import PLACEHOLDER_POINTS, exact_poses, with_points
 from clsplat.io.projects.photo_files import PhotoFiles, check_present
 from clsplat.io.reason import reason
@@ -89,21 +89,8 @@ class ProjectPoints:
 
 def brown(size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float],
           radial: Sequence[float] = (), tangential: Sequence[float] = (0.0, 0.0)) -> Optics:
-    """The simplest camera model of COLMAP that equals Brown's with these coefficients.
-
-    Parameters
-    ----------
-    radial : up to three coefficients, of r^2, r^4 and r^6.
-    tangential : in OpenCV's order: the first is the factor of 2 x y in x.
-    """
-    k1, k2, k3 = (*radial, 0.0, 0.0, 0.0)[:3]
-    p1, p2 = tangential
-    if not any((k1, k2, k3, p1, p2)):
-        return Optics(size, focal, centre)
-    if not k3:
-        return Optics(size, focal, centre, ("OPENCV", (*focal, *centre, k1, k2, p1, p2)))
-    return Optics(size, focal, centre,
-                  ("FULL_OPENCV", (*focal, *centre, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)))
+    """A camera with Brown's model; see `lenses.brown_model`."""
+    return Optics(size, focal, centre, brown_model((*focal, *centre), radial, tangential))
 
 
 def only(paths: Iterable[Path], kind: str) -> Path | None:

@@ -123,7 +123,7 @@ def test_points_of_a_map(tmp_path):
 
 
 @pytest.mark.parametrize("extra, words", [
-    ("<k4>0.01</k4>", "k4"), ("<b2>-0.3</b2>", "b2"), ("<p3>1e-5</p3>", "p3")])
+    ("<p4>0.01</p4>", "p4"), ("<b2>-0.3</b2>", "b2"), ("<p3>1e-5</p3>", "p3")])
 def test_coefficients_that_colmap_has_not(tmp_path, extra, words):
     write_metashape(tmp_path, made(tmp_path), extra=extra)
     with pytest.raises(InputError, match=f"coefficient {words}; optimise") as caught:

@@ -1,0 +1,136 @@
+"""Files that hold more than they claim, or claim more than they hold: refused in little memory.
+
+Each was read into memory as a whole, or as often as it named its content, by an earlier version.
+"""
+
+import json
+import struct
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.models import read_model, write_model
+from clsplat.io.npz import read_npz
+from clsplat.io.webp import encode_webp
+from tests.io.test_ply import random_gaussians
+
+PAYLOAD = 1 << 26
+LITTLE = 1 << 25
+
+
+def refused(read, path, word, most=LITTLE):
+    tracemalloc.start()
+    with pytest.raises(InputError, match=word) as caught:
+        read(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < most, f"{peak >> 20} MiB"
+    assert path.name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def lying(path, members, claims, method=zipfile.ZIP_DEFLATED):
+    """A zip whose headers claim other sizes than its members have."""
+    with zipfile.ZipFile(path, "w", method, compresslevel=1) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+        for member in archive.filelist:
+            member.file_size = claims.get(member.filename, member.file_size)
+    return path
+
+
+def sog_members(folder, count=3):
+    write_model(folder / "small.sog", random_gaussians(count))
+    with zipfile.ZipFile(folder / "small.sog") as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+@pytest.mark.parametrize("name", ["meta.json", "sh0.webp", "other"])
+@pytest.mark.parametrize("claim", [0, 100])
+def test_a_member_of_a_sog_that_is_longer_than_its_claim(tmp_path, name, claim):
+    members = sog_members(tmp_path) | {name: bytes(PAYLOAD)}
+    path = lying(tmp_path / "a.sog", members, {name: claim})
+    if name == "other":  # which nobody reads
+        assert read_model(path).count == 3
+        return
+    refused(read_model, path, "damaged or cut short")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_members_without_a_limit_of_memory(tmp_path, method):
+    members = sog_members(tmp_path) | {"meta.json": bytes(PAYLOAD)}
+    refused(read_model, lying(tmp_path / "a.sog", members, {"meta.json": 100}, method),
+            "another method than deflate")
+
+
+def test_a_texture_that_is_named_many_times(tmp_path):
+    members = sog_members(tmp_path)
+    meta = json.loads(members["meta.json"])
+    members["means_l.webp"] = encode_webp(np.zeros((2048, 2048, 4), np.uint8))
+    meta["means"]["files"] = 100 * ["means_l.webp"]
+    members["meta.json"] = json.dumps(meta).encode()
+    refused(read_model, lying(tmp_path / "a.sog", members, {}), "means has not 2 textures")
+
+
+def test_millions_of_gaussians_in_a_few_bytes(tmp_path):
+    members = sog_members(tmp_path)
+    meta = json.loads(members["meta.json"]) | {"count": 1 << 21}
+    for name in members:
+        if name.endswith(".webp"):
+            members[name] = encode_webp(np.full((1024, 2048, 4), 252, np.uint8))
+    members["meta.json"] = json.dumps(meta).encode()
+    refused(read_model, lying(tmp_path / "a.sog", members, {}), "claim to hold", 1 << 26)
+
+
+@pytest.mark.parametrize("name", ["../a.webp", "/etc/passwd", "a/b.webp", "", "..", 7, "\0"])
+def test_textures_of_a_folder_are_files_in_it(tmp_path, name):
+    members = sog_members(tmp_path)
+    meta = json.loads(members["meta.json"])
+    meta["sh0"]["files"] = [name]
+    members["meta.json"] = json.dumps(meta).encode()
+    for file, content in members.items():
+        (tmp_path / file).write_bytes(content)
+    refused(read_model, tmp_path / "meta.json", "not the name of a texture")
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_array_whose_header_is_longer_than_its_claim(tmp_path, version):
+    """numpy reads as many bytes of a header as this claims."""
+    length = struct.pack("<H", 65535) if version == 1 else struct.pack("<I", (1 << 32) - 1)
+    content = b"\x93NUMPY" + bytes([version, 0]) + length + b" " * PAYLOAD
+    path = lying(tmp_path / "a.npz", {"a.npy": content}, {"a.npy": 2000})
+    refused(lambda path: read_npz(path, "damaged", "copy it again"), path, "damaged")
+
+
+@pytest.mark.parametrize("claim", [128, 5000])
+def test_an_array_that_is_longer_than_its_claim(tmp_path, claim):
+    header = np.lib.format.header_data_from_array_1_0(np.zeros(claim - 128, np.uint8))
+    with zipfile.ZipFile(tmp_path / "whole.npz", "w") as archive, archive.open(
+            "a.npy", "w") as member:
+        np.lib.format.write_array_header_1_0(member, header)
+    with zipfile.ZipFile(tmp_path / "whole.npz") as archive:
+        start = archive.read("a.npy")
+    path = lying(tmp_path / "a.npz", {"a.npy": start + bytes(PAYLOAD)}, {"a.npy": claim})
+    refused(lambda path: read_npz(path, "damaged", "copy it again"), path, "damaged")
+
+
+def test_primitives_of_a_glb_that_all_name_the_same_gaussians(tmp_path):
+    path = tmp_path / "a.glb"
+    write_model(path, random_gaussians(300))
+    data = path.read_bytes()
+    size, = struct.unpack_from("<I", data, 12)
+    document = json.loads(data[20:20 + size])
+    document["meshes"][0]["primitives"] *= 4000
+    text = json.dumps(document).encode()
+    path.write_bytes(data[:12] + struct.pack("<I4s", len(text), b"JSON") + text + data[20 + size:])
+    refused(read_model, path, "claim to hold", 1 << 27)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("name", ["vertex", "other"])
+def test_elements_of_a_ply_without_properties(tmp_path, form, name):
+    path = tmp_path / "a.ply"
+    path.write_bytes(f"ply\nformat {form} 1.0\nelement {name} 1000000000000\nend_header\n".encode())
+    refused(read_model, path, "PLY")
