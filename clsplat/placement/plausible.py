@@ -1,0 +1,123 @@
+"""Whether measured positions place a reconstruction as it can be, and if not, what may be the cause.
+
+Flat ground fits its mirror image by a half turn about a horizontal axis, so that exchanged
+coordinates turn a scene upside down with a small residual. So no alignment is believed before it is
+compared with the vertical that photos show, and with what the same positions would give if they
+were exchanged, mirrored or had other heights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.georeference import MOST_RESIDUAL
+from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, Alignment, aligned
+from clsplat.placement.up import Vertical
+
+LEAST_FOR_GUESS = 5  # positions; fewer fit a mirror image by chance
+TIMES_BETTER = 5.0  # so much smaller is the residual of what is probably meant
+MOST_LEFT_OUT = 0.2  # of the positions
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """What positions may be instead of what they say.
+
+    Attributes
+    ----------
+    question : for the user, such as "are x and y exchanged?".
+    positions : float[N, 3], as they are then.
+    """
+
+    question: str
+    positions: NDArray[np.float64]
+
+
+class Implausible(ValueError):
+    """Positions that place a reconstruction nowhere, or as it cannot be; says why."""
+
+
+def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
+             guesses: Sequence[Guess] = (), *, std: ArrayLike | None = None,
+             independent_heights: float = INDEPENDENT_HEIGHTS, heights_count: bool = False
+             ) -> Alignment:
+    """The alignment of places with positions, as `aligned` finds it.
+
+    Parameters
+    ----------
+    places, positions, vertical, std, independent_heights : as in `aligned`.
+    guesses : what is tried if the result is doubtful.
+    heights_count : whether heights are as right as the rest, so that their residuals are judged.
+
+    Raises
+    ------
+    Implausible : there is none, it is upside down or tilted, or a guess fits far better.
+    """
+    result = aligned(places, positions, vertical, std=std, independent_heights=independent_heights)
+    if result is not None and result.stands and (
+            _miss(result, heights_count) <= MOST_RESIDUAL * result.size):
+        return result
+    question = ""
+    least = np.inf if result is None or not result.stands else (
+        _miss(result, heights_count) / result.size / TIMES_BETTER)
+    for guess in guesses if np.isfinite(least) <= (len(np.asarray(places)) >= LEAST_FOR_GUESS
+                                                   ) else ():
+        other = aligned(places, guess.positions, vertical, std=std,
+                        independent_heights=independent_heights)
+        if other is None or not other.stands or (
+                result is not None and other.used.sum() < result.used.sum()):
+            continue
+        share = _miss(other, heights_count) / other.size
+        if share <= MOST_RESIDUAL and share < least:
+            least, question = share, guess.question
+    if result is None:
+        raise Implausible(_asked("and the reconstruction contradict each other, or the places are "
+                                 "too close together", question))
+    if not result.stands:
+        raise Implausible(_asked("fit only if the scene is turned upside down or tilted by "
+                                 f"{vertical.tilt(result.similarity.rotation):.0f} degrees",
+                                 question))
+    if question:
+        raise Implausible(_asked(
+            f"miss the reconstruction by {_miss(result, heights_count):.3g} m", question))
+    return result
+
+
+def doubts(result: Alignment, size_of: str, heights_count: bool = False) -> list[str]:
+    """Sentences on what a user must not rely on in an alignment.
+
+    Parameters
+    ----------
+    size_of : what its size is that of, such as "the flight".
+    heights_count : whether heights are as right as the rest.
+    """
+    found = residual_doubts(result.horizontal, result.vertical, result.size, size_of)
+    wrong = ~result.used | (~result.used_heights if heights_count else False)
+    if wrong.mean() > MOST_LEFT_OUT:
+        found.append(f"{wrong.sum()} of {len(wrong)} positions contradict the others, so the "
+                     "others may be the wrong ones: check them")
+    return found
+
+
+def residual_doubts(horizontal: float, vertical: float, size: float, size_of: str) -> list[str]:
+    """A sentence for each residual beyond MOST_RESIDUAL of a size, metres."""
+    return [f"the residual of {value:.2f} m {where} is {100 * value / max(size, 1e-9):.0f} % of the "
+            f"size of {size_of}, {size:.0f} m: {cure}"
+            for value, where, cure in (
+                (horizontal, "along the ground", "place, scale and directions are uncertain"),
+                (vertical, "in height", "do not rely on heights"))
+            if np.isfinite(value) and value > MOST_RESIDUAL * size]
+
+
+def _miss(result: Alignment, heights_count: bool) -> float:
+    if heights_count and np.isfinite(result.vertical):
+        return float(np.hypot(result.horizontal, result.vertical))
+    return result.horizontal
+
+
+def _asked(reason: str, question: str) -> str:
+    return f"{reason}: {question}" if question else reason
