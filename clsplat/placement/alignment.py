@@ -45,8 +45,8 @@ class Alignment:
     similarity : from the reconstruction to the positions' axes: east, north, up, metres.
     used : bool[N], which positions agree with it along the ground; the others are outliers.
     used_heights : bool[N], which heights agree with it.
-    horizontal, vertical : metres, RMS of the residuals of the positions that are used, along the
-        ground and upwards; vertical is nan without heights.
+    horizontal, vertical : metres, RMS of the residuals of the positions and heights that are used,
+        along the ground and upwards; vertical is nan without heights.
     levelled_by_heights : whether the heights tell more of the scene's tilt than the cameras do.
     stands : whether it is neither upside down nor tilted far from the vertical that is known.
     size : metres, the diagonal along the ground of the positions that are used.
@@ -84,7 +84,8 @@ def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
     """
     places, positions = (np.asarray(values, np.float64).reshape(-1, 3)
                          for values in (places, positions))
-    known = np.isfinite(positions[:, :2]).all(axis=1) & np.isfinite(places).all(axis=1)
+    known: NDArray[np.bool_] = np.all(
+        np.isfinite(np.column_stack([positions[:, :2], places])), axis=1)
     if known.sum() < LEAST_POSITIONS:
         return None
     problem = _Problem(places[known], positions[known], vertical,
@@ -269,7 +270,6 @@ class _Problem:
         ground_std, height_std = self.deviations(similarity)
         ground = np.linalg.norm(horizontal, axis=1)
         used = ground <= OUTLIER * ground_std * self.horizontal_std
-        known = used & self.has_height
         heights = self.has_height & (np.abs(vertical) <= OUTLIER * height_std * self.vertical_std)
         weights = self._weights(similarity, horizontal, vertical)
         away = similarity(self.places)
@@ -277,7 +277,7 @@ class _Problem:
         # how well the heights tell the tilt, about the axis about which they tell it worst
         information = np.linalg.eigvalsh((level * weights[:, 2:]).T @ level)[0]
         return Alignment(
-            similarity, used, heights, _rms(ground[used]), _rms(vertical[known]),
+            similarity, used, heights, _rms(ground[used]), _rms(vertical[used & heights]),
             bool(information > 1 / self.up_std**2), self.vertical.stands(similarity.rotation),
             _diagonal(self.positions[used, :2]))
 

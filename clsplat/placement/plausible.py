@@ -1,4 +1,4 @@
-"""Whether measured positions place a reconstruction as it can be, and if not, what may be the cause.
+"""Whether measured positions place a reconstruction as it can be, and what is wrong if not.
 
 Flat ground fits its mirror image by a half turn about a horizontal axis, so that exchanged
 coordinates turn a scene upside down with a small residual. So no alignment is believed before it is
@@ -105,8 +105,8 @@ def doubts(result: Alignment, size_of: str, heights_count: bool = False) -> list
 
 def residual_doubts(horizontal: float, vertical: float, size: float, size_of: str) -> list[str]:
     """A sentence for each residual beyond MOST_RESIDUAL of a size, metres."""
-    return [f"the residual of {value:.2f} m {where} is {100 * value / max(size, 1e-9):.0f} % of the "
-            f"size of {size_of}, {size:.0f} m: {cure}"
+    return [f"the residual of {value:.2f} m {where} is {100 * value / max(size, 1e-9):.0f} % of "
+            f"the size of {size_of}, {size:.0f} m: {cure}"
             for value, where, cure in (
                 (horizontal, "along the ground", "place, scale and directions are uncertain"),
                 (vertical, "in height", "do not rely on heights"))
