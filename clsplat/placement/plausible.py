@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsplat.georeference import MOST_RESIDUAL
-from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, Alignment, aligned
+from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment, aligned
 from clsplat.placement.up import Vertical
 
 LEAST_FOR_GUESS = 5  # positions; fewer fit a mirror image by chance
 TIMES_BETTER = 5.0  # so much smaller is the residual of what is probably meant
 MOST_LEFT_OUT = 0.2  # of the positions
+OF_UP = 3.0  # standard deviations of up by which a scene may be tilted
+LINE = 0.03  # of the size: positions that are all nearer to a line fit their mirror image
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,7 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
     Parameters
     ----------
     places, positions, vertical, std, independent_heights : as in `aligned`.
-    guesses : what is tried if the result is doubtful.
+    guesses : what is tried as well.
     heights_count : whether heights are as right as the rest, so that their residuals are judged.
 
     Raises
@@ -58,14 +60,12 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
     Implausible : there is none, it is upside down or tilted, or a guess fits far better.
     """
     result = aligned(places, positions, vertical, std=std, independent_heights=independent_heights)
-    if result is not None and result.stands and (
-            _miss(result, heights_count) <= MOST_RESIDUAL * result.size):
-        return result
-    question = ""
-    least = np.inf if result is None or not result.stands else (
-        _miss(result, heights_count) / result.size / TIMES_BETTER)
-    for guess in guesses if np.isfinite(least) <= (len(np.asarray(places)) >= LEAST_FOR_GUESS
-                                                   ) else ():
+    question, least = "", np.inf
+    if result is not None and result.stands:
+        if len(result.used) < LEAST_FOR_GUESS:
+            return result
+        least = _miss(result, heights_count) / result.size / TIMES_BETTER
+    for guess in guesses:
         other = aligned(places, guess.positions, vertical, std=std,
                         independent_heights=independent_heights)
         if other is None or not other.stands or (
@@ -87,19 +87,41 @@ def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
     return result
 
 
-def doubts(result: Alignment, size_of: str, heights_count: bool = False) -> list[str]:
+def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical, size_of: str,
+           heights_count: bool = False) -> list[str]:
     """Sentences on what a user must not rely on in an alignment.
 
     Parameters
     ----------
+    positions, vertical : that it was made of.
     size_of : what its size is that of, such as "the flight".
     heights_count : whether heights are as right as the rest.
     """
-    found = residual_doubts(result.horizontal, result.vertical, result.size, size_of)
+    return [*residual_doubts(result.horizontal, result.vertical, result.size, size_of),
+            *position_doubts(result, positions, vertical, heights_count)]
+
+
+def position_doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
+                    heights_count: bool) -> list[str]:
+    """As `doubts`, but for residuals."""
+    found = []
     wrong = ~result.used | (~result.used_heights if heights_count else False)
     if wrong.mean() > MOST_LEFT_OUT:
         found.append(f"{wrong.sum()} of {len(wrong)} positions contradict the others, so the "
                      "others may be the wrong ones: check them")
+    tilt = vertical.tilt(result.similarity.rotation)
+    if tilt > OF_UP * vertical.degrees:
+        found.append(f"the scene is tilted by {tilt:.0f} degrees from what its photos show as up: "
+                     "check the heights")
+    if result.used.sum() == LEAST_POSITIONS:
+        found.append(f"only {LEAST_POSITIONS} positions decide, so that an error of one of them "
+                     "would not be noticed")
+    flat = np.asarray(positions, np.float64)[result.used, :2]
+    flat = flat - flat.mean(axis=0)
+    across = flat @ np.linalg.svd(flat, full_matrices=False)[2][1]
+    if np.ptp(across) <= LINE * result.size:
+        found.append("the positions lie on one line, so that the tilt across it is not measured, "
+                     "and exchanged or mirrored coordinates would not be noticed")
     return found
 
 

@@ -98,17 +98,19 @@ def by_gps(images: Sequence[Any], metadata: Mapping[str, PhotoMetadata], crs: st
     if crs is None and not UTM_LATITUDES[0] <= latitude <= UTM_LATITUDES[1]:
         longitude = float(np.median(degrees[:, 1]))
         raise NotGeoreferenced(
-            f"the photos' GPS is at latitude {latitude:.3f}, where UTM has no zones; give a CRS, "
+            f"the photos' GPS is at latitude {latitude:.3f}, where UTM has no zones: are latitude "
+            "and longitude exchanged? If not, give a CRS, "
             f'such as --crs "+proj=tmerc +lat_0={latitude:.0f} +lon_0={longitude:.0f} '
             '+datum=WGS84"')
     ellipsoidal = all(photo.above_ellipsoid for _, photo in known)
     heights, flat, vertical, notes = _levelled(degrees, heights, crs, ellipsoidal)
     positions, own = map_positions(degrees[:, 0], degrees[:, 1], heights, flat)
-    where = outside(own, positions[np.isfinite(positions[:, 0])]) if (
-        np.isfinite(positions[:, 0]).any()) else "nowhere"
-    if where:
-        raise NotGeoreferenced(f"the photos' GPS lies {where}, outside the area of {own[:60]}; "
-                               "give another --crs, or leave it out")
+    if crs is not None:
+        finite = positions[np.isfinite(positions[:, 0])]
+        where = outside(own, finite) if len(finite) else "nowhere"
+        if where:
+            raise NotGeoreferenced(f"the photos' GPS lies {where}, outside the area of {own[:60]}; "
+                                   "give another --crs, or leave it out")
     void = sum(photo.void for _, photo in known)
     if void:
         notes.append(f"the receiver marked the positions of {void} photos as void; they are used")
@@ -152,12 +154,12 @@ def _other_degrees(degrees: NDArray[np.float64]) -> Iterator[tuple[str, NDArray[
     """What latitudes and longitudes [N, 2] may be instead."""
     if (np.abs(degrees[:, 1]) <= 90).all():
         yield "are latitude and longitude exchanged?", degrees[:, ::-1]
-    for column, name, letters in ((1, "longitude", "E and W"), (0, "latitude", "N and S")):
+    for column in (1, 0):
         for sign in (-1, 1):
             other = degrees.copy()
             other[:, column] = sign * np.abs(other[:, column])
             if not np.array_equal(other, degrees):
-                yield f"is the {name} wrong in sign ({letters})?", other
+                yield "is the longitude (E, W) or the latitude (N, S) wrong in sign?", other
 
 
 def require_near_gps(result: Alignment, images: Sequence[Any],

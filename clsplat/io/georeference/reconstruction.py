@@ -24,10 +24,10 @@ from clsplat.io.georeference.measured import (
 from clsplat.io.metadata import PhotoMetadata
 from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, Alignment
 from clsplat.placement.plausible import (
-    MOST_LEFT_OUT,
     Implausible,
     believed,
     doubts,
+    position_doubts,
     residual_doubts,
 )
 from clsplat.placement.similarity import rotation_to
@@ -105,12 +105,13 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
                 [item for item, right in zip(used, result.used & result.used_heights) if right])
         found = residuals(reconstruction, located, used, offset)
         source, residual, notes = _by_residuals(found, lost, adjusts)
-        warnings = _control_doubts(found, result.size, len(control))
+        warnings = [*_control_doubts(found, result.size),
+                    *position_doubts(result, measured.positions, known_up, True)]
     else:
         source, found, residual = _gps_source(measured, result), _missed(measured, result), \
             result.horizontal
         notes = [f"georeferenced by the {source}: {_residuals(result)}"]
-        warnings = doubts(result, "the flight")
+        warnings = doubts(result, measured.positions, known_up, "the flight")
         if ground[2] < LOWEST_GROUND:
             warnings.append(f"by the photos' altitudes the ground lies at {ground[2]:.0f} m: these "
                             "are probably not heights above sea level; give --gcp if heights "
@@ -155,7 +156,9 @@ def _believed(measured: Measured, known_up: Vertical, is_control: bool) -> Align
             heights_count=is_control)
     except Implausible as error:
         kind = "--gcp: the ground control points" if is_control else "the photos' GPS positions"
-        raise NotGeoreferenced(f"{kind} {error}") from None
+        cure = "" if str(error).endswith("?") else "; check the coordinates" + (
+            ", the CRS and the marks" if is_control else "")
+        raise NotGeoreferenced(f"{kind} {error}{cure}") from None
 
 
 def _gps_source(measured: Measured, result: Alignment) -> str:
@@ -173,18 +176,12 @@ def _missed(measured: Measured, result: Alignment) -> tuple[Residual, ...]:
         if np.isfinite(east))
 
 
-def _control_doubts(found: Sequence[Residual], size: float, count: int) -> list[str]:
-    """Sentences on what a user must not rely on in a place by ground control points."""
-    used = [each for each in found if each.role == CONTROL]
-    judged = [each for each in found if each.role == CHECK] or used
-    warnings = residual_doubts(
-        _rms([(each.east, each.north) for each in judged]), _rms([(each.up,) for each in judged]),
-        size, "the surveyed area")
-    left = sum(each.role == LEFT_OUT for each in found)
-    if left > MOST_LEFT_OUT * count:
-        warnings.append(f"{left} of {count} ground control points contradict the others, which may "
-                        "be the wrong ones: check them")
-    return warnings
+def _control_doubts(found: Sequence[Residual], size: float) -> list[str]:
+    """Sentences on residuals of check points or, without any, of ground control points."""
+    judged = [each for each in found if each.role == CHECK] or [
+        each for each in found if each.role == CONTROL]
+    return residual_doubts(_rms([(each.east, each.north) for each in judged]),
+                           _rms([(each.up,) for each in judged]), size, "the surveyed area")
 
 
 def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool

@@ -68,8 +68,8 @@ def test_the_adjustment_takes_out_what_a_similarity_leaves():
 def test_the_focal_length_of_a_calibration_is_kept(keep):
     reconstruction = bent()
     tie_points = reconstruction.point3D_ids()
-    place_reconstruction(reconstruction, {}, crs=CRS, control=control(5), adjusts=True, up=(0, 0, 1),
-                         keep_focal=keep)
+    place_reconstruction(reconstruction, {}, crs=CRS, control=control(5), adjusts=True,
+                         up=(0, 0, 1), keep_focal=keep)
     assert (reconstruction.cameras[1].params[0] == 430) == keep
     assert reconstruction.point3D_ids() == tie_points  # the scene has none of the control points
 
