@@ -1,11 +1,48 @@
-"""The place of a scene on the earth."""
+"""The place of a scene on the earth, and how well it is known."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+AXES = ("east", "north", "up")
+CONTROL, CHECK, LEFT_OUT = "control", "check", "left out"  # roles of measured places
+MOST_RESIDUAL = 0.03  # of the size of a survey; beyond it the residual is a warning
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How a georeferenced scene shows one place whose map coordinates were measured.
+
+    Attributes
+    ----------
+    name : of the photo or of the ground control point.
+    role : "control" if it decided where the scene lies, "check" if it took no part, and "left out"
+        if it contradicts the others.
+    east, north, up : metres, from the measured place to the one in the scene; up is None if no
+        height was measured.
+    pixels : RMS distance of the marks of a ground control point from its known place; None for GPS.
+    """
+
+    name: str
+    role: str
+    east: float
+    north: float
+    up: float | None
+    pixels: float | None = None
+
+
+@dataclass(frozen=True)
+class AxisError:
+    """Residuals along one axis, metres: their mean, the standard deviation about it, and the root
+    mean square."""
+
+    mean: float
+    sigma: float
+    rms: float
 
 
 @dataclass(frozen=True)
@@ -21,13 +58,24 @@ class Georeference:
     crs : a projected CRS in metres, as "EPSG:32614" or WKT2.
     offset : (east, north, height), metres: map coordinates of the original origin.
     source : what it was computed from, such as "GPS of 40 photos".
-    residual : metres, the root mean square (RMS) distance between what was computed and the source.
+    residual : metres, the root mean square (RMS) distance along the ground between what was
+        computed and the source.
+    kind : "gps", "gcp" (ground control points), or "" if another program computed it.
+    size : metres, the diagonal along the ground of the places that were used; 0 if unknown.
+    vertical : what heights count from, a phrase; "" if unknown.
+    residuals : of each measured place.
+    warnings : sentences that a user must see before the place is relied on.
     """
 
     crs: str
     offset: tuple[float, float, float]
     source: str
     residual: float
+    kind: str = ""
+    size: float = 0.0
+    vertical: str = ""
+    residuals: tuple[Residual, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def to_map(self, points: ArrayLike) -> NDArray[np.float64]:
         """Map coordinates float64[N, 3] of points float[N, 3] in original coordinates."""
@@ -36,3 +84,30 @@ class Georeference:
     def from_map(self, points: ArrayLike) -> NDArray[np.float64]:
         """Original coordinates float64[N, 3] of points float[N, 3] in map coordinates."""
         return np.asarray(points, np.float64) - self.offset
+
+    def names(self, role: str) -> tuple[str, ...]:
+        """Names of the measured places in a role: "control", "check" or "left out"."""
+        return tuple(each.name for each in self.residuals if each.role == role)
+
+    def errors(self, role: str = CONTROL) -> dict[str, AxisError]:
+        """The residuals of the places in a role by axis: "east", "north", "up". Axes without any
+        are missing."""
+        return axis_errors(each for each in self.residuals if each.role == role)
+
+
+def axis_errors(residuals: Iterable[Residual]) -> dict[str, AxisError]:
+    """Mean, standard deviation and RMS of residuals by axis; axes without any are missing.
+
+    Parameters
+    ----------
+    residuals : of measured places.
+    """
+    rows = list(residuals)
+    result = {}
+    for axis in AXES:
+        values = np.array([value for each in rows
+                           if (value := getattr(each, axis)) is not None], np.float64)
+        if len(values):
+            result[axis] = AxisError(*(round(float(number), 4) for number in (
+                values.mean(), values.std(), np.sqrt(np.mean(values**2)))))
+    return result

@@ -41,6 +41,8 @@ def georeference(scene: Path, output: Path, photos: Path | None, gcp: Path | Non
     known = placed.georeference
     assert known is not None  # else an InputError
     click.echo("\n".join(placed.notes))
+    for warning in placed.warnings:
+        click.echo(f"warning: {warning}", err=True)
     east, north, height = known.offset
     click.echo(f"{output}: {known.crs[:60]}, origin at east {east:.0f}, north {north:.0f}, height "
                f"{height:.0f}")

@@ -94,12 +94,13 @@ def make_scene(photos: Path, output: Path, options: SfmOptions, overwrite: bool,
     from clsplat.sfm.progress import Silent
     from clsplat.sfm.reconstruct import reconstruct
     if quiet:
-        reconstruct(photos, output, options, Silent(), overwrite)
-        return
-    with Progress() as progress:
-        record = reconstruct(photos, output, options, progress, overwrite)
-    for line in summary(output, record):
-        click.echo(line)
+        record = reconstruct(photos, output, options, Silent(), overwrite)
+    else:
+        with Progress() as progress:
+            record = reconstruct(photos, output, options, progress, overwrite)
+        click.echo("\n".join(summary(output, record)))
+    for warning in record["warnings"]:
+        click.echo(f"warning: {output}: {warning}", err=True)
 
 
 def summary(output: Path, record: dict[str, Any]) -> list[str]:
@@ -112,4 +113,4 @@ def summary(output: Path, record: dict[str, Any]) -> list[str]:
     lines += [f"  {name}: {why}" for name, why in missing[:SHOWN]]
     if len(missing) > SHOWN:
         lines.append(f"  and {len(missing) - SHOWN} more, see {output / 'sfm.json'}")
-    return lines + [f"  {note}" for note in record["notes"]]
+    return lines + [f"  {note}" for note in record["notes"] if note not in record["warnings"]]

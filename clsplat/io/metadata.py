@@ -5,16 +5,21 @@ finite number or cannot be true is None.
 """
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from clsplat.io.photo import Photo, opened
+from clsplat.io.regular import open_regular
 
 MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # of EXIF's FocalPlaneResolutionUnit
 FILM_DIAGONAL = math.hypot(36, 24)  # millimetres
 HIGHEST = 100_000.0  # metres; no camera with GPS is farther from sea level
-DJI = "drone-dji:"
+COARSE = 1e-6  # degrees, 0.1 m; EXIF that is rounded to more gives way to XMP
+XMP_BYTES = 1 << 18  # from the beginning of a file, among which XMP is
+UNIT_DEGREES = (1.0, 1 / 60, 1 / 3600)
+DJI, PIX4D = "drone-dji:", "Camera:"
 QUARTERS = {3: 2, 6: 1, 8: 3}  # EXIF orientation -> clockwise quarter turns
 
 
@@ -47,7 +52,10 @@ class PhotoMetadata:
     calibration : by the maker, for photos whose distortion is not corrected.
     latitude, longitude : degrees, WGS 84, positive to the north and east; both or neither.
     altitude : metres above sea level; often wrong by tens of metres, or above something else.
-    gps_std : standard deviations to the east, to the north and up, metres (RTK of DJI).
+    above_ellipsoid : whether the file says that the altitude is above the ellipsoid.
+    void : whether the receiver marked the position as void.
+    gps_std : standard deviations to the east, to the north and up, metres (RTK of DJI, or Pix4D's
+        tags, which other makers use).
     gimbal_pitch, gimbal_roll : degrees (DJI); the pitch of a camera that looks straight down is
         -90.
     """
@@ -62,6 +70,8 @@ class PhotoMetadata:
     latitude: float | None = None
     longitude: float | None = None
     altitude: float | None = None
+    above_ellipsoid: bool = False
+    void: bool = False
     gps_std: tuple[float, float, float] | None = None
     gimbal_pitch: float | None = None
     gimbal_roll: float | None = None
@@ -85,13 +95,14 @@ def read_metadata(path: str | Path | bytes) -> PhotoMetadata:
     InputError : the file is not a photo that can be read.
     """
     with opened(path) as photo:
-        latitude, longitude = _position(photo)
+        latitude, longitude = _position(photo, path)
         return PhotoMetadata(
             photo.width, photo.height,
             photo.orientation if photo.orientation in range(1, 9) else 1,
             _words(photo, "Make", "Model", "Exif:BodySerialNumber"),
             _words(photo, "Exif:LensModel", "Exif:FocalLength"),
             _focal_pixels(photo), _calibration(photo), latitude, longitude, _altitude(photo),
+            _number(photo, "GPS:AltitudeRef", 3) in (2, 3), _text(photo, "GPS:Status") == "V",
             _gps_std(photo), *(_number(photo, f"{DJI}Gimbal{axis}Degree", 360)
                                for axis in ("Pitch", "Roll")))
 
@@ -123,39 +134,73 @@ def _words(photo: Photo, *names: str) -> str:
     return " ".join(filter(None, (_text(photo, name) for name in names)))
 
 
-def _position(photo: Photo) -> tuple[float, float] | tuple[None, None]:
-    """Latitude and longitude, or twice None."""
-    degrees = (_degrees(photo, "Latitude", "S", 90), _degrees(photo, "Longitude", "W", 180))
-    if None in degrees:  # DJI's older programs misspell the longitude
-        degrees = (_number(photo, DJI + "GpsLatitude", 90),
-                   _number(photo, DJI + "GpsLongitude", 180)
-                   or _number(photo, DJI + "GpsLongtitude", 180))
-    latitude, longitude = degrees
-    # a receiver without satellites writes zeros, or says that its values are void
-    if latitude is None or longitude is None or latitude == longitude == 0 or (
-            _text(photo, "GPS:Status") == "V"):
+def _position(photo: Photo, path: str | Path | bytes) -> tuple[float, float] | tuple[None, None]:
+    """Latitude and longitude, or twice None. Of EXIF and XMP the finer one is taken, if both agree
+    within the rounding of EXIF."""
+    exif = _degrees(photo, "Latitude", "S", 90), _degrees(photo, "Longitude", "W", 180)
+    (latitude, fine), (longitude, fine_too) = exif
+    if latitude is None or longitude is None or max(fine, fine_too) > COARSE:
+        xmp = (_exact(photo, path, 90, "GpsLatitude"),  # DJI's older programs misspell the other
+               _exact(photo, path, 180, "GpsLongitude", "GpsLongtitude"))
+        if None not in xmp and xmp != (0, 0) and (latitude is None or longitude is None or all(
+                abs(rough - exact) <= rounding  # type: ignore[operator]
+                for (rough, rounding), exact in zip(exif, xmp))):
+            latitude, longitude = xmp
+    # a receiver without satellites writes zeros
+    if latitude is None or longitude is None or latitude == longitude == 0:
         return None, None
     return latitude, longitude
 
 
-def _degrees(photo: Photo, name: str, negative: str, limit: float) -> float | None:
+def _exact(photo: Photo, path: str | Path | bytes, limit: float, *names: str) -> float | None:
+    """A number of DJI's XMP, of which OpenImageIO keeps seven digits."""
+    for name in names:
+        value = _number(photo, DJI + name, limit)
+        if value is not None:
+            if isinstance(path, bytes):
+                content = path[:XMP_BYTES]
+            else:
+                with open_regular(path) as file:
+                    content = file.read(XMP_BYTES)
+            found = re.search(rf"{DJI}{name}\s*(?:=\s*[\"']|>)\s*([-+.\d]+)".encode(), content)
+            digits = _finite([found[1].decode()]) if found else []
+            return digits[0] if digits and abs(digits[0] - value) < 1e-4 else value
+    return None
+
+
+def _degrees(photo: Photo, name: str, negative: str, limit: float) -> tuple[float | None, float]:
+    """An angle of EXIF, which has one to three parts, and by how much it is rounded, degrees."""
     parts = _numbers(photo, "GPS:" + name)
-    if len(parts) != 3 or min(parts) < 0:
-        return None
-    value = parts[0] + parts[1] / 60 + parts[2] / 3600
-    sign = -1 if _text(photo, f"GPS:{name}Ref").upper() == negative else 1
-    return sign * value if value <= limit else None
+    if not 1 <= len(parts) <= 3 or min(parts) < 0:
+        return None, 0.0
+    value = sum(part * unit for part, unit in zip(parts, UNIT_DEGREES))
+    last = max((row for row, part in enumerate(parts) if part), default=0)
+    rounding = _rounding(parts[last]) * UNIT_DEGREES[last]
+    sign = -1 if _text(photo, f"GPS:{name}Ref")[:1].upper() == negative else 1
+    return (sign * value if value <= limit else None), rounding
+
+
+def _rounding(value: float) -> float:
+    """By how much a number is rounded that is written with few digits, or in 32 bits."""
+    noise = value * 2.0**-22
+    return next((10.0**-digits for digits in range(7)
+                 if abs(value - round(value, digits)) <= noise), noise)
 
 
 def _altitude(photo: Photo) -> float | None:
     value = _number(photo, "GPS:Altitude", HIGHEST)
-    if value is None:
-        return _number(photo, DJI + "AbsoluteAltitude", HIGHEST)
-    return -value if _number(photo, "GPS:AltitudeRef", 1) == 1 else value
+    if not value:  # what firmware writes that fills in XMP alone
+        absolute = _number(photo, DJI + "AbsoluteAltitude", HIGHEST)
+        return value if absolute is None else absolute
+    return -value if _number(photo, "GPS:AltitudeRef", 3) in (1, 3) else value
 
 
 def _gps_std(photo: Photo) -> tuple[float, float, float] | None:
     values = [_number(photo, f"{DJI}RtkStd{axis}", HIGHEST) for axis in ("Lon", "Lat", "Hgt")]
+    if None in values:
+        ground, height = (_number(photo, f"{PIX4D}GPS{axis}Accuracy", HIGHEST)
+                          for axis in ("XY", "Z"))
+        values = [ground, ground, height]
     east, north, up = values
     if east is None or north is None or up is None or min(east, north, up) <= 0:
         return None

@@ -9,7 +9,7 @@ JSON of georeference.json; mask_sizes int[V] and masks uint8[...], masks like ph
 """
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
 from clsplat.io.checks import checked_scene
-from clsplat.io.georeference.files import georeference_of
+from clsplat.io.georeference.files import georeference_of, georeference_record
 from clsplat.io.images import encode_image, encode_jpeg, read_image
 from clsplat.io.npz import read_npz
 from clsplat.io.records import object_of
@@ -69,7 +69,7 @@ def write_packed(scene: Scene, path: str | Path, downscale: float = 1) -> None:
     if scene.given_up is not None:
         optional["up"] = scene.given_up
     if scene.georeference is not None:
-        text = json.dumps(asdict(scene.georeference)).encode()
+        text = json.dumps(georeference_record(scene.georeference)).encode()
         optional["georeference"] = np.frombuffer(text, np.uint8)
     with replacing(path) as file:
         np.savez(

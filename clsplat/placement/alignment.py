@@ -13,15 +13,15 @@ scale it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.placement.similarity import Similarity, cross_matrix, fitted, rotation_to
+from clsplat.placement.up import UP, Vertical
 
-UP = np.array([0.0, 0.0, 1.0])
 LEAST_POSITIONS = 3
 LEAST_STD = 0.01  # metres; smaller ones of positions are not believed
 BENDING = 0.005  # of the distances between positions: so much every reconstruction is bent
@@ -32,6 +32,8 @@ CAUCHY = 2.385**2  # variances from which on weights fall; 95 % efficient withou
 MOST_RIGHT = 0.7  # at least this share of the positions is taken to be right
 OUTLIER = 4.0  # standard deviations beyond which a position is reported as wrong
 LARGEST_SHARE = 0.5  # of the spread of the positions that the residuals may have
+LARGEST_STEP = 1.0  # of the logarithm of the scale and of angles, radians, in one iteration
+LARGEST_CHANGE = 1e6  # of the scale from a start, in both directions
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +45,11 @@ class Alignment:
     similarity : from the reconstruction to the positions' axes: east, north, up, metres.
     used : bool[N], which positions agree with it along the ground; the others are outliers.
     used_heights : bool[N], which heights agree with it.
-    horizontal, vertical : metres, RMS of the residuals of the positions that are used, along the
-        ground and upwards; vertical is nan without heights.
+    horizontal, vertical : metres, RMS of the residuals of the positions and heights that are used,
+        along the ground and upwards; vertical is nan without heights.
     levelled_by_heights : whether the heights tell more of the scene's tilt than the cameras do.
+    stands : whether it is neither upside down nor tilted far from the vertical that is known.
+    size : metres, the diagonal along the ground of the positions that are used.
     """
 
     similarity: Similarity
@@ -54,9 +58,11 @@ class Alignment:
     horizontal: float
     vertical: float
     levelled_by_heights: bool
+    stands: bool
+    size: float
 
 
-def aligned(places: ArrayLike, positions: ArrayLike, up: ArrayLike, *, up_degrees: float = 3.0,
+def aligned(places: ArrayLike, positions: ArrayLike, vertical: Vertical, *,
             std: ArrayLike | None = None, independent_heights: float = INDEPENDENT_HEIGHTS
             ) -> Alignment | None:
     """Align places in a reconstruction with their measured positions.
@@ -64,9 +70,8 @@ def aligned(places: ArrayLike, positions: ArrayLike, up: ArrayLike, *, up_degree
     Parameters
     ----------
     places : float[N, 3], in the reconstruction: camera centres or control points.
-    positions : float[N, 3], east, north, up, metres; nan for a height that is unknown.
-    up : float[3], the direction in the reconstruction that cameras or gravity show as up.
-    up_degrees : standard deviation of `up`.
+    positions : float[N, 3], east, north, up, metres; nan for what is unknown.
+    vertical : what is known of it in the reconstruction.
     std : float[N, 3], metres, standard deviations of the positions, of which only ratios count;
         None: all are equal.
     independent_heights : as so many measurements all heights together count.
@@ -74,33 +79,40 @@ def aligned(places: ArrayLike, positions: ArrayLike, up: ArrayLike, *, up_degree
     Returns
     -------
     None if the positions do not determine where the reconstruction lies: they are fewer than three,
-    at one place, or contradict each other.
+    at one place, or contradict each other. A result that stands is preferred to one that does not,
+    even if it fits worse.
     """
-    if np.size(places) < 3 * LEAST_POSITIONS:
+    places, positions = (np.asarray(values, np.float64).reshape(-1, 3)
+                         for values in (places, positions))
+    known: NDArray[np.bool_] = np.all(
+        np.isfinite(np.column_stack([positions[:, :2], places])), axis=1)
+    if known.sum() < LEAST_POSITIONS:
         return None
-    problem = _Problem(places, positions, up, up_degrees, std, independent_heights)
-    ends = [problem.refined(start) for start in problem.starts()]
-    if not ends:
-        return None
-    best = min(ends, key=problem.cost)
-    result = problem.judged(best)
-    spread = problem.positions[result.used, :2]
-    spread_size = float(np.sqrt(((spread - spread.mean(axis=0))**2).sum(axis=1).mean()))
-    if result.used.sum() < LEAST_POSITIONS or not (
-            result.horizontal <= LARGEST_SHARE * spread_size):
-        return None
+    problem = _Problem(places[known], positions[known], vertical,
+                       None if std is None else np.asarray(std, np.float64)[known],
+                       independent_heights)
+    ends = [end for start in problem.starts() if (end := problem.refined(start)) is not None]
+    ends.sort(key=lambda end: (not vertical.stands(end.rotation), problem.cost(end)))
+    result = next(filter(problem.is_consistent, map(problem.judged, ends)), None)
+    if result is None or known.all():
+        return result
+    return replace(result, used=_spread_over(known, result.used),
+                   used_heights=_spread_over(known, result.used_heights))
+
+
+def _spread_over(known: NDArray[np.bool_], values: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    result = np.zeros(len(known), bool)
+    result[known] = values
     return result
 
 
 class _Problem:
     """The measurements of an alignment; its parameters are a Similarity."""
 
-    def __init__(self, places: ArrayLike, positions: ArrayLike, up: ArrayLike, up_degrees: float,
-                 std: ArrayLike | None, independent_heights: float) -> None:
-        self.places, self.positions = (np.asarray(values, np.float64).reshape(-1, 3)
-                                       for values in (places, positions))
-        direction = np.asarray(up, np.float64)
-        self.up, self.up_std = direction / np.linalg.norm(direction), np.radians(up_degrees)
+    def __init__(self, places: NDArray[np.float64], positions: NDArray[np.float64],
+                 vertical: Vertical, std: ArrayLike | None, independent_heights: float) -> None:
+        self.places, self.positions, self.vertical = places, positions, vertical
+        self.up, self.up_std = vertical.up, np.radians(vertical.degrees)
         deviations = np.ones(self.positions.shape) if std is None else np.asarray(std, np.float64)
         deviations = np.maximum(deviations, LEAST_STD)
         # relative to the typical one, so that estimated standard deviations are in metres
@@ -176,22 +188,29 @@ class _Problem:
                 max(_rms_within(height, _typical(height) / 1.036), self.least_std)
                 if len(height) else np.inf)
 
-    def refined(self, similarity: Similarity) -> Similarity:
-        """The similarity at which reweighted least squares end."""
+    def refined(self, start: Similarity) -> Similarity | None:
+        """The similarity at which reweighted least squares end; None if they diverge."""
+        similarity = start
         for _ in range(ITERATIONS):
             step = self._step(similarity)
+            if step is None:
+                return None
+            step *= min(1.0, LARGEST_STEP / max(float(np.abs(step[:4]).max()), LARGEST_STEP))
             scale, turn, shift = np.exp(step[0]), step[1:4], step[4:]
             middle = similarity(self.places).mean(axis=0)
             rotation = Rotation.from_rotvec(turn).as_matrix()
             similarity = Similarity(
                 similarity.scale * scale, rotation @ similarity.rotation,
                 scale * rotation @ (similarity.translation - middle) + middle + shift)
+            if not 1 / LARGEST_CHANGE < similarity.scale / start.scale < LARGEST_CHANGE:
+                return None
             if np.abs(step[:4]).max() < 1e-8:
                 break
         return similarity
 
-    def _step(self, similarity: Similarity) -> NDArray[np.float64]:
-        """The Gauss-Newton step: logarithm of the scale, rotation vector [3], translation [3]."""
+    def _step(self, similarity: Similarity) -> NDArray[np.float64] | None:
+        """The Gauss-Newton step: logarithm of the scale, rotation vector [3], translation [3]; None
+        if there is none, as with squares that floats do not hold."""
         horizontal, vertical = self.residuals(similarity)
         away = similarity(self.places)
         away -= away.mean(axis=0)
@@ -213,8 +232,13 @@ class _Problem:
         matrix = np.concatenate([(root * columns).reshape(-1, 7), weight * prior])
         vector = np.concatenate([(root[:, :, 0] * errors).ravel(),
                                  weight * tilt * _direction(up[:2])])
-        solution: NDArray[np.float64] = -np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
-        return solution
+        if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
+            return None
+        try:
+            solution: NDArray[np.float64] = -np.linalg.lstsq(matrix, vector, rcond=1e-12)[0]
+        except np.linalg.LinAlgError:
+            return None
+        return solution if np.isfinite(solution).all() else None
 
     def _weights(self, similarity: Similarity, horizontal: NDArray[np.float64],
                  vertical: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -246,7 +270,6 @@ class _Problem:
         ground_std, height_std = self.deviations(similarity)
         ground = np.linalg.norm(horizontal, axis=1)
         used = ground <= OUTLIER * ground_std * self.horizontal_std
-        known = used & self.has_height
         heights = self.has_height & (np.abs(vertical) <= OUTLIER * height_std * self.vertical_std)
         weights = self._weights(similarity, horizontal, vertical)
         away = similarity(self.places)
@@ -254,8 +277,18 @@ class _Problem:
         # how well the heights tell the tilt, about the axis about which they tell it worst
         information = np.linalg.eigvalsh((level * weights[:, 2:]).T @ level)[0]
         return Alignment(
-            similarity, used, heights, _rms(ground[used]), _rms(vertical[known]),
-            bool(information > 1 / self.up_std**2))
+            similarity, used, heights, _rms(ground[used]), _rms(vertical[used & heights]),
+            bool(information > 1 / self.up_std**2), self.vertical.stands(similarity.rotation),
+            _diagonal(self.positions[used, :2]))
+
+    def is_consistent(self, result: Alignment) -> bool:
+        """Whether the positions that are used are enough, and residuals smaller than their spread.
+        """
+        if result.used.sum() < LEAST_POSITIONS:
+            return False
+        spread = self.positions[result.used, :2]
+        size = float(np.sqrt(((spread - spread.mean(axis=0))**2).sum(axis=1).mean()))
+        return bool(result.horizontal <= LARGEST_SHARE * size)
 
 
 def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp]:
@@ -265,6 +298,11 @@ def _samples(rng: np.random.Generator, count: int, size: int) -> NDArray[np.intp
     if size == 2 and count * (count - 1) // 2 <= SAMPLES:
         return np.column_stack(np.triu_indices(count, 1))
     return np.array([rng.choice(count, size, replace=False) for _ in range(SAMPLES)])
+
+
+def _diagonal(flat: NDArray[np.float64]) -> float:
+    """Of the box around places [N, 2]."""
+    return float(np.linalg.norm(np.ptp(flat, axis=0))) if len(flat) else 0.0
 
 
 def _direction(vector: NDArray[np.float64]) -> NDArray[np.float64]:

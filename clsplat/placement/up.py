@@ -2,13 +2,68 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+UP = np.array([0.0, 0.0, 1.0])  # in the axes east, north, up
 
 LEVEL_NOISE = 3e-4  # square of a degree in radians: nothing is known to be more level than that
 ITERATIONS = 20
 MOST_SAMPLED = 20_000  # points
+UNDETERMINED = 0.3  # ratio of spreads beyond which a direction is not known
+MOST_TILT = 30.0  # degrees between up in a result and a direction that is known to be up
+ON_ITS_HEAD = -0.7  # 0 if photos look upwards at 45 degrees, -1 if all is upside down
+CAMERA_DEGREES, GIMBAL_DEGREES = 3.0, 1.0  # standard deviations of up by cameras, and measured
 GIMBAL_SPREAD = 5.0  # degrees, median; gimbals that differ by more say nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Vertical:
+    """What is known of the vertical in a reconstruction.
+
+    Attributes
+    ----------
+    up : float64[3], the unit vector that most probably points up.
+    degrees : its standard deviation.
+    known : float64[K, 3], directions of which one points up; none if nothing determines it.
+    tops : float64[3], the mean over the photos of the direction of their top plus the one away
+        from which they look; None if `up` was measured.
+    """
+
+    up: NDArray[np.float64]
+    degrees: float
+    known: NDArray[np.float64]
+    tops: NDArray[np.float64] | None = None
+
+    @classmethod
+    def measured(cls, up: ArrayLike, degrees: float = GIMBAL_DEGREES) -> Vertical:
+        """By gimbals, or given by the user."""
+        vector = np.asarray(up, np.float64)
+        unit = vector / np.linalg.norm(vector)
+        return cls(unit, degrees, unit[None])
+
+    @classmethod
+    def by_cameras(cls, rotations: NDArray[np.float64], points: NDArray[np.float64]) -> Vertical:
+        """As `up_axis`. On a facade the plane of the points stands upright, so that both of its
+        candidates may be up."""
+        found = _candidates(rotations, points)
+        known = [direction for direction, ratio in found if ratio < UNDETERMINED]
+        return cls(found[0][0], CAMERA_DEGREES, np.array(known).reshape(-1, 3),
+                   -(rotations[:, 1] + rotations[:, 2]).mean(axis=0))
+
+    def tilt(self, rotation: NDArray[np.float64]) -> float:
+        """Degrees between up and the nearest direction that is known, once a rotation has turned
+        the reconstruction into east, north, up; 0 if none is."""
+        if not len(self.known):
+            return 0.0
+        return float(np.degrees(np.arccos(np.clip((self.known @ rotation.T)[:, 2].max(), -1, 1))))
+
+    def stands(self, rotation: NDArray[np.float64]) -> bool:
+        """Whether the turned reconstruction is neither upside down nor tilted far."""
+        upright = self.tops is None or bool((rotation @ self.tops)[2] > ON_ITS_HEAD)
+        return upright and self.tilt(rotation) <= MOST_TILT
 
 
 def up_axis(rotations: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -25,12 +80,18 @@ def up_axis(rotations: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
     rotations : [V, 3, 3], world to camera.
     points : [N, 3], world; sparse points.
     """
-    candidates = [_least_spread(rotations[:, 0])]
+    return _candidates(rotations, points)[0][0]
+
+
+def _candidates(rotations: NDArray[np.float64], points: NDArray[np.float64]
+                ) -> list[tuple[NDArray[np.float64], float]]:
+    """The candidates of `up_axis`, the better determined one first, with their ratios of spread."""
+    found = [_least_spread(rotations[:, 0])]
     if len(points):
-        candidates.append(_least_spread(_centred(points)))
-    up = min(candidates, key=lambda candidate: candidate[1])[0]
+        found.append(_least_spread(_centred(points)))
     tops = -rotations[:, 1].sum(axis=0) - rotations[:, 2].sum(axis=0)
-    return up if up @ tops >= 0 else -up
+    return [(axis if axis @ tops >= 0 else -axis, ratio)
+            for axis, ratio in sorted(found, key=lambda candidate: candidate[1])]
 
 
 def gimbal_up(rotations: NDArray[np.float64], pitches: NDArray[np.float64],

@@ -14,9 +14,9 @@ from clsplat import __version__
 from clsplat.errors import InputError
 from clsplat.io.colmap_format import CAMERA_MODELS
 from clsplat.io.folders import make_folder
-from clsplat.io.georeference.adjustment import check_marks
+from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
 from clsplat.io.georeference.control_points import (
-    ControlPoint,
+    ControlPoints,
     read_control_points,
     require_no_checks,
 )
@@ -24,6 +24,7 @@ from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import place_reconstruction
 from clsplat.io.levels import common_levels, is_deep, levels_note
+from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.mask_files import MASKS
 from clsplat.io.reason import reason
@@ -109,27 +110,29 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
 
     Raises
     ------
-    InputError : the photos cannot be used, they match too little, or the output exists.
+    InputError : the photos cannot be used, they match too little, the output exists, or the place
+        that the options ask for cannot be found. The scene is then complete but for its place, and
+        the same command with other control points goes on from there.
     """
     models = set(CAMERA_MODELS) - {"EQUIRECTANGULAR"}  # a pinhole camera cannot show a sphere
     if options.camera_model and options.camera_model not in models:
         raise InputError(f"--camera-model {options.camera_model}: is none of "
                          f"{', '.join(sorted(models))}; leave it out, or give one of them")
     crs = scene_crs(options.crs) if options.crs else None
-    control, crs = _control(options, crs)
+    control = _control(options, crs)
     sources = source, options.masks
     _check_output(output, sources, overwrite)
     times = _Times()
     with times.of("photos"):
         found = _photos(source, options, progress)
     if found is not None:
-        check_marks(control, {photo.name for photo in found[0]})
+        check_marks(control.points, {photo.name for photo in found[0]})
     pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     pycolmap.set_random_seed(0)
     make_folder(output)
     with exclusive(output):
         _check_output(output, sources, overwrite)  # another process may have finished a scene
-        _remove_scene(output)
+        _remove_scene(output, keeps=not overwrite)
         unfinished = Unfinished(output)
         make_folder(unfinished.folder)
         if found is None:
@@ -141,12 +144,7 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         resumed = unfinished.open(photos, _kept(options), overwrite)
         mapped, matching = _mapped(unfinished, photos, refused, cameras, options, times, progress,
                                    is_video(source))
-        model = mapped.reconstruction
-        for image in model.images.values():
-            image.name = photos[photo_index(image.image_id)].name
-        placed = place_reconstruction(model, {photo.name: photo.metadata for photo in photos},
-                                      crs=crs, control=control, adjusts=True,
-                                      keep_focal=are_calibrated(cameras))
+        model, placed, refused_place = _placed(mapped, unfinished, photos, cameras, control)
         unfinished.keep_photos_of(model)
         with times.of("undistortion"):
             names = write_scene(output, model, photos, progress)
@@ -159,6 +157,10 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
                   **record_of(mapped, cameras, placed, missing), "seconds": times.seconds,
                   "resumed": resumed}
         write_object(output / RECORD, record)
+        if refused_place and (options.control_points or options.crs):
+            raise InputError(
+                f"{output}: the scene is complete, but {placed.notes[0]}; correct this and give "
+                "the command again, which goes on from here, or train the scene without a place")
         unfinished.remove()
     return record
 
@@ -186,11 +188,32 @@ def is_finished(output: Path, source: Path) -> bool:
     return True
 
 
-def _control(options: SfmOptions, crs: str | None) -> tuple[Sequence[ControlPoint], str | None]:
-    """The ground control points, and the CRS of the scene."""
+def _placed(mapped: Mapped, unfinished: Unfinished, photos: Sequence[SourcePhoto],
+            cameras: Sequence[SourceCamera], control: ControlPoints
+            ) -> tuple[pycolmap.Reconstruction, Placed, bool]:
+    """The reconstruction in its place, what was found, and whether it has no place."""
+    def named(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+        for image in model.images.values():
+            image.name = photos[photo_index(image.image_id)].name
+        return model
+
+    metadata = {photo.name: photo.metadata for photo in photos}
+    model = named(mapped.reconstruction)
+    try:
+        placed = place_reconstruction(
+            model, metadata, crs=control.crs or None, control=control.points,
+            vertical=control.vertical, adjusts=True, keep_focal=are_calibrated(cameras))
+    except NotGeoreferenced as error:
+        model = named(unfinished.kept().reconstruction)  # as it was before an adjustment
+        return model, turned(model, metadata, error), True
+    return model, replace(placed, notes=(*control.notes, *placed.notes)), False
+
+
+def _control(options: SfmOptions, crs: str | None) -> ControlPoints:
+    """The ground control points, and the CRS of the scene, "" if it is not given."""
     if options.control_points is None:
         require_no_checks(options.check_points)
-        return (), crs
+        return ControlPoints(crs=crs or "")
     return read_control_points(options.control_points, crs, options.check_points)
 
 
@@ -202,7 +225,7 @@ def _check_output(output: Path, sources: Iterable[Path | None], overwrite: bool)
     sources : folders and files from which the scene is made.
     """
     if (output / RECORD).exists():
-        if not overwrite:
+        if not overwrite and not Unfinished.is_in(output):
             raise InputError(f"{output}: holds a reconstructed scene already; give another folder, "
                              "or --overwrite")
     elif output.exists() and not Unfinished.is_in(output) and (
@@ -214,10 +237,17 @@ def _check_output(output: Path, sources: Iterable[Path | None], overwrite: bool)
                              "folder for the scene")
 
 
-def _remove_scene(output: Path) -> None:
-    """Remove a finished scene that is to be replaced, its record first."""
+def _remove_scene(output: Path, keeps: bool) -> None:
+    """Remove a finished scene that is to be replaced, its record first.
+
+    Parameters
+    ----------
+    keeps : whether only the record is removed, of a scene that lacks its place.
+    """
     if (output / RECORD).exists():
         (output / RECORD).unlink()
+        if keeps:
+            return
         for name in (*OWN_FILES, UNFINISHED):  # the last, where a command was killed at its end
             path = output / name
             if path.is_dir():

@@ -7,6 +7,7 @@ from typing import Any
 
 import pycolmap
 
+from clsplat.georeference import Residual
 from clsplat.io.georeference.reconstruction import Placed
 from clsplat.io.records import plain
 from clsplat.sfm.database import image_id, partners
@@ -36,8 +37,14 @@ def record_of(mapped: Mapped, cameras: Sequence[SourceCamera], placed: Placed,
         "cameras": [_camera(model.cameras[number], source)
                     for number, source in enumerate(cameras, 1) if number in model.cameras],
         "georeferenced": placed.georeference is not None, "up": placed.up,
-        "control_points": [asdict(each) for each in placed.control], "notes": placed.notes})
+        "control_points": [asdict(each) for each in _control(placed)], "notes": placed.notes,
+        "warnings": placed.warnings})
     return record
+
+
+def _control(placed: Placed) -> tuple[Residual, ...]:
+    known = placed.georeference
+    return known.residuals if known is not None and known.kind == "gcp" else ()
 
 
 def _camera(camera: Any, source: SourceCamera) -> dict[str, Any]:

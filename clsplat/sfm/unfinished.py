@@ -101,6 +101,11 @@ class Unfinished:
             write_object(partial / MAPPED, {"method": result.method,
                                             "elsewhere": list(result.elsewhere)})
             partial.rename(kept)
+        return self.kept()
+
+    def kept(self) -> Mapped:
+        """The reconstruction that `mapped` keeps."""
+        kept = self.folder / MODEL
         record = object_of(read_regular(kept / MAPPED))
         return Mapped(pycolmap.Reconstruction(kept), record["method"], tuple(record["elsewhere"]))
 

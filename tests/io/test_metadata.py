@@ -23,10 +23,12 @@ def photo(path, exif=None, xmp=None, size=(64, 48)):
     assert output.open(str(path), spec)
     assert output.write_image(np.zeros((size[1], size[0], 3), np.uint8)) and output.close()
     if xmp is not None:
-        values = " ".join(f'drone-dji:{name}="{value}"' for name, value in xmp.items())
+        values = " ".join(f'{name if ":" in name else "drone-dji:" + name}="{value}"'
+                          for name, value in xmp.items())
         text = ("http://ns.adobe.com/xap/1.0/\0<x:xmpmeta xmlns:x=\"adobe:ns:meta/\"><rdf:RDF "
                 "xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\"><rdf:Description "
-                f"xmlns:drone-dji=\"http://www.dji.com/drone-dji/1.0/\" {values}/></rdf:RDF>"
+                f"xmlns:drone-dji=\"http://www.dji.com/drone-dji/1.0/\" "
+                f"xmlns:Camera=\"http://pix4d.com/camera/1.0\" {values}/></rdf:RDF>"
                 "</x:xmpmeta>").encode()
         data = path.read_bytes()
         path.write_bytes(data[:2] + b"\xff\xe1" + (len(text) + 2).to_bytes(2, "big") + text
@@ -56,11 +58,48 @@ def test_position_has_signs(tmp_path):
     {"GPS:Latitude": (0.0, 0.0, 0.0), "GPS:Longitude": (0.0, 0.0, 0.0)},
     {"GPS:Latitude": (91.0, 0.0, 0.0)},
     {"GPS:Longitude": (181.0, 0.0, 0.0)},
-    {"GPS:Status": "V"},
 ])
 def test_positions_that_cannot_be_true_are_left_out(tmp_path, wrong):
     data = read_metadata(photo(tmp_path / "a.jpg", {**GPS, **wrong}))
     assert data.latitude is None and data.longitude is None
+
+
+COARSE = {"GPS:LatitudeRef": "N", "GPS:Latitude": (42.0, 17.0, 56.0), "GPS:LongitudeRef": "W",
+          "GPS:Longitude": (71.0, 6.0, 6.0), "GPS:AltitudeRef": 0, "GPS:Altitude": 0.0}
+FINE = {"GpsLatitude": "+42.298913477", "GpsLongitude": "-71.101793218",
+        "AbsoluteAltitude": "+433.86"}
+OF_XMP, OF_EXIF = (42.298913477, -71.101793218), (42 + 17 / 60 + 56 / 3600, -71.1 - 6 / 3600)
+
+
+@pytest.mark.parametrize("exif, xmp, place, altitude", [
+    ({}, {}, OF_XMP, 433.86),  # whole seconds and no altitude give way to XMP that agrees
+    ({"GPS:Altitude": 12.5}, {}, OF_XMP, 12.5),
+    ({}, {"AbsoluteAltitude": "nan"}, OF_XMP, 0),
+    ({}, {"GpsLatitude": "+42.31"}, OF_EXIF, 433.86),  # it does not agree
+    ({}, {"GpsLatitude": "0", "GpsLongitude": "0"}, OF_EXIF, 433.86),
+    ({}, {"GpsLatitude": "a"}, OF_EXIF, 433.86),  # XMP has a longitude alone
+    ({"GPS:Latitude": (42.0, 17.0, 56.0885), "GPS:Longitude": (71.0, 6.0, 6.4556)}, {},
+     (42.29891347, -71.10179322), 433.86),
+    ({"GPS:Latitude": (42.2989, 0.0, 0.0), "GPS:Longitude": (71.1018, 0.0, 0.0)}, {}, OF_XMP,
+     433.86),  # few decimals of degrees
+    ({"GPS:Latitude": (42.0, 17.935, 0.0), "GPS:Longitude": (71.0, 6.108, 0.0)}, {}, OF_XMP,
+     433.86),  # and of minutes
+    ({"GPS:Status": "V", "GPS:LatitudeRef": "North", "GPS:LongitudeRef": "w"}, {}, OF_XMP, 433.86),
+    ({"GPS:Altitude": 5.0, "GPS:AltitudeRef": 1}, {}, OF_XMP, -5),
+    ({"GPS:Altitude": 5.0, "GPS:AltitudeRef": 2}, {}, OF_XMP, 5),
+    ({"GPS:Altitude": 5.0, "GPS:AltitudeRef": 3}, {}, OF_XMP, -5)])
+def test_the_finer_of_two_sources_that_agree(tmp_path, exif, xmp, place, altitude):
+    data = read_metadata(photo(tmp_path / "a.jpg", {**COARSE, **exif}, {**FINE, **xmp}))
+    assert (data.latitude, data.longitude) == pytest.approx(place, abs=1e-8)
+    assert data.altitude == pytest.approx(altitude, abs=1e-4)
+    assert data.void == ("GPS:Status" in exif)
+    assert data.above_ellipsoid == (exif.get("GPS:AltitudeRef") in (2, 3))
+
+
+def test_accuracies_of_pix4d(tmp_path):
+    data = read_metadata(photo(tmp_path / "a.jpg", GPS, {"Camera:GPSXYAccuracy": 2,
+                                                         "Camera:GPSZAccuracy": 3}))
+    assert data.gps_std == (2, 2, 3)
 
 
 def test_body_and_lens(tmp_path):

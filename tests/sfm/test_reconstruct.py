@@ -89,13 +89,38 @@ def test_a_scene_without_a_place_keeps_none_of_a_killed_command(tmp_path, monkey
     model = synthetic()
     photos = folder_of(tmp_path / "in", [f"{index}.jpg" for index in range(6)], size=(320, 240))
     monkeypatch.setattr(module, "_mapped", lambda unfinished, photos, refused, cameras, *_: (
-        create_database(unfinished.database, cameras), (Mapped(model, "global"), "all"))[1])
+        create_database(unfinished.database, cameras),
+        (unfinished.mapped(lambda: Mapped(model, "global")), "all"))[1])
     (tmp_path / "out" / ".sfm").mkdir(parents=True)
     write_georeference(tmp_path / "out", Georeference("EPSG:32632", (1.0, 2.0, 3.0), "GPS", 0.1))
     record = reconstruct(photos, tmp_path / "out", SfmOptions(), Lines())
     assert record["registered"] == 6 and not record["georeferenced"]
     assert read_scene(tmp_path / "out").georeference is None
     assert is_finished(tmp_path / "out", photos)
+
+
+def test_a_scene_whose_place_was_asked_for_is_kept_without_it(tmp_path, monkeypatch):
+    """The same command, corrected, goes on."""
+    model = synthetic()
+    photos = folder_of(tmp_path / "in", [f"{index}.jpg" for index in range(6)], size=(320, 240))
+    mapped = []
+
+    def fake(unfinished, photos, refused, cameras, *_):
+        if not unfinished.database.exists():
+            create_database(unfinished.database, cameras)
+        return unfinished.mapped(lambda: (mapped.append(1), Mapped(model, "global"))[1]), "all"
+
+    monkeypatch.setattr(module, "_mapped", fake)
+    for _ in range(2):
+        result = clsplat_("sfm", "-q", photos, "-o", tmp_path / "out", "--crs", "EPSG:32632")
+        assert result.exit_code == 2 and result.output.count("\n") == 1
+        assert "the scene is complete, but not georeferenced: no photo has GPS;" in result.output
+        assert len(read_scene(tmp_path / "out").views) == 6
+        assert not json.loads((tmp_path / "out/sfm.json").read_text())["georeferenced"]
+    assert clsplat_("sfm", "-q", photos, "-o", tmp_path / "out").output == ""
+    assert not (tmp_path / "out/.sfm").exists() and len(mapped) == 1
+    assert "holds a reconstructed scene already" in clsplat_(
+        "sfm", photos, "-o", tmp_path / "out").output
 
 
 @pytest.mark.parametrize("free", [60_000, None])

@@ -18,12 +18,26 @@ import pycolmap
 from numpy.typing import NDArray
 
 from clsplat.errors import InputError
+from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Residual
 from clsplat.io.georeference.control_points import ControlPoint
 from clsplat.placement.alignment import LEAST_POSITIONS
 from clsplat.placement.control_points import intersection, miss_angles
 
 MARK_TOLERANCE = 20.0  # pixels by which a mark may miss the point that the others show
 ADJUSTED_TOLERANCE = 8.0  # pixels, RMS of the marks of a point to which the bundle is adjusted
+
+
+class NotGeoreferenced(InputError):
+    """Why a reconstruction has no place on the earth.
+
+    Attributes
+    ----------
+    expected : whether nothing is wrong: there are simply too few positions.
+    """
+
+    def __init__(self, why: str, expected: bool = False) -> None:
+        super().__init__(why)
+        self.expected = expected
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,26 +54,6 @@ class Located:
     point: ControlPoint
     marks: tuple[tuple[int, float, float], ...]
     place: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class ControlResidual:
-    """How a georeferenced scene shows a ground control point.
-
-    Attributes
-    ----------
-    name : of the point.
-    role : "control", "check", or "left out", which is a control point that is wrong.
-    east, north, up : metres, from the known place to the one that the marks show.
-    pixels : RMS distance of the marks from the known place.
-    """
-
-    name: str
-    role: str
-    east: float
-    north: float
-    up: float
-    pixels: float
 
 
 def check_marks(control: Iterable[ControlPoint], photos: Collection[str]) -> None:
@@ -143,14 +137,14 @@ def adjust(reconstruction: Any, located: Sequence[Located], offset: NDArray[np.f
 
     Raises
     ------
-    InputError : fewer than three of the points agree with the photos.
+    NotGeoreferenced : fewer than three of the points agree with the photos.
     """
     used = list(located)
     while True:
         if len(used) < LEAST_POSITIONS:
-            raise InputError(f"--gcp: fewer than {LEAST_POSITIONS} ground control points agree "
-                             "with the photos; check coordinates, their order (X is east), the CRS "
-                             "and the marks")
+            raise NotGeoreferenced(
+                f"--gcp: fewer than {LEAST_POSITIONS} ground control points agree with the photos; "
+                "check coordinates, their order (X is east), the CRS and the marks")
         _adjust(reconstruction, used, offset, keep_focal)
         misses = [mark_error(reconstruction, item, offset) for item in used]
         worst = int(np.argmax(misses))
@@ -196,7 +190,7 @@ def mark_error(reconstruction: Any, item: Located, offset: NDArray[np.float64]) 
 
 
 def residuals(reconstruction: Any, located: Iterable[Located], used: Iterable[Located],
-              offset: NDArray[np.float64]) -> tuple[ControlResidual, ...]:
+              offset: NDArray[np.float64]) -> tuple[Residual, ...]:
     """How a georeferenced reconstruction shows ground control points.
 
     Parameters
@@ -211,8 +205,8 @@ def residuals(reconstruction: Any, located: Iterable[Located], used: Iterable[Lo
         if found is None:
             continue
         miss = found.place + offset - point.position
-        role = "check" if point.is_check else "control" if point.name in names else "left out"
+        role = CHECK if point.is_check else CONTROL if point.name in names else LEFT_OUT
         east, north, up = np.round(miss, 4).tolist()
         pixels = round(mark_error(reconstruction, item, offset), 2)
-        result.append(ControlResidual(point.name, role, east, north, up, pixels))
+        result.append(Residual(point.name, role, east, north, up, pixels))
     return tuple(result)

@@ -1,8 +1,9 @@
 """Reads ground control points: places with known coordinates that were marked in photos.
 
 Two formats. OpenDroneMap's gcp_list.txt: the coordinate reference system (CRS) in the first line,
-then in each line, separated by spaces or tabs, the coordinates X Y Z of a point, its pixel position
-in a photo, the photo's name and, if it has one, the point's name. And CSV with the header
+then in each line, separated by tabs or, in a line without any, by spaces, the coordinates X Y Z of
+a point, its pixel position in a photo, the photo's name and, if it has one, the point's name. And
+CSV with the header
 name,x,y,z,pixel_x,pixel_y,image, before which the CRS may stand in a line of its own. Lines that
 begin with # are ignored.
 """
@@ -18,7 +19,15 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.io.georeference.crs import WGS84, has_metres, normal_crs, on_ground
+from clsplat.io.georeference.crs import (
+    WGS84,
+    converted_heights,
+    has_metres,
+    heights_of,
+    horizontal,
+    normal_crs,
+    on_ground,
+)
 from clsplat.io.georeference.earth import map_positions
 from clsplat.io.reason import clean, reason
 from clsplat.io.regular import read_regular
@@ -46,8 +55,26 @@ class ControlPoint:
     is_check: bool = False
 
 
+@dataclass(frozen=True)
+class ControlPoints:
+    """The ground control points of a file.
+
+    Attributes
+    ----------
+    points : in the order of the file.
+    crs : of their coordinates.
+    vertical : what their heights count from, a phrase; "" if the file does not state it.
+    notes : how heights were understood, lines for the user.
+    """
+
+    points: tuple[ControlPoint, ...] = ()
+    crs: str = ""
+    vertical: str = ""
+    notes: tuple[str, ...] = ()
+
+
 def read_control_points(path: str | Path, crs: str | None = None, checks: Collection[str] = ()
-                        ) -> tuple[list[ControlPoint], str]:
+                        ) -> ControlPoints:
     """Read ground control points.
 
     Parameters
@@ -56,10 +83,6 @@ def read_control_points(path: str | Path, crs: str | None = None, checks: Collec
     crs : as `crs.scene_crs` returns it, into which coordinates are converted. None: the
         file's, or the UTM zone if those are degrees.
     checks : names of those that are check points.
-
-    Returns
-    -------
-    The points, in the order of the file, and the CRS of their coordinates.
 
     Raises
     ------
@@ -86,7 +109,8 @@ def read_control_points(path: str | Path, crs: str | None = None, checks: Collec
     _check_names(path, [key for key in points if key[0]])
     if not points:
         raise InputError(f"{path}: has no ground control points; {CURE}")
-    places, target = _in_metres(path, np.array([key[1:] for key in points]), own, crs)
+    places, target, vertical, notes = _in_metres(
+        path, np.array([key[1:] for key in points]), own, crs)
     lost = [key for key, place in zip(points, places) if not np.isfinite(place).all()]
     if lost:
         name, *place = lost[0]
@@ -98,8 +122,10 @@ def read_control_points(path: str | Path, crs: str | None = None, checks: Collec
         if name not in names:
             raise InputError(f"--check-point {name}: {path} has no point of this name; it has "
                              f"{clean(', '.join(names))}")
-    return [ControlPoint(name, tuple(place), tuple(marks), name in checks)
-            for name, marks, place in zip(names, points.values(), places.tolist())], target
+    return ControlPoints(
+        tuple(ControlPoint(name, tuple(place), tuple(marks), name in checks)
+              for name, marks, place in zip(names, points.values(), places.tolist())),
+        target, vertical, notes)
 
 
 def require_no_checks(checks: Collection[str]) -> None:
@@ -119,6 +145,12 @@ def _check_names(path: Path, points: Sequence[tuple[str, float, float, float]]) 
                              "rename it")
 
 
+def _cells(line: str) -> list[str]:
+    """Of a line without a header: names with blanks need tabs."""
+    return [cell.strip() for cell in line.strip().split("\t")] if line.count("\t") >= 5 else (
+        line.split())
+
+
 def _is_header(line: str) -> bool:
     return [cell.strip().lower() for cell in line.split(",")][:len(COLUMNS)] == list(COLUMNS)
 
@@ -132,7 +164,7 @@ def _rows(path: Path, lines: Sequence[tuple[int, str]]
             if separated:
                 name, x, y, z, pixel_x, pixel_y, image, *_ = next(csv.reader([line]))
             else:
-                x, y, z, pixel_x, pixel_y, image, *rest = line.split()
+                x, y, z, pixel_x, pixel_y, image, *rest = _cells(line)
                 name = rest[0] if rest else ""
             values = [float(cell) for cell in (x, y, z, pixel_x, pixel_y)]
             if not all(math.isfinite(value) and abs(value) < 1e9 for value in values):
@@ -146,9 +178,25 @@ def _rows(path: Path, lines: Sequence[tuple[int, str]]
 
 
 def _in_metres(path: Path, places: np.ndarray, own: str, crs: str | None
-               ) -> tuple[np.ndarray, str]:
-    """Coordinates in `crs`, or else in metres, and their CRS."""
+               ) -> tuple[np.ndarray, str, str, tuple[str, ...]]:
+    """Coordinates in `crs`, or else in metres, their CRS, what heights count from, and notes."""
+    heights, flat = heights_of(own), horizontal(own)
+    notes = []
+    metres = places * (1, 1, heights.metres)
+    if heights.metres != 1:
+        notes.append(f"heights of {path} are taken as {heights.unit}, "
+                     f"{'of ' + heights.name if heights.name else 'the unit of its x and y'}")
+    if crs is not None and heights_of(crs).name not in ("", heights.name):
+        if heights.name:
+            metres[:, 2] = converted_heights(own, crs, places, str(path))
+            heights = heights_of(crs)
+        else:
+            notes.append(f"heights of {path} have no vertical CRS, so they are not labelled as "
+                         f"{heights_of(crs).name}; write a compound CRS into its first line")
+            crs = horizontal(crs)
     if crs is None and not has_metres(own, str(path)):
-        degrees = on_ground(own, WGS84, places)
-        return map_positions(degrees[:, 1], degrees[:, 0], degrees[:, 2])
-    return on_ground(own, crs or own, places), crs or own
+        degrees = on_ground(flat, WGS84, metres)
+        return *map_positions(degrees[:, 1], degrees[:, 0], degrees[:, 2]), heights.name, (*notes,)
+    # compound only where heights are in that unit
+    target = crs or (own if heights.metres == 1 else flat)
+    return on_ground(flat, horizontal(target), metres), target, heights.name, (*notes,)

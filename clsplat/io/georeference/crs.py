@@ -10,6 +10,7 @@ import logging
 import re
 from collections.abc import Callable
 from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ WGS84, GEODETIC, GEOCENTRIC = "EPSG:4326", "EPSG:4979", "EPSG:4978"
 UTM_EPSG = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
 UTM_WORDS = re.compile(r"(?:WGS ?84)?[ /]*UTM (?:zone )?(0?[1-9]|[1-5]\d|60) ?([NS])",
                        re.IGNORECASE)
+UTM_BAND = re.compile(r"(?:WGS ?84)?[ /]*UTM (?:zone )?(\d+) ?([C-HJ-MP-X])", re.IGNORECASE)
+MARGIN = 5.0  # degrees around the area of use of a CRS, in which maps still use it
 LOCAL = ("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")  # how the WKT of local coordinates begins
 WEB_MERCATOR = "1024"  # EPSG's code of its projection
 SHOWN = 60  # characters of a CRS in a message
@@ -60,6 +63,10 @@ def normal_crs(text: str, name: str = "--crs") -> str:
         return f"EPSG:32{'6' if words[2] in 'nN' else '7'}{int(words[1]):02d}"
     if UTM_EPSG.fullmatch(text.upper()) or text.upper() == WGS84:
         return text.upper()
+    band = UTM_BAND.fullmatch(text)
+    if band:
+        raise InputError(f"{name} {_shown(text)}: {band[2]} is a latitude band; write N or S, for "
+                         f"the northern or the southern hemisphere, such as WGS84 UTM {band[1]}N")
     system = pyproj_crs(text, name)
     code = system.to_authority(min_confidence=70)
     return ":".join(code) if code else " ".join(system.to_wkt().split())
@@ -225,6 +232,105 @@ def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Pa
         return None
     convert = conversion(flat.to_wkt(), target, f"{path}: CRS")
     return np.column_stack([convert(points[:, :2]), unit * points[:, 2]])
+def outside(crs: str, points: ArrayLike) -> str:
+    """Where the middle of map coordinates lies, if it is outside the area in which a CRS is used;
+    "" if it is inside, or if the CRS has no such area.
+
+    Parameters
+    ----------
+    crs : projected, as `normal_crs` returns it.
+    points : float[N, 2] or float[N, 3], map coordinates.
+    """
+    east, north = np.median(np.asarray(points, np.float64)[:, :2], axis=0)
+    where = f"at east {east:.0f}, north {north:.0f}"
+    utm = UTM_EPSG.fullmatch(crs)
+    if utm:
+        latitude = (north - 1e7 * (utm[1] == "7")) / 111_000
+        reach = 111_300 * (3 + MARGIN) * np.cos(np.radians(latitude))
+        return "" if abs(latitude) < 84 + MARGIN and abs(east - 5e5) < reach else where
+    system = pyproj_crs(crs, "CRS")
+    ((longitude, latitude),) = converter(horizontal(crs), WGS84)([(east, north)])
+    area = system.area_of_use
+    if not np.isfinite(latitude):
+        return where
+    if area is None:
+        return ""
+    width = min((area.east - area.west) % 360 or 360, 360 - 2 * MARGIN)
+    if area.south - MARGIN <= latitude <= area.north + MARGIN and (
+            (longitude - area.west + MARGIN) % 360 <= width + 2 * MARGIN):
+        return ""
+    return f"{where}, which is latitude {latitude:.1f}, longitude {longitude:.1f}"
+
+
+def horizontal(crs: str) -> str:
+    """The horizontal part of a compound CRS, as `normal_crs` returns it; others as they are."""
+    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
+        return crs
+    system = pyproj_crs(crs, "CRS")
+    flat = system.sub_crs_list[0] if system.is_compound else system.to_2d()
+    return normal_crs(flat.to_wkt()) if flat != system else crs
+
+
+@dataclass(frozen=True)
+class Heights:
+    """What the third coordinates of a CRS are.
+
+    Attributes
+    ----------
+    name : of the vertical CRS, "" if the CRS has no vertical part.
+    metres : in their unit, which is that of x and y if there is no vertical part, and the metre
+        with degrees.
+    unit : its name.
+    """
+
+    name: str
+    metres: float
+    unit: str
+
+
+def heights_of(crs: str) -> Heights:
+    """What the third coordinates of a CRS are, as `normal_crs` returns it."""
+    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
+        return Heights("", 1.0, "metre")
+    system = pyproj_crs(crs, "CRS")
+    axes = system.axis_info
+    if len(axes) > 2:
+        name = (system.sub_crs_list[1].name if system.is_compound else
+                f"height above the ellipsoid of {system.name}")
+        return Heights(name, axes[2].unit_conversion_factor, axes[2].unit_name)
+    if not system.is_projected:
+        return Heights("", 1.0, "metre")
+    return Heights("", axes[0].unit_conversion_factor, axes[0].unit_name)
+
+
+def converted_heights(source: str, target: str, points: ArrayLike, why: str
+                      ) -> NDArray[np.float64]:
+    """Heights float64[N] of points of one CRS in the vertical part of another one.
+
+    Parameters
+    ----------
+    source, target : with vertical parts.
+    points : float[N, 3], in `source`, east or longitude first.
+    why : what needs it, for messages.
+
+    Raises
+    ------
+    InputError : PROJ has no transformation, or not the grid of the geoid that it needs.
+    """
+    pyproj = _pyproj(why)
+    systems = [pyproj_crs(crs, why) for crs in (source, target)]
+    try:
+        heights = pyproj.Transformer.from_crs(
+            *systems, always_xy=True, allow_ballpark=False, only_best=True
+        ).transform(*np.asarray(points, np.float64).T)[2]
+    except pyproj.exceptions.ProjError:
+        heights = np.array([np.nan])
+    result: NDArray[np.float64] = np.asarray(heights, np.float64)
+    if not np.isfinite(result).all():
+        raise InputError(f"{why}: heights in {_shown(heights_of(source).name)} cannot be converted "
+                         f"to {_shown(heights_of(target).name)}, since PROJ lacks the geoid's grid "
+                         "here; give the scene a CRS with the same vertical part, or with none")
+    return result
 
 
 def _is_metric(system: Any) -> bool:

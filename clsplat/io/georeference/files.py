@@ -1,6 +1,7 @@
 """The place and the orientation of a scene on disk, in the folder of a scene or of a run.
 
-georeference.json has the attributes of `Georeference`. orientation.json has `up`, a unit vector,
+georeference.json has the attributes of `Georeference`, and for other programs what follows from its
+residuals (`georeference_record`). orientation.json has `up`, a unit vector,
 and in a run folder `first_view`, a camera; both are in original coordinates.
 """
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.georeference import Georeference
+from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Georeference, Residual
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, write_object
 from clsplat.io.regular import read_regular
@@ -36,7 +37,7 @@ def write_georeference(folder: str | Path, georeference: Georeference | None) ->
     if georeference is None:
         path.unlink(missing_ok=True)
     else:
-        write_object(path, asdict(georeference), indent=2)
+        write_object(path, georeference_record(georeference), indent=2)
 
 
 def read_georeference(folder: str | Path) -> Georeference | None:
@@ -50,18 +51,58 @@ def read_georeference(folder: str | Path) -> Georeference | None:
                          "file") from None
 
 
+def georeference_record(known: Georeference) -> dict[str, Any]:
+    """The record of georeference.json: the attributes, and by role how many places there are
+    (`control_count`, `check_count`), the names of those left out, and errors by axis."""
+    return {**asdict(known), "control_count": len(known.names(CONTROL)),
+            "check_count": len(known.names(CHECK)), "left_out": list(known.names(LEFT_OUT)),
+            **{f"{role}_errors": {axis: asdict(error) for axis, error in known.errors(role).items()}
+               for role in (CONTROL, CHECK)}}
+
+
 def georeference_of(record: dict[str, Any]) -> Georeference:
-    """The georeference of a record of JSON; ValueError says what is wrong."""
-    crs, source = record.get("crs"), record.get("source", "")
+    """The georeference of a record of JSON; ValueError says what is wrong. Records of older
+    versions lack most keys."""
+    crs = record.get("crs")
     if not (isinstance(crs, str) and 0 < len(crs.strip()) <= LONGEST_CRS and crs.isprintable()):
         raise ValueError("crs is not a line of text")
-    if not (isinstance(source, str) and len(source) <= LONGEST_CRS):
-        raise ValueError("source is not a text")
-    residual = record.get("residual", 0.0)
-    if not _is_number(residual) or residual < 0:
-        raise ValueError("residual is not a distance")
     east, north, height = _numbers(record, "offset", 3)
-    return Georeference(crs, (east, north, height), source, float(residual))
+    rows, warnings = record.get("residuals", []), record.get("warnings", [])
+    if not (isinstance(rows, list) and all(isinstance(row, dict) for row in rows)):
+        raise ValueError("residuals are not a list of objects")
+    if not (isinstance(warnings, list) and all(map(_is_text, warnings))):
+        raise ValueError("warnings are not a list of texts")
+    source, kind, vertical = (_text(record, key) for key in ("source", "kind", "vertical"))
+    residual, size = (_distance(record, key) for key in ("residual", "size"))
+    return Georeference(crs, (east, north, height), source, residual, kind, size, vertical,
+                        tuple(map(_residual, rows)), tuple(warnings))
+
+
+def _residual(row: dict[str, Any]) -> Residual:
+    east, north, up, pixels = (row.get(key) for key in ("east", "north", "up", "pixels"))
+    if not all(value is None or _is_number(value) for value in (up, pixels)) or not (
+            _is_number(east) and _is_number(north)):
+        raise ValueError("residuals are not distances")
+    return Residual(_text(row, "name"), _text(row, "role"), float(east or 0), float(north or 0), up,
+                    pixels)
+
+
+def _text(record: dict[str, Any], key: str) -> str:
+    value = record.get(key, "")
+    if not _is_text(value):
+        raise ValueError(f"{key} is not a text")
+    return str(value)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and len(value) <= LONGEST_CRS
+
+
+def _distance(record: dict[str, Any], key: str) -> float:
+    value = record.get(key, 0.0)
+    if not _is_number(value) or value < 0:
+        raise ValueError(f"{key} is not a distance")
+    return float(value)
 
 
 def write_orientation(folder: str | Path, up: ArrayLike, first_view: Camera | None = None) -> None:

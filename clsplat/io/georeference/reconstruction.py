@@ -11,27 +11,30 @@ import pycolmap
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from clsplat.errors import InputError
-from clsplat.georeference import Georeference
-from clsplat.io.georeference.adjustment import (
-    ControlResidual,
-    Located,
-    adjust,
-    locate,
-    residuals,
-)
+from clsplat.georeference import CHECK, CONTROL, LEFT_OUT, Georeference, Residual
+from clsplat.io.georeference.adjustment import NotGeoreferenced, adjust, locate, residuals
 from clsplat.io.georeference.control_points import ControlPoint
-from clsplat.io.georeference.earth import map_positions
+from clsplat.io.georeference.measured import (
+    Measured,
+    by_control,
+    by_gps,
+    listed,
+    require_near_gps,
+)
 from clsplat.io.metadata import PhotoMetadata
-from clsplat.placement.alignment import LEAST_POSITIONS, UP, Alignment, aligned
+from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, Alignment
+from clsplat.placement.plausible import (
+    Implausible,
+    believed,
+    doubts,
+    position_doubts,
+    residual_doubts,
+)
 from clsplat.placement.similarity import rotation_to
-from clsplat.placement.up import gimbal_up, up_axis
+from clsplat.placement.up import CAMERA_DEGREES, UP, Vertical, gimbal_up
 
-GIMBAL_DEGREES, CAMERA_DEGREES = 1.0, 3.0  # standard deviations of up by gimbals, and by cameras
 LEAST_GIMBALS = 0.5  # share of the photos whose gimbals must be known
-UNKNOWN_STD = 3.0  # metres, of GPS that does not state it, among photos that do
 LOWEST_GROUND = -30.0  # metres; hardly any land lies lower
-SHOWN_NAMES = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,24 +46,23 @@ class Placed:
     georeference : of its new coordinates; None if it is not georeferenced.
     up : float64[3], the unit vector that points up in them.
     notes : lines for the user: what was done, with residuals, or why it was not.
-    control : how it shows the ground control points that could be located.
+    warnings : sentences that a user must see, even if all else is quiet.
     """
 
     georeference: Georeference | None
     up: NDArray[np.float64]
     notes: tuple[str, ...]
-    control: tuple[ControlResidual, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def place_reconstruction(reconstruction: pycolmap.Reconstruction,
                          metadata: Mapping[str, PhotoMetadata], *, crs: str | None = None,
-                         control: Sequence[ControlPoint] = (), up: ArrayLike | None = None,
-                         adjusts: bool = False, keep_focal: bool = False) -> Placed:
+                         control: Sequence[ControlPoint] = (), vertical: str = "",
+                         up: ArrayLike | None = None, adjusts: bool = False,
+                         keep_focal: bool = False) -> Placed:
     """Turn, scale and move a reconstruction in place, so that its axes are east, north and up.
 
-    Ground control points decide if there are any, otherwise GPS. If neither determines the place,
-    the reconstruction is only turned, so that the direction (0, -1, 0) points up, as most viewers
-    expect.
+    Ground control points decide if there are any, otherwise GPS.
 
     Parameters
     ----------
@@ -69,6 +71,7 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     crs : the coordinate reference system, see `crs.scene_crs`; None: the UTM zone. That of
         `control`, if there is any.
     control : ground control points.
+    vertical : what their heights count from.
     up : float[3], in the reconstruction, the direction that points up; None: by gimbals or cameras.
     adjusts : whether cameras and points are then adjusted to the control points; otherwise the
         reconstruction keeps its shape.
@@ -76,29 +79,18 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
 
     Raises
     ------
-    InputError : the control points cannot be used.
+    NotGeoreferenced : nothing determines the place, or the result cannot be right. After
+        `adjusts` the reconstruction may have changed, and is of no use.
     """
-    images = sorted((image for image in reconstruction.images.values() if image.has_pose),
-                    key=lambda image: image.name)
-    points = np.array([point.xyz for point in reconstruction.points3D.values()]).reshape(-1, 3)
-    up_vector, degrees = _up(images, points, metadata, up)
+    images, points = _content(reconstruction)
+    known_up = _vertical(images, points, metadata, up)
     located, lost = locate(reconstruction, control)
     used = [item for item in located if not item.point.is_check]
+    measured = by_control(used, lost, crs or "", vertical) if control else by_gps(
+        images, metadata, crs)
+    result = _believed(measured, known_up, bool(control))
     if control:
-        assert crs is not None  # that of the control points
-        result = _by_control(used, lost, up_vector, degrees)
-        source, kind = "", "the ground control points"
-    else:
-        known = [(image, metadata[image.name]) for image in images
-                 if image.name in metadata and metadata[image.name].latitude is not None]
-        kind = "the photos' GPS"
-        if len(known) < LEAST_POSITIONS:
-            why = "no photo has GPS" if not known else f"only {len(known)} photos have GPS"
-            return _turned(reconstruction, up_vector, f"not georeferenced: {why}")
-        result, source, crs = _by_gps(known, up_vector, degrees, crs)
-    if result is None:
-        return _turned(reconstruction, up_vector, f"not georeferenced: {kind} and the "
-                       "reconstruction contradict each other, or the places are too close together")
+        require_near_gps(result, images, metadata, measured.crs)
     centres = np.array([image.projection_center() for image in images])
     ground = np.median(result.similarity(points if len(points) else centres), axis=0)
     offset = np.round(ground)
@@ -107,38 +99,102 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
         similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation))
     level = ([] if result.levelled_by_heights else
              ["heights do not tell which way is up; the "
-              f"{'cameras' if degrees == CAMERA_DEGREES else 'gimbals'} do"])
+              f"{'cameras' if known_up.degrees == CAMERA_DEGREES else 'gimbals'} do"])
     if control:
         used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
                 [item for item, right in zip(used, result.used & result.used_heights) if right])
         found = residuals(reconstruction, located, used, offset)
         source, residual, notes = _by_residuals(found, lost, adjusts)
-        return _placed(crs, offset, source, residual, [*notes, *level], found)
-    notes = [f"georeferenced by the {source}: {_residuals(result)}", *level]
-    if ground[2] < LOWEST_GROUND:
-        notes.append(f"by the photos' altitudes the ground lies at {ground[2]:.0f} m: these are "
-                     "probably not heights above sea level; give --gcp if heights matter")
-    return _placed(crs, offset, source, result.horizontal, notes)
-
-
-def _placed(crs: str, offset: NDArray[np.float64], source: str, residual: float,
-            notes: Sequence[str], control: tuple[ControlResidual, ...] = ()) -> Placed:
+        warnings = [*_control_doubts(found, result.size),
+                    *position_doubts(result, measured.positions, known_up, True)]
+    else:
+        source, found, residual = _gps_source(measured, result), _missed(measured, result), \
+            result.horizontal
+        notes = [f"georeferenced by the {source}: {_residuals(result)}"]
+        warnings = doubts(result, measured.positions, known_up, "the flight")
+        if ground[2] < LOWEST_GROUND:
+            warnings.append(f"by the photos' altitudes the ground lies at {ground[2]:.0f} m: these "
+                            "are probably not heights above sea level; give --gcp if heights "
+                            "matter")
     east, north, height = offset.tolist()
-    return Placed(Georeference(crs, (east, north, height), source, residual), UP, tuple(notes),
-                  control)
+    return Placed(Georeference(
+        measured.crs, (east, north, height), source, residual, "gcp" if control else "gps",
+        round(result.size, 3), measured.vertical, found, tuple(warnings)), UP,
+        (*notes, *measured.notes, *level), tuple(warnings))
 
 
-def _by_residuals(found: Sequence[ControlResidual], lost: Sequence[str], adjusted: bool
+def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, PhotoMetadata],
+           why: NotGeoreferenced) -> Placed:
+    """Turn a reconstruction that has no place in place, so that the direction (0, -1, 0) points up,
+    as most viewers expect.
+
+    Parameters
+    ----------
+    reconstruction, metadata : as for `place_reconstruction`.
+    why : it has no place.
+    """
+    target = np.array([0.0, -1.0, 0.0])
+    rotation = rotation_to(_vertical(*_content(reconstruction), metadata, None).up, target)
+    reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
+    said = (f"not georeferenced: {why}",)
+    return Placed(None, target, said, () if why.expected else said)
+
+
+def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArray[np.float64]]:
+    """The images with a pose, by name, and the points [N, 3]."""
+    images = sorted((image for image in reconstruction.images.values() if image.has_pose),
+                    key=lambda image: image.name)
+    return images, np.array(
+        [point.xyz for point in reconstruction.points3D.values()]).reshape(-1, 3)
+
+
+def _believed(measured: Measured, known_up: Vertical, is_control: bool) -> Alignment:
+    try:
+        return believed(
+            measured.places, measured.positions, known_up, measured.guesses, std=measured.std,
+            independent_heights=len(measured.names) if is_control else INDEPENDENT_HEIGHTS,
+            heights_count=is_control)
+    except Implausible as error:
+        kind = "--gcp: the ground control points" if is_control else "the photos' GPS positions"
+        cure = "" if str(error).endswith("?") else "; check the coordinates" + (
+            ", the CRS and the marks" if is_control else "")
+        raise NotGeoreferenced(f"{kind} {error}{cure}") from None
+
+
+def _gps_source(measured: Measured, result: Alignment) -> str:
+    wrong = [name for name, right in zip(measured.names, result.used) if not right]
+    without = f", without {listed(wrong)}, whose positions are wrong" if wrong else ""
+    return f"GPS of {result.used.sum()} photos{without}"
+
+
+def _missed(measured: Measured, result: Alignment) -> tuple[Residual, ...]:
+    away = np.round(result.similarity(measured.places) - measured.positions, 4)
+    return tuple(
+        Residual(name, CONTROL if right else LEFT_OUT, east, north,
+                 up if np.isfinite(up) else None)
+        for name, right, (east, north, up) in zip(measured.names, result.used, away.tolist())
+        if np.isfinite(east))
+
+
+def _control_doubts(found: Sequence[Residual], size: float) -> list[str]:
+    """Sentences on residuals of check points or, without any, of ground control points."""
+    judged = [each for each in found if each.role == CHECK] or [
+        each for each in found if each.role == CONTROL]
+    return residual_doubts(_rms([(each.east, each.north) for each in judged]),
+                           _rms([(each.up,) for each in judged]), size, "the surveyed area")
+
+
+def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
                   ) -> tuple[str, float, list[str]]:
     """The source of a georeference by ground control points, its residual, which is that of the
     check points if there are any, and notes."""
     parts = {role: [each for each in found if each.role == role]
-             for role in ("control", "check", "left out")}
+             for role in (CONTROL, CHECK, LEFT_OUT)}
     source = f"{len(parts['control'])} ground control points"
     wrong = [each.name for each in parts["left out"]]
     for names, why in ((lost, "cannot be located in the photos"), (wrong, "contradict the others")):
         if names:
-            source += f", without {_names(names)}, which {why}"
+            source += f", without {listed(names)}, which {why}"
     notes = [f"{'adjusted to' if adjusted else 'georeferenced by'} {source}: "
              f"{_control_residuals(parts['control'])}"]
     if parts["check"]:
@@ -151,15 +207,15 @@ def _by_residuals(found: Sequence[ControlResidual], lost: Sequence[str], adjuste
     return source, _rms([(each.east, each.north) for each in judged]), notes
 
 
-def _control_residuals(items: Sequence[ControlResidual]) -> str:
+def _control_residuals(items: Sequence[Residual]) -> str:
     return (f"residual {_rms([(each.east, each.north) for each in items]):.3f} m along the ground, "
             f"{_rms([(each.up,) for each in items]):.3f} m in height, "
-            f"{np.sqrt(np.mean([each.pixels**2 for each in items])):.1f} pixels in the photos")
+            f"{_rms([(each.pixels,) for each in items]):.1f} pixels in the photos")
 
 
-def _rms(rows: Sequence[Sequence[float]]) -> float:
+def _rms(rows: Sequence[Sequence[float | None]]) -> float:
     """The root mean square of the lengths of vectors."""
-    return float(np.sqrt(np.mean(np.sum(np.square(rows), axis=1))))
+    return float(np.sqrt(np.mean(np.sum(np.square(np.array(rows, np.float64)), axis=1))))
 
 
 def _residuals(result: Alignment) -> str:
@@ -169,12 +225,11 @@ def _residuals(result: Alignment) -> str:
     return text
 
 
-def _up(images: Sequence[Any], points: NDArray[np.float64],
-        metadata: Mapping[str, PhotoMetadata], given: ArrayLike | None
-        ) -> tuple[NDArray[np.float64], float]:
-    """The direction that points up, and its standard deviation in degrees."""
+def _vertical(images: Sequence[Any], points: NDArray[np.float64],
+              metadata: Mapping[str, PhotoMetadata], given: ArrayLike | None) -> Vertical:
+    """What the user, the gimbals, or else the cameras and points show of the vertical."""
     if given is not None:
-        return np.asarray(given, np.float64), GIMBAL_DEGREES
+        return Vertical.measured(given)
     rotations = np.array([_upright(image, metadata.get(image.name)) for image in images])
     gimbals = [(rotation, known.gimbal_pitch, known.gimbal_roll)
                for rotation, known in ((rotation, metadata.get(image.name))
@@ -184,8 +239,8 @@ def _up(images: Sequence[Any], points: NDArray[np.float64],
     if gimbals and len(gimbals) >= LEAST_GIMBALS * len(images):
         by_gimbals = gimbal_up(*(np.array(values) for values in zip(*gimbals)))
         if by_gimbals is not None:
-            return by_gimbals, GIMBAL_DEGREES
-    return up_axis(rotations, points), CAMERA_DEGREES
+            return Vertical.measured(by_gimbals)
+    return Vertical.by_cameras(rotations, points)
 
 
 def _upright(image: Any, known: PhotoMetadata | None) -> NDArray[np.float64]:
@@ -198,54 +253,3 @@ def _upright(image: Any, known: PhotoMetadata | None) -> NDArray[np.float64]:
     degrees = 0 if is_turned else 90 * known.quarter_turns
     turn: NDArray[np.float64] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
     return turn @ rotation
-
-
-def _by_gps(known: Sequence[tuple[Any, PhotoMetadata]], up: NDArray[np.float64], degrees: float,
-            crs: str | None) -> tuple[Alignment | None, str, str]:
-    """The alignment with the positions of photos, what it is from, and the CRS."""
-    places = np.array([(photo.latitude, photo.longitude, photo.altitude) for _, photo in known],
-                      np.float64)  # an unknown altitude becomes nan
-    positions, crs = map_positions(places[:, 0], places[:, 1], places[:, 2], crs)
-    std = None
-    if any(photo.gps_std is not None for _, photo in known):
-        std = np.array([photo.gps_std or 3 * (UNKNOWN_STD,) for _, photo in known])
-    finite = np.isfinite(positions[:, :2]).all(axis=1)
-    result = aligned(np.array([image.projection_center() for image, _ in known])[finite],
-                     positions[finite], up, up_degrees=degrees,
-                     std=None if std is None else std[finite])
-    if result is None:
-        return None, "", crs
-    used = np.zeros(len(known), bool)
-    used[finite] = result.used
-    source = f"GPS of {used.sum()} photos"
-    wrong = [image.name for (image, _), right in zip(known, used) if not right]
-    if wrong:
-        source += f", without {_names(wrong)}, whose positions are wrong"
-    return result, source, crs
-
-
-def _names(names: Sequence[str]) -> str:
-    rest = len(names) - SHOWN_NAMES
-    return ", ".join(names[:SHOWN_NAMES]) + (f" and {rest} others" if rest > 0 else "")
-
-
-def _by_control(located: Sequence[Located], lost: Sequence[str], up: NDArray[np.float64],
-                degrees: float) -> Alignment | None:
-    """The alignment with ground control points."""
-    count = len(located) + len(lost)
-    if len(located) < LEAST_POSITIONS:
-        missing = f" (not located: {_names(lost)})" if lost else ""
-        raise InputError(f"--gcp: {len(located)} of {count} ground control points can be "
-                         f"located in the photos, and {LEAST_POSITIONS} are needed{missing}; mark "
-                         "each in two photos or more, by the names and in the pixels of the photos "
-                         "that were reconstructed")
-    return aligned(np.array([item.place for item in located]),
-                   np.array([item.point.position for item in located]), up, up_degrees=degrees,
-                   independent_heights=len(located))
-
-
-def _turned(reconstruction: pycolmap.Reconstruction, up: NDArray[np.float64], why: str) -> Placed:
-    target = np.array([0.0, -1.0, 0.0])
-    rotation = rotation_to(up / np.linalg.norm(up), target)
-    reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
-    return Placed(None, target, (why,))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 import pycolmap
@@ -15,9 +16,9 @@ from clsplat.io.atomic import PARTIAL
 from clsplat.io.colmap import read_model
 from clsplat.io.colmap_write import write_reconstruction
 from clsplat.io.folders import make_folder
-from clsplat.io.georeference.adjustment import check_marks
+from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
 from clsplat.io.georeference.control_points import (
-    ControlPoint,
+    ControlPoints,
     read_control_points,
     require_no_checks,
 )
@@ -58,24 +59,27 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
     InputError : the scene cannot be georeferenced; nothing is written then.
     """
     target = scene_crs(crs) if crs else None
-    control: list[ControlPoint] = []
+    control = ControlPoints(crs=target or "")
     if gcp is None:
         require_no_checks(checks)
     else:
-        control, target = read_control_points(gcp, target, checks)
+        control = read_control_points(gcp, target, checks)
     model, arrays = read_model(folder)  # pycolmap does not survive every damaged file
     if os.path.lexists(output):
         raise InputError(f"{output}: exists already; choose another --output")
     source = photos or photo_folder(folder)
     names = sorted(set(map(str, arrays["files"])))  # of photos: a wide lens has several views
-    check_marks(control, names)
+    check_marks(control.points, names)
     metadata = {name: read_metadata(source / native(name)) for name in names
                 if (source / native(name)).is_file()}
     reconstruction = pycolmap.Reconstruction(model)
-    placed = place_reconstruction(reconstruction, metadata, crs=target, control=control, up=up)
-    if placed.georeference is None:
-        raise InputError(f"{folder}: {placed.notes[0]}; give photos with GPS (--photos), or ground "
-                         "control points (--gcp)")
+    try:
+        placed = place_reconstruction(reconstruction, metadata, crs=control.crs or None,
+                                      control=control.points, vertical=control.vertical, up=up)
+    except NotGeoreferenced as error:
+        cure = "" if gcp else "; give photos with GPS (--photos), or ground control points (--gcp)"
+        raise InputError(f"{folder}: not georeferenced: {error}{cure}") from None
+    placed = replace(placed, notes=(*control.notes, *placed.notes))
     partial = output.with_name(output.name + PARTIAL)
     shutil.rmtree(partial, ignore_errors=True)
     # before the new folder is made, which may be in that of the scene

@@ -43,7 +43,8 @@ def bent():
 def placed(points, **options):
     """What became of the bent reconstruction, and the largest error of its cameras, metres."""
     reconstruction, truth = bent(), synthetic(photos=8, points=150)
-    result = place_reconstruction(reconstruction, {}, crs=CRS, control=points, **options)
+    result = place_reconstruction(reconstruction, {}, crs=CRS, control=points, up=(0, 0, 1),
+                                  **options)
     away = [result.georeference.to_map(image.projection_center())
             - (ORIGIN + METRES * truth.images[number].projection_center())
             for number, image in reconstruction.images.items()]
@@ -56,8 +57,9 @@ def test_the_adjustment_takes_out_what_a_similarity_leaves():
     assert rigid.georeference.residual > 0.1 and away > 10
     adjusted, away = placed(points, adjusts=True)
     assert away < 0.02 and adjusted.georeference.residual < 0.01
-    assert [each.role for each in adjusted.control] == 5 * ["control"] + 3 * ["check"]
-    assert max(abs(each.up) for each in adjusted.control) < 0.01
+    found = adjusted.georeference.residuals
+    assert [each.role for each in found] == 5 * ["control"] + 3 * ["check"]
+    assert max(abs(each.up) for each in found) < 0.01
     assert adjusted.notes[0].startswith("adjusted to 5 ground control points: residual 0.0")
     assert adjusted.notes[1].startswith("3 check points, which took no part: residual 0.0")
 
@@ -67,7 +69,7 @@ def test_the_focal_length_of_a_calibration_is_kept(keep):
     reconstruction = bent()
     tie_points = reconstruction.point3D_ids()
     place_reconstruction(reconstruction, {}, crs=CRS, control=control(5), adjusts=True,
-                         keep_focal=keep)
+                         up=(0, 0, 1), keep_focal=keep)
     assert (reconstruction.cameras[1].params[0] == 430) == keep
     assert reconstruction.point3D_ids() == tie_points  # the scene has none of the control points
 
@@ -78,8 +80,8 @@ def test_check_points_take_no_part():
     points[6] = replace(points[6], position=(east + 3, north, height))
     result, away = placed(points, adjusts=True)
     assert away < 0.02 and result.georeference.residual == pytest.approx(3, abs=0.02)
-    assert result.control[6].role == "check"
-    assert result.control[6].east == pytest.approx(-3, abs=0.02)
+    assert result.georeference.residuals[6].role == "check"
+    assert result.georeference.residuals[6].east == pytest.approx(-3, abs=0.02)
 
 
 @pytest.mark.parametrize("adjusts", [True, False])
@@ -88,8 +90,8 @@ def test_a_wrong_height_is_left_out_and_named(adjusts):
     east, north, height = points[2].position
     points[2] = replace(points[2], position=(east, north, height + 20))
     result, away = placed(points, adjusts=adjusts)
-    assert result.control[2].role == "left out"
-    assert result.control[2].up == pytest.approx(-20, abs=1)
+    assert result.georeference.residuals[2].role == "left out"
+    assert result.georeference.residuals[2].up == pytest.approx(-20, abs=1)
     assert f"6 ground control points, without {points[2].name}, which contradict" in result.notes[0]
     assert away < (0.05 if adjusts else 50)
 

@@ -23,8 +23,9 @@ north,587000.5,3338000.25,300,11.5,21,b.jpg
 def test_both_formats(tmp_path, text):
     path = tmp_path / "gcp.txt"
     path.write_text(text, encoding="utf-8")
-    (north, other), crs = read_control_points(path)
-    assert crs == "EPSG:32614"
+    read = read_control_points(path)
+    north, other = read.points
+    assert read.crs == "EPSG:32614" and not read.notes
     assert north.name == "north" and north.position == (587000.5, 3338000.25, 300)
     assert north.marks == (("a.jpg", 10, 20), ("b.jpg", 11.5, 21))
     assert other.name == "point 2" and other.marks == (("a.jpg", 5, 6),)
@@ -33,7 +34,8 @@ def test_both_formats(tmp_path, text):
 def test_check_points_are_those_that_are_named(tmp_path):
     path = tmp_path / "gcp.txt"
     path.write_text(ODM)
-    assert [point.is_check for point in read_control_points(path, checks=["point 2"])[0]] == [
+    assert [point.is_check for point in read_control_points(
+        path, checks=["point 2"]).points] == [
         False, True]
     with pytest.raises(InputError, match="--check-point east: .* it has north, point 2"):
         read_control_points(path, checks=["east"])
@@ -42,8 +44,9 @@ def test_check_points_are_those_that_are_named(tmp_path):
 def test_degrees_become_metres_of_the_utm_zone(tmp_path):
     path = tmp_path / "gcp.txt"
     path.write_text("EPSG:4326\n-98.0898 30.1711 300 10 20 a.jpg\n")
-    (point,), crs = read_control_points(path)
-    assert crs == "EPSG:32614"
+    read = read_control_points(path)
+    (point,) = read.points
+    assert read.crs == "EPSG:32614"
     assert point.position == pytest.approx((587637.54, 3338094.73, 300), abs=0.1)
 
 
@@ -53,15 +56,16 @@ def test_web_mercator_becomes_metres_of_the_ground(tmp_path):
     east, north = to_web.transform(587637.54, 3338094.73)
     path = tmp_path / "gcp.txt"
     path.write_text(f"EPSG:3857\n{east} {north} 300 10 20 a.jpg\n")
-    (point,), crs = read_control_points(path)
-    assert crs == "EPSG:32614"
+    read = read_control_points(path)
+    (point,) = read.points
+    assert read.crs == "EPSG:32614"
     assert point.position == pytest.approx((587637.54, 3338094.73, 300), abs=0.01)
 
 
 def test_the_crs_may_be_given_as_an_option(tmp_path):
     path = tmp_path / "gcp.csv"
     path.write_text(CSV.split("\n", 1)[1])
-    assert read_control_points(path, "EPSG:32614")[1] == "EPSG:32614"
+    assert read_control_points(path, "EPSG:32614").crs == "EPSG:32614"
     with pytest.raises(InputError, match="first line, such as EPSG:32632, or give --crs"):
         read_control_points(path)
 

@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.georeference import Georeference
+from clsplat.georeference import Georeference, Residual
 from clsplat.io.georeference.files import (
     GEOREFERENCE,
     ORIENTATION,
@@ -27,7 +27,11 @@ from tests.data.fields import field
 from tests.data.tiny_model import write_scene
 from tests.io.test_ply import random_gaussians
 
-HERE = Georeference("EPSG:32614", (587671.0, 3338100.0, 309.0), "GPS of 40 photos", 1.25)
+HERE = Georeference("EPSG:32614", (587671.0, 3338100.0, 309.0), "GPS of 40 photos", 1.25,
+                    "gps", 200.0, "ellipsoidal heights", (
+                        Residual("a.jpg", "control", 1.0, -2.0, None),
+                        Residual("b.jpg", "control", 3.0, 2.0, 0.5),
+                        Residual("c.jpg", "left out", 90.0, 0.0, 0.0, 7.5)), ("Look.",))
 
 
 def test_a_georeference_is_read_as_it_was_written(tmp_path):
@@ -37,6 +41,17 @@ def test_a_georeference_is_read_as_it_was_written(tmp_path):
     assert HERE.to_map([[1, 2, 3]]).tolist() == [[587672, 3338102, 312]]
     write_georeference(tmp_path, None)
     assert read_georeference(tmp_path) is None
+
+
+def test_a_georeference_states_its_errors_for_other_programs(tmp_path):
+    write_georeference(tmp_path, HERE)
+    record = json.loads((tmp_path / GEOREFERENCE).read_text())
+    assert (record["control_count"], record["check_count"], record["left_out"]) == (2, 0, ["c.jpg"])
+    assert record["control_errors"]["east"] == {"mean": 2, "sigma": 1, "rms": 2.2361}
+    assert record["control_errors"]["up"]["rms"] == 0.5 and record["check_errors"] == {}
+    old = {key: record[key] for key in ("crs", "offset", "source", "residual")}
+    (tmp_path / GEOREFERENCE).write_text(json.dumps(old))
+    assert read_georeference(tmp_path) == Georeference(HERE.crs, HERE.offset, HERE.source, 1.25)
 
 
 def test_an_orientation_is_read_as_it_was_written(tmp_path):
@@ -54,7 +69,9 @@ def test_an_orientation_is_read_as_it_was_written(tmp_path):
 @pytest.mark.parametrize("name, key, value", [
     (GEOREFERENCE, "crs", ""), (GEOREFERENCE, "crs", "EPSG:1\nEPSG:2"), (GEOREFERENCE, "crs", 5),
     (GEOREFERENCE, "offset", [1, 2]), (GEOREFERENCE, "offset", [1, 2, "3"]),
-    (GEOREFERENCE, "residual", -1), (GEOREFERENCE, "source", None),
+    (GEOREFERENCE, "residual", -1), (GEOREFERENCE, "source", None), (GEOREFERENCE, "size", "5"),
+    (GEOREFERENCE, "residuals", [5]), (GEOREFERENCE, "residuals", [{"east": 1}]),
+    (GEOREFERENCE, "warnings", "Look."),
     (ORIENTATION, "up", [0, 0, 0]), (ORIENTATION, "up", "z"), (ORIENTATION, "first_view", 3),
     (ORIENTATION, "first_view", {"width": 5})])
 def test_damaged_files_are_named(tmp_path, name, key, value):
@@ -74,8 +91,8 @@ def test_comments_of_a_model_name_its_place(tmp_path):
     write_ply(tmp_path / "a.ply", gaussians, (1.0, 2.0, 3.0),
               placement_comments([0.0, 0.01, 0.99995], HERE))
     comments = read_vertices(tmp_path / "a.ply")[1]
-    assert commented_georeference(comments) == replace(
-        HERE, source="comments of the model's file", residual=0.0)
+    assert commented_georeference(comments) == Georeference(
+        HERE.crs, HERE.offset, "comments of the model's file", 0.0)
     text = "\n".join(comments)
     assert "\ncrs EPSG:32614\n" in text and "\nVertical Axis: z\n" in text
     assert "\nmap_offset 587671.0 3338100.0 309.0 is not contained in the positions" in text

@@ -10,8 +10,9 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.colmap_write import Tracks, write_colmap
+from clsplat.io.georeference.adjustment import NotGeoreferenced
 from clsplat.io.georeference.control_points import ControlPoint
-from clsplat.io.georeference.reconstruction import place_reconstruction
+from clsplat.io.georeference.reconstruction import place_reconstruction, turned
 from clsplat.io.metadata import PhotoMetadata
 from clsplat.scene import View
 from tests.data.survey import CRS, Survey
@@ -70,7 +71,8 @@ def test_altitudes_below_every_land_are_noted(survey):
     metadata = {name: replace(known, altitude=known.altitude - 400)
                 for name, known in survey.metadata().items()}
     placed = place_reconstruction(survey.reconstruction(), metadata)
-    assert "ground lies at -89 m" in placed.notes[-1] and "--gcp" in placed.notes[-1]
+    assert "ground lies at -89 m" in placed.warnings[-1] and "--gcp" in placed.warnings[-1]
+    assert placed.georeference.warnings == placed.warnings
 
 
 def test_without_altitudes_the_cameras_level_the_scene(survey):
@@ -86,8 +88,11 @@ def test_without_gps_the_scene_is_turned_as_viewers_expect(survey):
     metadata = dict(list(survey.metadata().items())[:2])
     for known, why in (({}, "no photo has GPS"), (metadata, "only 2 photos have GPS")):
         reconstruction = survey.reconstruction()
-        placed = place_reconstruction(reconstruction, known)
-        assert placed.georeference is None and placed.notes == (f"not georeferenced: {why}",)
+        with pytest.raises(NotGeoreferenced) as caught:
+            place_reconstruction(reconstruction, known)
+        placed = turned(reconstruction, known, caught.value)
+        assert placed.georeference is None and not placed.warnings
+        assert placed.notes == (f"not georeferenced: {why}",)
         assert placed.up.tolist() == [0, -1, 0]
         heights = -np.array([image.projection_center()[1]
                              for image in reconstruction.images.values()])
@@ -109,8 +114,8 @@ def test_portraits_stand_upright_however_they_are_stored(tmp_path, stored_uprigh
                  Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2))))
     reconstruction = pycolmap.Reconstruction(tmp_path)
     # the first scene is one whose photos were turned, and the metadata are of the originals
-    place_reconstruction(reconstruction, {
-        view.name: PhotoMetadata(64, 48, orientation=6) for view in views})
+    turned(reconstruction, {view.name: PhotoMetadata(64, 48, orientation=6) for view in views},
+           NotGeoreferenced("no photo has GPS"))
     heights = [image.projection_center()[1] for image in reconstruction.images.values()]
     assert heights == pytest.approx(12 * [-1])
 

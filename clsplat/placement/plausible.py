@@ -1,0 +1,145 @@
+"""Whether measured positions place a reconstruction as it can be, and what is wrong if not.
+
+Flat ground fits its mirror image by a half turn about a horizontal axis, so that exchanged
+coordinates turn a scene upside down with a small residual. So no alignment is believed before it is
+compared with the vertical that photos show, and with what the same positions would give if they
+were exchanged, mirrored or had other heights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.georeference import MOST_RESIDUAL
+from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment, aligned
+from clsplat.placement.up import Vertical
+
+LEAST_FOR_GUESS = 5  # positions; fewer fit a mirror image by chance
+TIMES_BETTER = 5.0  # so much smaller is the residual of what is probably meant
+MOST_LEFT_OUT = 0.2  # of the positions
+OF_UP = 3.0  # standard deviations of up by which a scene may be tilted
+LINE = 0.03  # of the size: positions that are all nearer to a line fit their mirror image
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """What positions may be instead of what they say.
+
+    Attributes
+    ----------
+    question : for the user, such as "are x and y exchanged?".
+    positions : float[N, 3], as they are then.
+    """
+
+    question: str
+    positions: NDArray[np.float64]
+
+
+class Implausible(ValueError):
+    """Positions that place a reconstruction nowhere, or as it cannot be; says why."""
+
+
+def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
+             guesses: Sequence[Guess] = (), *, std: ArrayLike | None = None,
+             independent_heights: float = INDEPENDENT_HEIGHTS, heights_count: bool = False
+             ) -> Alignment:
+    """The alignment of places with positions, as `aligned` finds it.
+
+    Parameters
+    ----------
+    places, positions, vertical, std, independent_heights : as in `aligned`.
+    guesses : what is tried as well.
+    heights_count : whether heights are as right as the rest, so that their residuals are judged.
+
+    Raises
+    ------
+    Implausible : there is none, it is upside down or tilted, or a guess fits far better.
+    """
+    result = aligned(places, positions, vertical, std=std, independent_heights=independent_heights)
+    question, least = "", np.inf
+    if result is not None and result.stands:
+        if len(result.used) < LEAST_FOR_GUESS:
+            return result
+        least = _miss(result, heights_count) / result.size / TIMES_BETTER
+    for guess in guesses:
+        other = aligned(places, guess.positions, vertical, std=std,
+                        independent_heights=independent_heights)
+        if other is None or not other.stands or (
+                result is not None and other.used.sum() < result.used.sum()):
+            continue
+        share = _miss(other, heights_count) / other.size
+        if share <= MOST_RESIDUAL and share < least:
+            least, question = share, guess.question
+    if result is None:
+        raise Implausible(_asked("and the reconstruction contradict each other, or the places are "
+                                 "too close together", question))
+    if not result.stands:
+        raise Implausible(_asked("fit only if the scene is turned upside down or tilted by "
+                                 f"{vertical.tilt(result.similarity.rotation):.0f} degrees",
+                                 question))
+    if question:
+        raise Implausible(_asked(
+            f"miss the reconstruction by {_miss(result, heights_count):.3g} m", question))
+    return result
+
+
+def doubts(result: Alignment, positions: ArrayLike, vertical: Vertical, size_of: str,
+           heights_count: bool = False) -> list[str]:
+    """Sentences on what a user must not rely on in an alignment.
+
+    Parameters
+    ----------
+    positions, vertical : that it was made of.
+    size_of : what its size is that of, such as "the flight".
+    heights_count : whether heights are as right as the rest.
+    """
+    return [*residual_doubts(result.horizontal, result.vertical, result.size, size_of),
+            *position_doubts(result, positions, vertical, heights_count)]
+
+
+def position_doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
+                    heights_count: bool) -> list[str]:
+    """As `doubts`, but for residuals."""
+    found = []
+    wrong = ~result.used | (~result.used_heights if heights_count else False)
+    if wrong.mean() > MOST_LEFT_OUT:
+        found.append(f"{wrong.sum()} of {len(wrong)} positions contradict the others, so the "
+                     "others may be the wrong ones: check them")
+    tilt = vertical.tilt(result.similarity.rotation)
+    if tilt > OF_UP * vertical.degrees:
+        found.append(f"the scene is tilted by {tilt:.0f} degrees from what its photos show as up: "
+                     "check the heights")
+    if result.used.sum() == LEAST_POSITIONS:
+        found.append(f"only {LEAST_POSITIONS} positions decide, so that an error of one of them "
+                     "would not be noticed")
+    flat = np.asarray(positions, np.float64)[result.used, :2]
+    flat = flat - flat.mean(axis=0)
+    across = flat @ np.linalg.svd(flat, full_matrices=False)[2][1]
+    if np.ptp(across) <= LINE * result.size:
+        found.append("the positions lie on one line, so that the tilt across it is not measured, "
+                     "and exchanged or mirrored coordinates would not be noticed")
+    return found
+
+
+def residual_doubts(horizontal: float, vertical: float, size: float, size_of: str) -> list[str]:
+    """A sentence for each residual beyond MOST_RESIDUAL of a size, metres."""
+    return [f"the residual of {value:.2f} m {where} is {100 * value / max(size, 1e-9):.0f} % of "
+            f"the size of {size_of}, {size:.0f} m: {cure}"
+            for value, where, cure in (
+                (horizontal, "along the ground", "place, scale and directions are uncertain"),
+                (vertical, "in height", "do not rely on heights"))
+            if np.isfinite(value) and value > MOST_RESIDUAL * size]
+
+
+def _miss(result: Alignment, heights_count: bool) -> float:
+    if heights_count and np.isfinite(result.vertical):
+        return float(np.hypot(result.horizontal, result.vertical))
+    return result.horizontal
+
+
+def _asked(reason: str, question: str) -> str:
+    return f"{reason}: {question}" if question else reason
