@@ -146,7 +146,7 @@ def _drawn(run: Run, scene: Scene, grid: MapGrid, ground: float, device: Device,
     finer = max(1.0, ground / grid.resolution)
     renderer, rows = open_model(
         device, model, 0.0, options.antialiased, options.background, orthographic=True,
-        median_depth=True, low_pass=LOW_PASS * finer**2)
+        depth_percent=50, low_pass=LOW_PASS * finer**2)
     painter = MapPainter(renderer, rows, model.sh_degree, model.offset, grid, scene)
     size = grid.columns, grid.rows
     colours = stack.enter_context(TileStore(folder, *size, 4, np.uint8))
