@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.export.map_grid import TILE, MapGrid
-from clsplat.io.atomic import write_error
+from clsplat.io.reason import clean, reason
 
 CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
 SHOWN = 60  # characters of a CRS in a message
-UNIT_OF_LOCAL = "scene unit"
+CURE = "give one with an EPSG code"
 Place = tuple[int, int]  # of a tile: column, row
 
 
@@ -61,21 +61,21 @@ class Raster:
 
     def write(self, place: Place, values: NDArray[Any]) -> None:
         """Replace a tile, [TILE, TILE, bands]; what lies beyond the raster is left out."""
-        window = self._window(place, 0, 1)
-        height, width = window[0][1] - window[0][0], window[1][1] - window[1][0]
-        self._file.write(np.moveaxis(values[:height, :width], -1, 0).astype(self._dtype),
-                         window=window)
+        (top, bottom), (left, right) = self._window(place)
+        inner = values[:bottom - top, :right - left].astype(self._dtype)
+        with self._telling(self._path.parent):
+            self._file.write(np.moveaxis(inner, -1, 0), window=((top, bottom), (left, right)))
 
     def finish(self, tags: Mapping[str, str]) -> None:
-        """Add tags and overviews, halves of halves down to one tile, when all tiles are written."""
+        """Add tags and overviews, halves of halves down to one tile, and end the writing."""
         sizes = [2**power for power in range(1, 32)
                  if max(self.grid.columns, self.grid.rows) > TILE * 2 ** (power - 1)]
-        self._file.update_tags(**tags)
-        self._file.close()
-        self._levels += len(sizes)
-        if sizes:
-            with self._rasterio.open(self._path, "r+") as file:
+        self.close()
+        with self._telling(self._path.parent), self._rasterio.open(self._path, "r+") as file:
+            file.update_tags(**tags)
+            if sizes:
                 file.build_overviews(sizes, self._rasterio.enums.Resampling.average)
+        self._levels += len(sizes)
 
     def level(self, largest: float, pixels: bool = False) -> int:
         """The finest level of at most so many pixels, in all or along the longer side."""
@@ -95,26 +95,90 @@ class Raster:
             for _, window in file.block_windows(1):
                 yield window.col_off, window.row_off, np.moveaxis(file.read(window=window), 0, -1)
 
-    @contextmanager
-    def reading(self) -> Iterator[Any]:
-        """Gives a function of a tile's place and a margin, which reads it, [h, w, bands], with so
-        many pixels around it, nan or 0 beyond the raster."""
-        self._file.close()
+    def close(self) -> None:
+        """End the writing of tiles."""
+        with self._telling(self._path.parent):
+            self._file.close()
+
+    def read(self, place: Place, margin: int = 0) -> NDArray[Any]:
+        """A tile of a closed raster with so many pixels around it, [H, W, bands]; beyond the raster
+        nothing is known."""
+        (top, bottom), (left, right) = self._window(place, margin)
+        first = place[1] * TILE - margin, place[0] * TILE - margin
         with self._at(0) as file:
-            def read(place: Place, margin: int) -> NDArray[Any]:
-                (top, _), (left, _) = self._window(place, margin, 1)
-                window = self._rasterio.windows.Window(left, top, TILE + 2 * margin,
-                                                       TILE + 2 * margin)
-                return np.moveaxis(file.read(window=window, boundless=True,
-                                             fill_value=file.nodata or 0), 0, -1)
-            yield read
+            inner = np.moveaxis(file.read(window=((top, bottom), (left, right))), 0, -1)
+        shape = TILE + 2 * margin, TILE + 2 * margin, inner.shape[-1]
+        result = np.full(shape, np.nan if self._dtype == np.float32 else 0, self._dtype)
+        result[top - first[0]:bottom - first[0], left - first[1]:right - first[1]] = inner
+        return result
 
     def save(self, path: Path) -> None:
-        """Replace a file by a COG of the raster."""
+        """Replace a file by a COG of the finished raster."""
         partial = self._path.with_name(path.name)
-        options: dict[str, Any] = {"driver": "COG", "compress": "DEFLATE", "predictor": "YES",
-                                   "blocksize": TILE, "overviews": "AUTO", "bigtiff": "IF_SAFER",
-                                   "geotiff_version": "1.1"}
-        with write_error(path):
-            self._rasterio.shutil.copy(self._path, partial, **options)
+        with self._telling(path):
+            self._rasterio.shutil.copy(
+                self._path, partial, driver="COG", compress="DEFLATE", predictor="YES",
+                blocksize=TILE, overviews="AUTO", bigtiff="IF_SAFER", geotiff_version="1.1")
             os.replace(partial, path)
+
+    def _window(self, place: Place, margin: int = 0) -> tuple[Place, Place]:
+        """The rows and columns of a tile and its margin within the raster."""
+        return tuple((max(0, at * TILE - margin), min(most, (at + 1) * TILE + margin))
+                     for at, most in ((place[1], self.grid.rows), (place[0], self.grid.columns)))
+
+    @contextmanager
+    def _at(self, level: int) -> Iterator[Any]:
+        options = {"overview_level": level - 1} if level else {}
+        with self._rasterio.open(self._path, **options) as file:
+            yield file
+
+    @contextmanager
+    def _telling(self, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except self._rasterio.errors.RasterioError as error:
+            raise InputError(f"{path}: cannot be written ({reason(error)}); free some space, and "
+                             "check that the folder may be written") from None
+
+
+@contextmanager
+def bounded_memory() -> Iterator[None]:
+    """Keeps GDAL's memory small, and its messages off the terminal."""
+    with rasterio_for("a map").Env(GDAL_CACHEMAX=CACHE_MIB):
+        yield
+
+
+def check_crs(crs: str) -> None:
+    """Raise InputError unless a GeoTIFF with this CRS reads back the same."""
+    rasterio = rasterio_for("a map")
+    try:
+        wanted = rasterio.crs.CRS.from_user_input(crs)
+        with rasterio.MemoryFile() as memory:
+            with memory.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8", crs=wanted,
+                             geotiff_version="1.1", transform=rasterio.Affine(1, 0, 1, 0, -1, 1)) as file:
+                file.write(np.ones((1, 1, 1), np.uint8))
+            with memory.open() as file:
+                same = file.crs == wanted
+    except rasterio.errors.RasterioError as error:
+        raise InputError(f"--crs {clean(crs)[:SHOWN]}: cannot be written to GeoTIFF "
+                         f"({reason(error)}); {CURE}") from None
+    if not same:
+        raise InputError(f"--crs {clean(crs)[:SHOWN]}: a GeoTIFF would not read back the same; "
+                         f"{CURE}")
+
+
+def rasterio_for(what: str) -> ModuleType:
+    """The library; InputError, if it is not installed."""
+    try:
+        import rasterio
+        import rasterio.shutil
+        import rasterio.windows
+    except ImportError:
+        raise InputError(f"{what}: needs rasterio, which is not installed; install it with `pip "
+                         "install rasterio`") from None
+    return rasterio
+
+
+def _transform(grid: MapGrid) -> Any:
+    from rasterio.transform import from_origin
+    return from_origin(grid.left, grid.top, grid.resolution, grid.resolution)

@@ -1,6 +1,9 @@
 """The whole of rendering: gaussians to an image, and the image's gradient back to gaussians."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,6 +180,12 @@ class Renderer:
         if camera.orthographic != self.orthographic:
             raise ValueError("a renderer is for orthographic cameras, or for pinhole cameras")
         return pack_camera(self.device, camera, self.near, self.low_pass)
+
+    def at_percent(self, depth_percent: int) -> Renderer:
+        """The same renderer for another `depth_percent`."""
+        other = copy(self)
+        other.depth_percent = depth_percent
+        return other
 
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
                with_depth: bool = False, room: Room | None = None, counts: Array | None = None,

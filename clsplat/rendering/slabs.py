@@ -17,6 +17,7 @@ mostly far smaller.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -51,6 +52,9 @@ CULL_FIELDS = ("positions", "log_scales", "quaternions", "opacity_logits")
 
 class ModelRenderer(Protocol):
     """What `Renderer` and `SlabRenderer` have in common; each takes its own rows and cameras."""
+
+    def at_percent(self, depth_percent: int, /) -> ModelRenderer:
+        """The same renderer for another `depth_percent`."""
 
     def pack(self, camera: Camera, /) -> Any:
         """The camera as `render` expects it."""
@@ -223,6 +227,13 @@ class SlabRenderer:
         self._renderer = Renderer(device, sh_degree, near, antialiased, orthographic=orthographic,
                                   depth_percent=depth_percent, low_pass=low_pass)  # on black
         self._defines = project_defines(sh_degree, antialiased, orthographic)
+
+    def at_percent(self, depth_percent: int) -> SlabRenderer:
+        """The same renderer for another `depth_percent`."""
+        other = copy(self)
+        other.depth_percent = depth_percent
+        other._renderer = self._renderer.at_percent(depth_percent)
+        return other
 
     def pack(self, camera: Camera) -> tuple[Camera, Array]:
         """The camera for `render`: in host memory, to choose the parts, and on the device."""
