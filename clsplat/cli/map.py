@@ -108,14 +108,15 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
         progress.phase("opening the device")
         chosen = choose_device(device)
         record = write_map(opened, data, grid, wanted, chosen, output, interval=interval,
-                           points=points, fill=fill, follow=bounds is None, count=progress.count, phase=progress.phase)
+                           points=points, fill=fill, follow=bounds is None,
+                           count=progress.count, phase=progress.phase)
     unit = "m" if metric else "scene units"
     low, high = record["heights"]
     changed = f", {record['filled']:,} filled" if fill else ""
     click.echo(f"{output}: {record['columns']:,} x {record['rows']:,} pixels of "
-               f"{record['resolution']:g} {unit}, {record['covered']:.0%} covered, {record['pits']:,} "
-               f"heights left out as pits{changed}, 98% of the heights {low:.2f} to {high:.2f} "
-               f"{unit}, {wanted or 'no georeference'}")
+               f"{record['resolution']:g} {unit}, {record['covered']:.0%} covered, "
+               f"{record['pits']:,} unsure heights left out{changed}, 98% of the heights "
+               f"{low:.2f} to {high:.2f} {unit}, {wanted or 'no georeference'}")
     for line in sentences(record, unit):
         click.echo(f"{output}: {line}")
 

@@ -1,4 +1,4 @@
-"""What a map can show: a coarse drawing of a scene and its surroundings, before the map is drawn."""
+"""What a map can show: a coarse drawing of a scene and its surroundings, made before the map."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_opening, label
+from scipy.ndimage import (
+    binary_dilation,
+    binary_fill_holes,
+    binary_opening,
+    label,
+    map_coordinates,
+)
 
 from clsplat.device import Device
 from clsplat.evaluation.run import Run
@@ -26,8 +32,8 @@ class Extent:
     Attributes
     ----------
     grid : of one tile, around the scene.
-    known : bool[TILE, TILE], which of its pixels have a height or lie beside one that does, without
-        islands that are small.
+    known : bool[TILE, TILE], which of its pixels have a height, lie beside one that does, or are
+        enclosed by these; small islands excepted.
     """
 
     grid: MapGrid
@@ -40,6 +46,16 @@ class Extent:
         (first, last), (upper, lower) = (np.clip(
             (np.floor(side[0]), np.ceil(side[1])), 0, TILE).astype(int) for side in (columns, rows))
         return bool(self.known[upper:lower, first:last].any())
+
+    def inside(self, grid: MapGrid, column: int, row: int) -> NDArray[np.bool_]:
+        """bool[TILE, TILE]: which pixels of a tile of a grid lie where anything is known."""
+        left, _, _, top = grid.tile_bounds(column, row)
+        steps = (np.arange(TILE) + 0.5) * grid.resolution
+        places = np.stack([left + steps, top - steps], axis=1)
+        columns, rows = self.grid.pixels(places).T - 0.5
+        inside: NDArray[np.bool_] = map_coordinates(
+            self.known.astype(np.float32), np.meshgrid(rows, columns, indexing="ij"), order=1) > 0.5
+        return inside
 
     def around(self, grid: MapGrid) -> MapGrid:
         """A grid with the bounds of all that is known."""
@@ -66,5 +82,5 @@ def extent_of(device: Device, run: Run, scene: Scene, grid: MapGrid) -> Extent:
     parts, count = label(known)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
     sizes[0] = 0
-    return Extent(coarse, binary_dilation((sizes >= LEAST_PART * sizes.max())[parts] & known,
-                                          iterations=BESIDE))
+    large = (sizes >= LEAST_PART * sizes.max())[parts] & known
+    return Extent(coarse, binary_fill_holes(binary_dilation(large, iterations=BESIDE)))

@@ -11,7 +11,6 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -46,7 +45,8 @@ class Raster:
         self._dtype = np.dtype(np.uint8 if colour else np.float32)
         self._file = self._rasterio.open(
             path, "w", driver="GTiff", width=grid.columns, height=grid.rows, count=len(bands),
-            dtype=self._dtype.name, crs=crs, transform=_transform(grid), tiled=True,
+            dtype=self._dtype.name, crs=crs, tiled=True, transform=self._rasterio.Affine(
+                grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
             blockxsize=TILE, blockysize=TILE, compress="DEFLATE", predictor=2 if colour else 3,
             nodata=None if colour else np.nan, photometric="RGB" if colour else "MINISBLACK",
             alpha="YES" if colour else "NO", bigtiff="IF_SAFER", sparse_ok=True)
@@ -123,8 +123,9 @@ class Raster:
 
     def _window(self, place: Place, margin: int = 0) -> tuple[Place, Place]:
         """The rows and columns of a tile and its margin within the raster."""
-        return tuple((max(0, at * TILE - margin), min(most, (at + 1) * TILE + margin))
-                     for at, most in ((place[1], self.grid.rows), (place[0], self.grid.columns)))
+        rows, columns = ((max(0, at * TILE - margin), min(most, (at + 1) * TILE + margin))
+                         for at, most in zip(place[::-1], (self.grid.rows, self.grid.columns)))
+        return rows, columns
 
     @contextmanager
     def _at(self, level: int) -> Iterator[Any]:
@@ -155,7 +156,8 @@ def check_crs(crs: str) -> None:
         wanted = rasterio.crs.CRS.from_user_input(crs)
         with rasterio.MemoryFile() as memory:
             with memory.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8", crs=wanted,
-                             geotiff_version="1.1", transform=rasterio.Affine(1, 0, 1, 0, -1, 1)) as file:
+                             geotiff_version="1.1",
+                             transform=rasterio.Affine(1, 0, 1, 0, -1, 1)) as file:
                 file.write(np.ones((1, 1, 1), np.uint8))
             with memory.open() as file:
                 same = file.crs == wanted
@@ -167,7 +169,7 @@ def check_crs(crs: str) -> None:
                          f"{CURE}")
 
 
-def rasterio_for(what: str) -> ModuleType:
+def rasterio_for(what: str) -> Any:
     """The library; InputError, if it is not installed."""
     try:
         import rasterio
@@ -177,8 +179,3 @@ def rasterio_for(what: str) -> ModuleType:
         raise InputError(f"{what}: needs rasterio, which is not installed; install it with `pip "
                          "install rasterio`") from None
     return rasterio
-
-
-def _transform(grid: MapGrid) -> Any:
-    from rasterio.transform import from_origin
-    return from_origin(grid.left, grid.top, grid.resolution, grid.resolution)

@@ -24,7 +24,7 @@ from clsplat.export.extent import Extent, extent_of
 from clsplat.export.geotiff import Raster, bounded_memory, check_crs, rasterio_for
 from clsplat.export.map_grid import TILE, MapGrid, ground_resolution
 from clsplat.export.orthophoto import MapPainter, halved_pixels
-from clsplat.export.pits import MARGIN, closed, filled, pits
+from clsplat.export.pits import MARGIN, filled, pits
 from clsplat.export.preview import preview
 from clsplat.export.reprojection import Reprojection
 from clsplat.export.statement import stated, tags_of
@@ -43,7 +43,6 @@ HEIGHTS = (0.01, 0.99)  # quantiles that the record has: single pixels may be fa
 DEGREE_DIGITS = 8  # after the point: a millimetre
 COLOURS = dict.fromkeys(("red", "green", "blue", "alpha"))  # bands, without a unit
 HEIGHTS_OF = "height", "spread"
-ENCLOSED = 2 * MARGIN // 3  # pixels: gaps between heights that are narrower keep their colours
 SCRATCH = ".drawing-"  # how the name of the temporary folder begins
 EMPTY = (np.zeros((TILE, TILE, 4), np.uint8), np.full((TILE, TILE, 2), np.nan, np.float32))
 
@@ -95,15 +94,16 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
             grid = extent.around(grid)
         unit = "metre" if crs else "scene unit"
         statement = stated(scene, crs, run.georeference)
-        drawn, (colours, surface) = (tuple(
-            Raster(Path(scratch) / f"{number}-{kind}", grid, crs, bands, kind == "colours")
-            for kind, bands in (("colours", COLOURS), ("surface", dict.fromkeys(HEIGHTS_OF, unit))))
-            for number in (1, 2))
+        drawn, result = (
+            (Raster(Path(scratch) / f"{stage}-colours", grid, crs, COLOURS, True),
+             Raster(Path(scratch) / f"{stage}-surface", grid, crs, dict.fromkeys(HEIGHTS_OF, unit),
+                    False)) for stage in ("drawn", "cleaned"))
+        colours, surface = result
         _draw(run, scene, grid, extent, device, drawn, count)
         phase("leaving out pits")
-        dropped, new = _cleaned(drawn, (colours, surface), fill)
+        dropped, new = _cleaned(drawn, result, fill)
         phase("making overviews")
-        for raster in (colours, surface):
+        for raster in result:
             raster.finish(tags_of(statement))
         level = surface.level(CONTOUR_SIDE)
         heights = surface.whole(level)[..., 0]
@@ -164,13 +164,16 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
             painted = painter.tile(column, row)
             done += 1
             count("tile", done, len(met))
-            return painted.colours, painted.surface
+            inside = extent.inside(finer, column, row)[..., None]
+            return (np.where(inside, painted.colours, 0),
+                    np.where(inside, painted.surface, np.float32(np.nan)))
         four = [[tile(2 * column + x, 2 * row + y, level - 1) or EMPTY for x in (0, 1)]
                 for y in (0, 1)]
         if all(part is EMPTY for row_of in four for part in row_of):
             return None
-        return tuple(halved_pixels(np.block([[[part[kind]] for part in row_of] for row_of in four]))
-                     for kind in (0, 1))
+        colours, surface = (halved_pixels(np.concatenate([np.concatenate(
+            [part[kind] for part in row_of], axis=1) for row_of in four])) for kind in (0, 1))
+        return colours, surface
 
     for place in np.ndindex(grid.tiles[::-1]):
         found = tile(place[1], place[0], halvings)
@@ -183,28 +186,28 @@ def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
 
 def _cleaned(drawn: tuple[Raster, Raster], result: tuple[Raster, Raster], fill: int
              ) -> tuple[int, int]:
-    """Copy colours and heights, without pits and without colours far from any height, and with
-    small holes filled; how many heights are left out, and how many are filled."""
+    """Copy colours, and heights without pits, with small holes filled; how many heights are left
+    out, and how many are filled."""
     dropped = filled_count = 0
     own = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
     for y, x in np.ndindex(drawn[0].tiles[::-1]):
-        heights = drawn[1].read((x, y), 2 * MARGIN)
-        if np.isnan(heights).all():
+        colours = drawn[0].read((x, y), MARGIN)
+        alpha = colours[..., 3] > 0
+        if not alpha.any():
             continue
+        heights = drawn[1].read((x, y), 2 * MARGIN)
         found = pits(heights[..., 0], heights[..., 1], drawn[1].grid.resolution)
         heights = heights[own]
-        drawn_here = np.isfinite(heights[..., 0])
-        known = drawn_here & ~found
-        colours = drawn[0].read((x, y), MARGIN).astype(np.float32)
-        alpha = (colours[..., 3] > 0) & closed(known, ENCLOSED)
+        known = np.isfinite(heights[..., 0]) & ~found
         dropped += int((alpha & ~known)[own].sum())
         if fill:
-            colours, alpha = filled(colours, alpha, fill)
+            smooth, alpha = filled(colours.astype(np.float32), alpha, fill)
+            colours = np.round(smooth)
+            colours[..., 3][(colours[..., 3] == 0) & alpha] = 255
             heights, more = filled(heights, known, fill)
             filled_count += int((more & ~known)[own].sum())
             known = more
-        colours[..., 3] = 255
-        result[0].write((x, y), np.where(alpha[..., None], np.round(colours), 0)[own])
+        result[0].write((x, y), colours[own])
         result[1].write((x, y), np.where(known[..., None], heights, np.nan)[own])
     return dropped, filled_count
 

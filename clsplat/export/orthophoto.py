@@ -15,7 +15,7 @@ from clsplat.device import Device
 from clsplat.evaluation.run import Run
 from clsplat.export.map_grid import TILE, MapGrid, ground_resolution
 from clsplat.rendering.project import LOW_PASS
-from clsplat.rendering.slabs import open_model
+from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.scene import Scene
 
 MEDIAN, FIRST = 50, 90  # per cent of the light that still passes, at the depths that are drawn
@@ -63,7 +63,7 @@ class MapPainter:
         renderer, self._rows = open_model(
             device, model, 0.0, options.antialiased, options.background, orthographic=True,
             depth_percent=MEDIAN, low_pass=LOW_PASS * finer**2)
-        self._renderers = renderer, renderer.at_percent(FIRST)
+        self._renderers: list[ModelRenderer] = [renderer, renderer.at_percent(FIRST)]
         self._model, self._grid, self._scene = model, grid, scene
         self._cameras = [view.camera for view in scene.views]
         self._step = 2.0 ** np.floor(np.log2(grid.resolution / FINENESS))

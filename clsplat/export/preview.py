@@ -72,8 +72,8 @@ def _legend(width: int, half: int, size: float, heights: Sequence[float], interv
     lines = f"; a line each {interval:g}" if interval else ""
     figure.text(begin + 0.62 * (1 - begin), 0.6, f"height, {unit}{lines}", fontsize=9)
     canvas.draw()
-    strip: NDArray[np.float32] = np.asarray(canvas.buffer_rgba())[..., :3].astype(np.float32) / 255
-    return strip[:LEGEND, :width]
+    strip = np.asarray(canvas.buffer_rgba())[:LEGEND, :width, :3]
+    return strip.astype(np.float32) / np.float32(255)
 
 
 def _round_below(length: float) -> float:

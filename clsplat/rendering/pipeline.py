@@ -279,7 +279,7 @@ class Renderer:
         frozen, statistics, masked, with_pose : as for `project_adjoint`.
         """
         if self.orthographic or self.depth_percent:
-            raise ValueError("orthographic frames and depths at a share of the light have no adjoint")
+            raise ValueError("orthographic frames and depths at some light have no adjoint")
         device, zero = self.device, self._token
         if frame.with_depth and (grad_depth is None or grad_transmittance is None):
             zero = device.empty(frame.blended.depth.shape)

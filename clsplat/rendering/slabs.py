@@ -53,15 +53,19 @@ CULL_FIELDS = ("positions", "log_scales", "quaternions", "opacity_logits")
 class ModelRenderer(Protocol):
     """What `Renderer` and `SlabRenderer` have in common; each takes its own rows and cameras."""
 
-    def at_percent(self, depth_percent: int, /) -> ModelRenderer:
-        """The same renderer for another `depth_percent`."""
-
     def pack(self, camera: Camera, /) -> Any:
         """The camera as `render` expects it."""
 
     def render(self, rows: Any, camera: Any, width: int, height: int, sh_degree: int, /,
                with_depth: bool = False) -> Frame | SlabFrame:
         """Render the model from a packed camera."""
+
+
+class OpenedRenderer(ModelRenderer, Protocol):
+    """What `open_model` returns."""
+
+    def at_percent(self, depth_percent: int, /) -> ModelRenderer:
+        """The same renderer for another `depth_percent`."""
 
 
 class SlabParts(Protocol):
@@ -87,7 +91,7 @@ def gaussian_limit(device: Device, sh_degree: int) -> int:
 def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: bool = False,
                background: Sequence[float] = (0.0, 0.0, 0.0), *, orthographic: bool = False,
                depth_percent: int = 0, low_pass: float = LOW_PASS
-               ) -> tuple[ModelRenderer, Any]:
+               ) -> tuple[OpenedRenderer, Any]:
     """Prepare finished gaussians for rendering.
 
     Parameters
