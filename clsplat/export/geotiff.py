@@ -14,7 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rasterio
+import rasterio.shutil
 from numpy.typing import NDArray
+from rasterio.enums import Resampling
 
 from clsplat.errors import InputError
 from clsplat.export.map_grid import TILE, MapGrid
@@ -40,12 +43,11 @@ class Raster:
 
     def __init__(self, path: Path, grid: MapGrid, crs: str | None,
                  bands: Mapping[str, str | None], colour: bool) -> None:
-        self._rasterio = rasterio_for("a map")
         self._path, self.grid, self._levels = path, grid, 1
         self._dtype = np.dtype(np.uint8 if colour else np.float32)
-        self._file = self._rasterio.open(
+        self._file = rasterio.open(
             path, "w", driver="GTiff", width=grid.columns, height=grid.rows, count=len(bands),
-            dtype=self._dtype.name, crs=crs, tiled=True, transform=self._rasterio.Affine(
+            dtype=self._dtype.name, crs=crs, tiled=True, transform=rasterio.Affine(
                 grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
             blockxsize=TILE, blockysize=TILE, compress="DEFLATE", predictor=2 if colour else 3,
             nodata=None if colour else np.nan, photometric="RGB" if colour else "MINISBLACK",
@@ -63,7 +65,7 @@ class Raster:
         """Replace a tile, [TILE, TILE, bands]; what lies beyond the raster is left out."""
         (top, bottom), (left, right) = self._window(place)
         inner = values[:bottom - top, :right - left].astype(self._dtype)
-        with self._telling(self._path.parent):
+        with _writing(self._path.parent):
             self._file.write(np.moveaxis(inner, -1, 0), window=((top, bottom), (left, right)))
 
     def finish(self, tags: Mapping[str, str]) -> None:
@@ -71,10 +73,10 @@ class Raster:
         sizes = [2**power for power in range(1, 32)
                  if max(self.grid.columns, self.grid.rows) > TILE * 2 ** (power - 1)]
         self.close()
-        with self._telling(self._path.parent), self._rasterio.open(self._path, "r+") as file:
+        with _writing(self._path.parent), rasterio.open(self._path, "r+") as file:
             file.update_tags(**tags)
             if sizes:
-                file.build_overviews(sizes, self._rasterio.enums.Resampling.average)
+                file.build_overviews(sizes, Resampling.average)
         self._levels += len(sizes)
 
     def level(self, largest: float, pixels: bool = False) -> int:
@@ -97,7 +99,7 @@ class Raster:
 
     def close(self) -> None:
         """End the writing of tiles."""
-        with self._telling(self._path.parent):
+        with _writing(self._path.parent):
             self._file.close()
 
     def read(self, place: Place, margin: int = 0) -> NDArray[Any]:
@@ -115,8 +117,8 @@ class Raster:
     def save(self, path: Path) -> None:
         """Replace a file by a COG of the finished raster."""
         partial = self._path.with_name(path.name)
-        with self._telling(path):
-            self._rasterio.shutil.copy(
+        with _writing(path):
+            rasterio.shutil.copy(
                 self._path, partial, driver="COG", compress="DEFLATE", predictor="YES",
                 blocksize=TILE, overviews="AUTO", bigtiff="IF_SAFER", geotiff_version="1.1")
             os.replace(partial, path)
@@ -130,28 +132,29 @@ class Raster:
     @contextmanager
     def _at(self, level: int) -> Iterator[Any]:
         options = {"overview_level": level - 1} if level else {}
-        with self._rasterio.open(self._path, **options) as file:
+        with rasterio.open(self._path, **options) as file:
             yield file
 
-    @contextmanager
-    def _telling(self, path: Path) -> Iterator[None]:
-        try:
-            yield
-        except self._rasterio.errors.RasterioError as error:
-            raise InputError(f"{path}: cannot be written ({reason(error)}); free some space, and "
-                             "check that the folder may be written") from None
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Makes errors of GDAL into errors of a file."""
+    try:
+        yield
+    except rasterio.errors.RasterioError as error:
+        raise InputError(f"{path}: cannot be written ({reason(error)}); free some space, and check "
+                         "that the folder may be written") from None
 
 
 @contextmanager
 def bounded_memory() -> Iterator[None]:
     """Keeps GDAL's memory small, and its messages off the terminal."""
-    with rasterio_for("a map").Env(GDAL_CACHEMAX=CACHE_MIB):
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_MIB):
         yield
 
 
 def check_crs(crs: str) -> None:
     """Raise InputError unless a GeoTIFF with this CRS reads back the same."""
-    rasterio = rasterio_for("a map")
     try:
         wanted = rasterio.crs.CRS.from_user_input(crs)
         with rasterio.MemoryFile() as memory:
@@ -167,15 +170,3 @@ def check_crs(crs: str) -> None:
     if not same:
         raise InputError(f"--crs {clean(crs)[:SHOWN]}: a GeoTIFF would not read back the same; "
                          f"{CURE}")
-
-
-def rasterio_for(what: str) -> Any:
-    """The library; InputError, if it is not installed."""
-    try:
-        import rasterio
-        import rasterio.shutil
-        import rasterio.windows
-    except ImportError:
-        raise InputError(f"{what}: needs rasterio, which is not installed; install it with `pip "
-                         "install rasterio`") from None
-    return rasterio

@@ -21,7 +21,7 @@ from clsplat.export.contours import (
     write_contours,
 )
 from clsplat.export.extent import Extent, extent_of
-from clsplat.export.geotiff import Raster, bounded_memory, check_crs, rasterio_for
+from clsplat.export.geotiff import Raster, bounded_memory, check_crs
 from clsplat.export.map_grid import TILE, MapGrid, ground_resolution
 from clsplat.export.orthophoto import MapPainter, halved_pixels
 from clsplat.export.pits import MARGIN, filled, pits
@@ -81,9 +81,8 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
         would be too many contour lines, the CRS cannot be written, or the disk is full.
     """
     to_wgs84 = None if crs is None else Reprojection(crs, WGS84)
-    rasterio_for("a map")  # that a library is missing is told before the work
     if to_wgs84 and (points or interval != 0):
-        to_wgs84.to_map(np.empty((0, 3)))
+        to_wgs84.to_map(np.empty((0, 3)))  # that pyproj is missing is told before the work
     if crs is not None:
         check_crs(crs)
     make_folder(folder)

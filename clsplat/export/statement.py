@@ -7,6 +7,7 @@ from typing import Any
 
 from clsplat.export.map_grid import ground_resolution
 from clsplat.georeference import Georeference
+from clsplat.io.georeference.crs import vertical_part
 from clsplat.scene import Scene
 
 AXES = ("east", "north", "up")
@@ -22,7 +23,8 @@ def stated(scene: Scene, crs: str | None, place: Georeference | None) -> dict[st
     # files of older versions lack most of these
     errors = {role: {axis: error.rms for axis, error in place.errors(role).items()}
               for role in ROLES} if hasattr(place, "errors") else {}
-    return {**result, "vertical_reference": getattr(place, "vertical", "") or "unknown",
+    return {**result, "vertical_reference": getattr(place, "vertical", "") or vertical_part(
+        place.crs) or "unknown",
             "georeference": {"source": place.source, "residual": place.residual,
                              "residuals_rms": {role: axes for role, axes in errors.items() if axes},
                              "warnings": list(getattr(place, "warnings", ()))}}

@@ -98,6 +98,15 @@ def scene_crs(text: str) -> str:
     return crs
 
 
+def vertical_part(crs: str) -> str:
+    """The name of what a CRS, as `normal_crs` returns it, says that heights count from; "": nothing.
+    """
+    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
+        return ""
+    system = pyproj_crs(crs, "--crs")
+    return str(system.sub_crs_list[1].name) if system.is_compound else ""
+
+
 def project_crs(definition: str, north_first: bool = False) -> str:
     """The horizontal CRS of another program's project, as `normal_crs` returns it, if its first two
     coordinates are metres to the east and north; "" if it is another, or none that pyproj knows.
