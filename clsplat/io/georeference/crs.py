@@ -99,7 +99,7 @@ def scene_crs(text: str) -> str:
 
 
 def vertical_part(crs: str) -> str:
-    """The name of what a CRS, as `normal_crs` returns it, says that heights count from; "": nothing.
+    """The name of what heights of a CRS, as `normal_crs` returns it, count from; "": it has none.
     """
     if UTM_EPSG.fullmatch(crs) or crs == WGS84:
         return ""
