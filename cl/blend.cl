@@ -15,8 +15,8 @@
 // WITH_TONE does both to the light, before the lens's tone curve (tone.h), that row of tones.
 // WITH_DEPTH adds the channel sum_i alpha_i T_i z_i, and to the adjoint the gradients by it and by
 // the final transmittance, so that a loss may read their ratio; otherwise these arrays are not
-// touched. MEDIAN_DEPTH makes it z_i of the splat that takes T to one half, or of the last one that
-// is blended before that; without an adjoint.
+// touched. DEPTH_PERCENT makes it z_i of the splat that takes T to so many per cent, or of the last
+// one that is blended before that; without an adjoint.
 // WITH_LAYERS takes the background of each pixel from layers: uchar[3 or 7, H, W] (layers.h), and
 // WITH_FRONT puts `exposed` behind their front layer, before gain and transform; `image` stays.
 #include "real.h"
@@ -56,9 +56,10 @@ DEFINE_TONE(, vreal)
 #if WITH_LAYERS
 #include "layers.h"
 #endif
-#ifndef MEDIAN_DEPTH
-#define MEDIAN_DEPTH 0
+#ifndef DEPTH_PERCENT
+#define DEPTH_PERCENT 0
 #endif
+#define DEPTH_AT (DEPTH_PERCENT / 100.0)
 #define SUMS (PAIR_SUMS + WITH_DEPTH)
 
 // A channel of `exposed`, of a pixel or a row of pixels.

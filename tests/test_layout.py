@@ -57,7 +57,7 @@ WALLS = {
     "pyopencl": ("clsplat/device/",),
     "pycolmap": ("clsplat/io/", "clsplat/sfm/"),
     **dict.fromkeys(("laspy", "lazrs", "zstandard"), ("clsplat/io/",)),
-    "pyproj": ("clsplat/io/georeference/crs.py",),
+    "pyproj": ("clsplat/io/georeference/crs.py",), "rasterio": ("clsplat/export/geotiff.py",),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/flip.py"),
     "onnxruntime": ("clsplat/evaluation/lpips.py",),
     "click": ("clsplat/cli/",),

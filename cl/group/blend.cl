@@ -116,8 +116,8 @@ void blend(BLEND_ARGUMENTS, __global const uint *restrict bucket_offsets,
                 if (done)
                     break;
                 c += w * colour[j].xyz;
-#if MEDIAN_DEPTH
-                z = w > 0 && t > (real)0.5 ? colour[j].w : z;
+#if DEPTH_PERCENT
+                z = w > 0 && t > (real)DEPTH_AT ? colour[j].w : z;
 #elif WITH_DEPTH
                 z += w * colour[j].w;
 #endif

@@ -83,8 +83,8 @@ inline int16 load_indices(__global const int *row, int columns)
 // The depth channel after a splat of weight w, before which the transmittance was t.
 inline real16 with_depth(real16 z, real depth, real16 w, real16 t)
 {
-#if MEDIAN_DEPTH
-    return select(z, (real16)depth, TO_MASK(w > 0) & TO_MASK(t > (real)0.5));
+#if DEPTH_PERCENT
+    return select(z, (real16)depth, TO_MASK(w > 0) & TO_MASK(t > (real)DEPTH_AT));
 #else
     return z + w * depth;
 #endif

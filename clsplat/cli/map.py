@@ -11,6 +11,7 @@ import click
 from clsplat.cli.flags import Parsed, check_free, device_flag, moved_scene_flag
 from clsplat.errors import InputError
 
+MOST_FILLED = 50  # pixels, the widest hole that is filled
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}
 
 
@@ -26,7 +27,15 @@ def length_of(text: str) -> tuple[float, bool]:
     return (number * METRES[match[2]], True) if match[2] else (number, False)
 
 
-LENGTH = Parsed("LENGTH", length_of)
+def pixels_of(text: str) -> int:
+    """A number of pixels such as 5px."""
+    match = re.fullmatch(r"\s*(\d{1,3})\s*px\s*", text)
+    if not match or int(match[1]) > MOST_FILLED:
+        raise ValueError(f"give a number of pixels up to {MOST_FILLED}px, such as 5px")
+    return int(match[1])
+
+
+LENGTH, FILL = Parsed("LENGTH", length_of), Parsed("PIXELS", pixels_of)
 
 
 @click.command("map")
@@ -39,16 +48,18 @@ LENGTH = Parsed("LENGTH", length_of)
 @click.option("--crs", metavar="CRS", help="Coordinate reference system of the map, such as "
               "EPSG:25833; default: that of the scene.")
 @click.option("--bounds", type=float, nargs=4, metavar="LEFT BOTTOM RIGHT TOP",
-              help="Extent in the coordinates of the map; default: around the sparse points.")
+              help="Extent in the coordinates of the map; default: all that is covered.")
 @click.option("--contours", type=LENGTH, help="Height between contour lines, "
               "such as 50cm, 0 for none. Default: about 15 lines.")
+@click.option("--fill", type=FILL, default="0px", help="Fill holes of at most this width, such as "
+              f"5px; at most {MOST_FILLED}px. Default: none.")
 @click.option("--no-points", is_flag=True, help="Do not write surface.laz.")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier map.")
 @moved_scene_flag
 @device_flag
 def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, crs: str | None,
                 bounds: tuple[float, float, float, float] | None,
-                contours: tuple[float, bool] | None, no_points: bool, overwrite: bool,
+                contours: tuple[float, bool] | None, fill: int, no_points: bool, overwrite: bool,
                 scene: Path | None, device: str) -> None:
     """Draw RUN from straight above, as a map.
 
@@ -64,6 +75,7 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     from clsplat.export.map import FILES, POINTS, write_map
     from clsplat.export.map_grid import map_grid
     from clsplat.export.reprojection import reprojection_of
+    from clsplat.export.statement import sentences
     from clsplat.io.las import laspy_for
     for name in FILES:
         check_free(output / name, overwrite)
@@ -96,12 +108,17 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
         progress.phase("opening the device")
         chosen = choose_device(device)
         record = write_map(opened, data, grid, wanted, chosen, output, interval=interval,
-                           points=points, count=progress.count, phase=progress.phase)
+                           points=points, fill=fill, follow=bounds is None,
+                           count=progress.count, phase=progress.phase)
     unit = "m" if metric else "scene units"
     low, high = record["heights"]
-    click.echo(f"{output}: {grid.columns:,} x {grid.rows:,} pixels of {grid.resolution:g} {unit}, "
-               f"{record['covered']:.0%} covered, 98% of the heights {low:.2f} to {high:.2f} "
-               f"{unit}, {wanted or 'no georeference'}")
+    changed = f", {record['filled']:,} filled" if fill else ""
+    click.echo(f"{output}: {record['columns']:,} x {record['rows']:,} pixels of "
+               f"{record['resolution']:g} {unit}, {record['covered']:.0%} covered, "
+               f"{record['pits']:,} unsure heights left out{changed}, 98% of the heights "
+               f"{low:.2f} to {high:.2f} {unit}, {wanted or 'no georeference'}")
+    for line in sentences(record, unit):
+        click.echo(f"{output}: {line}")
 
 
 def _units(flag: str, length: tuple[float, bool] | None, metric: bool) -> float | None:

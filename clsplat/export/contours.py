@@ -64,10 +64,12 @@ def contour_lines(heights: Heights, interval: float) -> list[ContourLine]:
         return []
     smooth = np.ma.masked_array(smoothed(heights), mask=~known)
     low, high = np.quantile(heights[known], (0.001, 0.999))
-    first, last = math.ceil(low / interval), math.floor(high / interval)
-    if last - first >= MOST_LINES:
-        raise InputError(f"--contours {interval:g}: {last - first + 1:,} lines; give a larger "
+    with np.errstate(over="ignore"):  # of an interval that is almost 0
+        count = (high - low) / np.float64(interval)
+    if count > MOST_LINES:
+        raise InputError(f"--contours {interval:g}: about {count:.3g} lines; give a larger "
                          f"interval, at most {MOST_LINES:,} are drawn")
+    first, last = math.ceil(low / interval), math.floor(high / interval)
     generator = contourpy.contour_generator(z=smooth)
     return [(number * interval, np.asarray(line) + 0.5) for number in range(first, last + 1)
             for line in generator.lines(number * interval) if len(line) >= SHORTEST]

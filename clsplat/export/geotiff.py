@@ -1,186 +1,172 @@
-"""Rasters of any size on disk: tiles that are compressed as they come, overviews, and GeoTIFF.
+"""Rasters of any size on disk, and cloud-optimised GeoTIFF (COG), through rasterio.
 
-A `TileStore` holds the tiles of one raster as a TIFF file will hold them, so that memory does not
-grow with the raster and writing the file is copying. Overviews are rasters of half the size each.
-The tags that place a raster on the earth are those of OGC GeoTIFF 1.1 (OGC 19-008r4).
+A `Raster` is drawn tile by tile into a temporary file, so that memory does not grow with it; its
+overviews are averages of what is known. Only this module has rasterio, whose GDAL writes the
+coordinate reference system (CRS) as other programs read it.
 """
 
 from __future__ import annotations
 
-import tempfile
-import zlib
-from collections.abc import Iterator
-from contextlib import ExitStack
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
-import tifffile
+import rasterio
+import rasterio.shutil
 from numpy.typing import NDArray
+from rasterio.enums import Resampling
 
+from clsplat.errors import InputError
 from clsplat.export.map_grid import TILE, MapGrid
-from clsplat.io.atomic import replacing
+from clsplat.io.reason import clean, reason
 
-BIGTIFF_FROM = (1 << 32) - (1 << 25)  # bytes of tiles; the tags need some room below 4 GiB
-COMPRESSION_LEVEL = 6
-NO_DATA = "nan"
-# tags, and keys of the geo key directory
-PIXEL_SCALE, TIEPOINT, GEO_KEYS, GEO_ASCII, GDAL_NODATA = 33550, 33922, 34735, 34737, 42113
-MODEL_TYPE, RASTER_TYPE, CITATION, PROJECTED_CRS, PROJECTED_CITATION, LINEAR_UNITS = (
-    1024, 1025, 1026, 3072, 3073, 3076)
-PROJECTED, USER_DEFINED, PIXEL_IS_AREA, METRE = 1, 32767, 1, 9001
+CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
+SHOWN = 60  # characters of a CRS in a message
+CURE = "give one with an EPSG code"
+Place = tuple[int, int]  # of a tile: column, row
 
 
-class TileStore:
-    """The tiles of a raster, row by row, in a temporary file that disappears when it is closed.
+class Raster:
+    """A raster of uint8 colours with alpha, or of float32 with nan where nothing is known.
 
     Parameters
     ----------
-    folder : where the temporary file lies; it becomes as large as the GeoTIFF.
-    columns, rows : size of the raster, pixels.
-    samples : values of a pixel; 1: tiles are [TILE, TILE].
-    dtype : uint8, or float32 with nan where nothing is known.
-    """
-
-    def __init__(self, folder: Path, columns: int, rows: int, samples: int, dtype: type) -> None:
-        self.columns, self.rows, self.samples, self.dtype = columns, rows, samples, np.dtype(dtype)
-        self._folder, self._places = folder, list[tuple[int, int]]()
-        self._file = tempfile.TemporaryFile(dir=folder)
-
-    def __enter__(self) -> TileStore:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self._file.close()
-
-    @property
-    def tiles(self) -> tuple[int, int]:
-        """How many tiles there are (across, down)."""
-        return -(-self.columns // TILE), -(-self.rows // TILE)
-
-    @property
-    def nbytes(self) -> int:
-        """The size of all tiles so far, compressed."""
-        return sum(size for _, size in self._places)
-
-    def append(self, tile: NDArray[Any]) -> None:
-        """Add the next tile, [TILE, TILE] or [TILE, TILE, samples]."""
-        values = np.array(tile, self.dtype, order="C")
-        if self.dtype == np.uint8:  # TIFF's horizontal predictor
-            values[:, 1:] = np.diff(values, axis=1)  # modulo 256
-        encoded = zlib.compress(values.data, COMPRESSION_LEVEL)
-        self._places.append((self._file.seek(0, 2), len(encoded)))
-        self._file.write(encoded)
-
-    def read(self, column: int, row: int) -> NDArray[Any]:
-        """A tile as it was given to `append`; one beyond the raster is empty."""
-        shape = (TILE, TILE) if self.samples == 1 else (TILE, TILE, self.samples)
-        across, down = self.tiles
-        if not (column < across and row < down):
-            return np.full(shape, np.nan if self.dtype == np.float32 else 0, self.dtype)
-        values = np.frombuffer(zlib.decompress(self._encoded(column + row * across)), self.dtype)
-        tile = values.reshape(shape)
-        return np.cumsum(tile, axis=1, dtype=np.uint8) if self.dtype == np.uint8 else tile
-
-    def encoded(self) -> Iterator[bytes]:
-        """All tiles, compressed, as a TIFF file holds them."""
-        return map(self._encoded, range(len(self._places)))
-
-    def whole(self) -> NDArray[Any]:
-        """The raster in one piece: for small ones, such as coarse overviews."""
-        across, down = self.tiles
-        rows = [np.concatenate([self.read(x, y) for x in range(across)], axis=1)
-                for y in range(down)]
-        return np.concatenate(rows)[:self.rows, :self.columns]
-
-    def halved(self) -> TileStore:
-        """The raster of half the size, each pixel of which is the mean of the known ones of four.
-        """
-        half = TileStore(self._folder, -(-self.columns // 2), -(-self.rows // 2), self.samples,
-                         self.dtype.type)
-        for y in range(half.tiles[1]):
-            for x in range(half.tiles[0]):
-                four = [np.concatenate([self.read(2 * x, row), self.read(2 * x + 1, row)], axis=1)
-                        for row in (2 * y, 2 * y + 1)]
-                half.append(halved_pixels(np.concatenate(four)))
-        return half
-
-    def _encoded(self, index: int) -> bytes:
-        place, size = self._places[index]
-        self._file.seek(place)
-        return self._file.read(size)
-
-
-def halved_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """[H/2, W/2, ...]: means of 2 x 2 pixels, of heights without nan, of colours by alpha."""
-    height, width = (side // 2 for side in pixels.shape[:2])
-    four = pixels.reshape(height, 2, width, 2, *pixels.shape[2:]).astype(np.float32)
-    if pixels.ndim == 2:
-        known = ~np.isnan(four)
-        number = known.sum(axis=(1, 3))
-        total = np.where(known, four, 0).sum(axis=(1, 3))
-        return np.where(number > 0, total / np.maximum(number, 1), np.nan).astype(np.float32)
-    alpha = four[..., 3:]
-    weight = alpha.sum(axis=(1, 3))
-    colours = (four[..., :3] * alpha).sum(axis=(1, 3)) / np.maximum(weight, 1)
-    result = np.concatenate([colours, weight / 4], axis=-1)
-    return (result + 0.5).astype(np.uint8)
-
-
-def overviews(store: TileStore, stack: ExitStack, halvings: int = 0) -> list[TileStore]:
-    """A raster that was halved so often, and halves of halves of it down to one tile, which `stack`
-    will close."""
-    levels = [store]
-    while len(levels) <= halvings or max(levels[-1].tiles) > 1:
-        levels.append(stack.enter_context(levels[-1].halved()))
-    return levels[halvings:]
-
-
-def write_geotiff(path: Path, levels: list[TileStore], grid: MapGrid, crs: str | None,
-                  epsg: int | None) -> None:
-    """Replace a GeoTIFF file: tiled, deflated, with overviews; BigTIFF where it needs to be.
-
-    Parameters
-    ----------
-    path : the file.
-    levels : the raster and its overviews.
+    path : of the temporary file, created.
     grid : says where the pixels lie.
-    crs : name or definition of the coordinate reference system (CRS); None: a local one.
-    epsg : its EPSG code; None: it has none, so that only its text is written.
+    crs : name or definition of the CRS; None: a local one.
+    bands : name and unit of each band.
+    colour : whether the bands are red, green, blue and alpha.
     """
-    colour = levels[0].samples > 1
-    place = geo_tags(grid, crs, epsg)
-    tags = place + ([] if colour else [(GDAL_NODATA, 2, 0, NO_DATA, True)])
-    big = sum(level.nbytes for level in levels) > BIGTIFF_FROM
-    with replacing(path) as file, tifffile.TiffWriter(file, bigtiff=big) as writer:
-        for number, level in enumerate(levels):
-            shape = (level.rows, level.columns) + ((level.samples,) if colour else ())
-            writer.write(
-                level.encoded(), shape=shape, dtype=level.dtype, tile=(TILE, TILE),
-                compression="adobe_deflate", predictor=2 if colour else 1,
-                photometric="rgb" if colour else "minisblack", planarconfig="contig",
-                extrasamples=["unassalpha"] if colour else None, metadata=None,
-                software="clsplat", subfiletype=int(number > 0),
-                extratags=tags if number == 0 else tags[len(place):])
+
+    def __init__(self, path: Path, grid: MapGrid, crs: str | None,
+                 bands: Mapping[str, str | None], colour: bool) -> None:
+        self._path, self.grid, self._levels = path, grid, 1
+        self._dtype = np.dtype(np.uint8 if colour else np.float32)
+        self._file = rasterio.open(
+            path, "w", driver="GTiff", width=grid.columns, height=grid.rows, count=len(bands),
+            dtype=self._dtype.name, crs=crs, tiled=True, transform=rasterio.Affine(
+                grid.resolution, 0, grid.left, 0, -grid.resolution, grid.top),
+            blockxsize=TILE, blockysize=TILE, compress="DEFLATE", predictor=2 if colour else 3,
+            nodata=None if colour else np.nan, photometric="RGB" if colour else "MINISBLACK",
+            alpha="YES" if colour else "NO", bigtiff="IF_SAFER", sparse_ok=True)
+        for number, (name, unit) in enumerate(bands.items(), 1):
+            self._file.set_band_description(number, name)
+            self._file.set_band_unit(number, unit or "")
+
+    @property
+    def tiles(self) -> Place:
+        """How many tiles there are (across, down)."""
+        return self.grid.tiles
+
+    def write(self, place: Place, values: NDArray[Any]) -> None:
+        """Replace a tile, [TILE, TILE, bands]; what lies beyond the raster is left out."""
+        (top, bottom), (left, right) = self._window(place)
+        inner = values[:bottom - top, :right - left].astype(self._dtype)
+        with _writing(self._path.parent):
+            self._file.write(np.moveaxis(inner, -1, 0), window=((top, bottom), (left, right)))
+
+    def finish(self, tags: Mapping[str, str]) -> None:
+        """Add tags and overviews, halves of halves down to one tile, and end the writing."""
+        sizes = [2**power for power in range(1, 32)
+                 if max(self.grid.columns, self.grid.rows) > TILE * 2 ** (power - 1)]
+        self.close()
+        with _writing(self._path.parent), rasterio.open(self._path, "r+") as file:
+            file.update_tags(**tags)
+            if sizes:
+                file.build_overviews(sizes, Resampling.average)
+        self._levels += len(sizes)
+
+    def level(self, largest: float, pixels: bool = False) -> int:
+        """The finest level of at most so many pixels, in all or along the longer side."""
+        sizes = [(-(-self.grid.columns // 2**level), -(-self.grid.rows // 2**level))
+                 for level in range(self._levels)]
+        return next((level for level, size in enumerate(sizes)
+                     if (size[0] * size[1] if pixels else max(size)) <= largest), self._levels - 1)
+
+    def whole(self, level: int) -> NDArray[Any]:
+        """A level in one piece, [H, W, bands]: for coarse ones."""
+        with self._at(level) as file:
+            return np.moveaxis(file.read(), 0, -1)
+
+    def parts(self, level: int) -> Iterator[tuple[int, int, NDArray[Any]]]:
+        """(first column, first row, [h, w, bands]) of every tile of a level."""
+        with self._at(level) as file:
+            for _, window in file.block_windows(1):
+                yield window.col_off, window.row_off, np.moveaxis(file.read(window=window), 0, -1)
+
+    def close(self) -> None:
+        """End the writing of tiles."""
+        with _writing(self._path.parent):
+            self._file.close()
+
+    def read(self, place: Place, margin: int = 0) -> NDArray[Any]:
+        """A tile of a closed raster with so many pixels around it, [H, W, bands]; beyond the raster
+        nothing is known."""
+        (top, bottom), (left, right) = self._window(place, margin)
+        first = place[1] * TILE - margin, place[0] * TILE - margin
+        with self._at(0) as file:
+            inner = np.moveaxis(file.read(window=((top, bottom), (left, right))), 0, -1)
+        shape = TILE + 2 * margin, TILE + 2 * margin, inner.shape[-1]
+        result = np.full(shape, np.nan if self._dtype == np.float32 else 0, self._dtype)
+        result[top - first[0]:bottom - first[0], left - first[1]:right - first[1]] = inner
+        return result
+
+    def save(self, path: Path) -> None:
+        """Replace a file by a COG of the finished raster."""
+        partial = self._path.with_name(path.name)
+        with _writing(path):
+            rasterio.shutil.copy(
+                self._path, partial, driver="COG", compress="DEFLATE", predictor="YES",
+                blocksize=TILE, overviews="AUTO", bigtiff="IF_SAFER", geotiff_version="1.1")
+            os.replace(partial, path)
+
+    def _window(self, place: Place, margin: int = 0) -> tuple[Place, Place]:
+        """The rows and columns of a tile and its margin within the raster."""
+        rows, columns = ((max(0, at * TILE - margin), min(most, (at + 1) * TILE + margin))
+                         for at, most in zip(place[::-1], (self.grid.rows, self.grid.columns)))
+        return rows, columns
+
+    @contextmanager
+    def _at(self, level: int) -> Iterator[Any]:
+        options = {"overview_level": level - 1} if level else {}
+        with rasterio.open(self._path, **options) as file:
+            yield file
 
 
-def geo_tags(grid: MapGrid, crs: str | None, epsg: int | None
-             ) -> list[tuple[int, int, int, Any, bool]]:
-    """The tags that say where a raster lies, as tifffile takes them."""
-    kind = USER_DEFINED if crs is None else PROJECTED
-    name = "scene coordinates" if crs is None else f"EPSG:{epsg}" if epsg else crs
-    # TIFF knows ASCII alone, and a bar ends a text
-    text = name.encode("ascii", "replace").decode().replace("|", "/") + "|"
-    keys = [(MODEL_TYPE, 0, 1, kind), (RASTER_TYPE, 0, 1, PIXEL_IS_AREA),
-            (CITATION, GEO_ASCII, len(text), 0)]
-    if crs is not None:
-        keys += [(PROJECTED_CRS, 0, 1, epsg or USER_DEFINED),
-                 (PROJECTED_CITATION, GEO_ASCII, len(text), 0), (LINEAR_UNITS, 0, 1, METRE)]
-    directory = np.array([(1, 1, 0, len(keys)), *keys], np.uint16).ravel()
-    scale = (grid.resolution, grid.resolution, 0.0)
-    tie = (0.0, 0.0, 0.0, grid.left, grid.top, 0.0)
-    return [(PIXEL_SCALE, 12, 3, scale, True), (TIEPOINT, 12, 6, tie, True),
-            (GEO_KEYS, 3, len(directory), tuple(int(key) for key in directory), True),
-            (GEO_ASCII, 2, 0, text, True)]
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Makes errors of GDAL into errors of a file."""
+    try:
+        yield
+    except rasterio.errors.RasterioError as error:
+        raise InputError(f"{path}: cannot be written ({reason(error)}); free some space, and check "
+                         "that the folder may be written") from None
+
+
+@contextmanager
+def bounded_memory() -> Iterator[None]:
+    """Keeps GDAL's memory small, and its messages off the terminal."""
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_MIB):
+        yield
+
+
+def check_crs(crs: str) -> None:
+    """Raise InputError unless a GeoTIFF with this CRS reads back the same."""
+    try:
+        wanted = rasterio.crs.CRS.from_user_input(crs)
+        with rasterio.MemoryFile() as memory:
+            with memory.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8", crs=wanted,
+                             geotiff_version="1.1",
+                             transform=rasterio.Affine(1, 0, 1, 0, -1, 1)) as file:
+                file.write(np.ones((1, 1, 1), np.uint8))
+            with memory.open() as file:
+                same = file.crs == wanted
+    except rasterio.errors.RasterioError as error:
+        raise InputError(f"--crs {clean(crs)[:SHOWN]}: cannot be written to GeoTIFF "
+                         f"({reason(error)}); {CURE}") from None
+    if not same:
+        raise InputError(f"--crs {clean(crs)[:SHOWN]}: a GeoTIFF would not read back the same; "
+                         f"{CURE}")

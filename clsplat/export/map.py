@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,49 +20,40 @@ from clsplat.export.contours import (
     contour_lines,
     write_contours,
 )
-from clsplat.export.geotiff import TileStore, overviews, write_geotiff
-from clsplat.export.map_grid import MapGrid, ground_resolution
-from clsplat.export.orthophoto import MapPainter
-from clsplat.export.reprojection import Reprojection, epsg_code
-from clsplat.export.surface import MOST_POINTS, shaded, write_surface
+from clsplat.export.extent import Extent, extent_of
+from clsplat.export.geotiff import Raster, bounded_memory, check_crs
+from clsplat.export.map_grid import TILE, MapGrid, ground_resolution
+from clsplat.export.orthophoto import MapPainter, halved_pixels
+from clsplat.export.pits import MARGIN, filled, pits
+from clsplat.export.preview import preview
+from clsplat.export.reprojection import Reprojection
+from clsplat.export.statement import stated, tags_of
+from clsplat.export.surface import MOST_POINTS, write_surface
 from clsplat.io.folders import make_folder
 from clsplat.io.georeference.crs import WGS84
 from clsplat.io.images import write_image
 from clsplat.io.records import write_object
-from clsplat.rendering.project import LOW_PASS
-from clsplat.rendering.slabs import open_model
 from clsplat.scene import Scene
 
 ORTHOPHOTO, SURFACE, POINTS = "orthophoto.tif", "surface.tif", "surface.laz"
 CONTOURS, PREVIEW, RECORD = "contours.geojson", "preview.png", "map.json"
 FILES = ORTHOPHOTO, SURFACE, POINTS, CONTOURS, PREVIEW, RECORD
-PREVIEW_SIDE, CONTOUR_SIDE = 1400, 3000  # pixels of the coarser rasters that these are made from
+CONTOUR_SIDE = 3000  # pixels of the coarser raster that they are made from
 HEIGHTS = (0.01, 0.99)  # quantiles that the record has: single pixels may be far off
 DEGREE_DIGITS = 8  # after the point: a millimetre
+COLOURS = dict.fromkeys(("red", "green", "blue", "alpha"))  # bands, without a unit
+HEIGHTS_OF = "height", "spread"
+SCRATCH = ".drawing-"  # how the name of the temporary folder begins
+EMPTY = (np.zeros((TILE, TILE, 4), np.uint8), np.full((TILE, TILE, 2), np.nan, np.float32))
 
 Count = Callable[[str, int, int], object]  # (what, done, total)
 Phase = Callable[[str], object]
 
 
-@dataclass(frozen=True)
-class Raster:
-    """The rasters of a map with their overviews, from fine to coarse."""
-
-    colours: list[TileStore]
-    heights: list[TileStore]
-
-    def level(self, largest: float, pixels: bool = False) -> int:
-        """The finest level of at most so many pixels, in all or along the longer side."""
-        sizes = [store.columns * store.rows if pixels else max(store.columns, store.rows)
-                 for store in self.heights]
-        return next((number for number, size in enumerate(sizes) if size <= largest),
-                    len(sizes) - 1)
-
-
 def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: Device,
               folder: Path, *, interval: float | None = None, points: bool = True,
-              count: Count = lambda *_: None, phase: Phase = lambda _: None
-              ) -> dict[str, Any]:
+              fill: int = 0, follow: bool = False, count: Count = lambda *_: None,
+              phase: Phase = lambda _: None) -> dict[str, Any]:
     """Write the map of a run into a folder; the files of an earlier map are replaced or removed.
 
     Parameters
@@ -76,6 +66,8 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
     folder : created if it is missing.
     interval : between contour lines, map units; None: a round number that suits; 0: none.
     points : whether to write POINTS.
+    fill : holes of at most so many pixels across are filled, at most MARGIN.
+    follow : whether the bounds become those of all that the map can show.
     count : called with what is done, how much of it, and how much there is.
     phase : called with what begins.
 
@@ -86,22 +78,34 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
     Raises
     ------
     clsplat.ClsplatError : an optional package is missing, the model shows nothing there, there
-        would be too many contour lines, or the disk is full.
+        would be too many contour lines, the CRS cannot be written, or the disk is full.
     """
     to_wgs84 = None if crs is None else Reprojection(crs, WGS84)
     if to_wgs84 and (points or interval != 0):
         to_wgs84.to_map(np.empty((0, 3)))  # that pyproj is missing is told before the work
-    epsg = None if crs is None else epsg_code(crs)
+    if crs is not None:
+        check_crs(crs)
     make_folder(folder)
-    with ExitStack() as stack:
-        ground = ground_resolution(scene)
-        # gaussians smaller than a pixel would be drawn as large as one, and hide what is beside
-        # them: a map coarser than the photos is the mean of finer pixels
-        halvings = max(0, round(math.log2(grid.resolution / ground)))
-        base = _drawn(run, scene, grid.finer(halvings), ground, device, folder, stack, count)
+    with bounded_memory(), TemporaryDirectory(dir=folder, prefix=SCRATCH) as scratch:
+        phase("looking at the extent")
+        extent = extent_of(device, run, scene, grid)
+        if follow:
+            grid = extent.around(grid)
+        unit = "metre" if crs else "scene unit"
+        statement = stated(scene, crs, run.georeference)
+        drawn, result = (
+            (Raster(Path(scratch) / f"{stage}-colours", grid, crs, COLOURS, True),
+             Raster(Path(scratch) / f"{stage}-surface", grid, crs, dict.fromkeys(HEIGHTS_OF, unit),
+                    False)) for stage in ("drawn", "cleaned"))
+        colours, surface = result
+        _draw(run, scene, grid, extent, device, drawn, count)
+        phase("leaving out pits")
+        dropped, new = _cleaned(drawn, result, fill)
         phase("making overviews")
-        raster = Raster(*(overviews(store, stack, halvings) for store in base))
-        heights = raster.heights[raster.level(CONTOUR_SIDE)].whole()
+        for raster in result:
+            raster.finish(tags_of(statement))
+        level = surface.level(CONTOUR_SIDE)
+        heights = surface.whole(level)[..., 0]
         if not np.isfinite(heights).any():
             raise InputError(f"{run.path}: everywhere on the map, the model is transparent or "
                              "fewer than two photos show the place; train longer, or give other "
@@ -113,24 +117,25 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
         lines = contour_lines(heights, interval)  # first of all: there may be too many of them
         files = [ORTHOPHOTO, SURFACE, PREVIEW]
         phase("writing GeoTIFF files")
-        write_geotiff(folder / ORTHOPHOTO, raster.colours, grid, crs, epsg)
-        write_geotiff(folder / SURFACE, raster.heights, grid, crs, epsg)
-        write_image(folder / PREVIEW, _preview(raster, grid, interval))
+        colours.save(folder / ORTHOPHOTO)
+        surface.save(folder / SURFACE)
+        write_image(folder / PREVIEW, preview(colours, surface, interval, crs))
         if interval:
-            _write_contours(folder / CONTOURS, lines, raster, grid, to_wgs84)
+            _write_contours(folder / CONTOURS, lines, grid, level, to_wgs84)
             files.append(CONTOURS)
         if points:
             phase("writing points")
-            level = raster.level(MOST_POINTS, pixels=True)
-            write_surface(folder / POINTS, raster.heights[level], raster.colours[level], grid,
-                          2**level, crs)
+            write_surface(folder / POINTS, surface, colours,
+                          surface.level(MOST_POINTS, pixels=True), crs)
             files.append(POINTS)
     known = heights[np.isfinite(heights)]
     record = {
-        "crs": crs, "unit": "metre" if crs else "scene unit", "resolution": grid.resolution,
+        "crs": crs, "unit": unit, "resolution": grid.resolution,
         "columns": grid.columns, "rows": grid.rows, "bounds": grid.bounds,
         "heights": np.quantile(known, HEIGHTS).tolist(),
         "covered": float(len(known) / heights.size), "contour_interval": interval,
+        "pits": dropped, "filled": new, **statement,
+        "bands": {ORTHOPHOTO: list(COLOURS), SURFACE: list(HEIGHTS_OF)},
         "axes": grid.axes.tolist(), "origin": grid.origin.tolist(), "files": files}
     for name in set(FILES) - {*files, RECORD}:
         (folder / name).unlink(missing_ok=True)
@@ -138,31 +143,77 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
     return record
 
 
-def _drawn(run: Run, scene: Scene, grid: MapGrid, ground: float, device: Device, folder: Path,
-           stack: ExitStack, count: Count) -> tuple[TileStore, TileStore]:
-    """Draw all tiles: colours and heights; `stack` will close their files."""
-    model, options = run.finished_model, run.options
-    # splats were trained with a low-pass of so many pixels of the photos: they keep their size
-    finer = max(1.0, ground / grid.resolution)
-    renderer, rows = open_model(
-        device, model, 0.0, options.antialiased, options.background, orthographic=True,
-        median_depth=True, low_pass=LOW_PASS * finer**2)
-    painter = MapPainter(renderer, rows, model.sh_degree, model.offset, grid, scene)
-    size = grid.columns, grid.rows
-    colours = stack.enter_context(TileStore(folder, *size, 4, np.uint8))
-    heights = stack.enter_context(TileStore(folder, *size, 1, np.float32))
-    across, down = grid.tiles
-    for index in range(across * down):
-        tile = painter.tile(index % across, index // across)
-        colours.append(tile.colours)
-        heights.append(tile.heights)
-        count("tile", index + 1, across * down)
-    return colours, heights
+def _draw(run: Run, scene: Scene, grid: MapGrid, extent: Extent, device: Device,
+          drawn: tuple[Raster, Raster], count: Count) -> None:
+    """Draw all tiles in which anything is known."""
+    # gaussians smaller than a pixel would be drawn as large as one, and hide what is beside
+    # them: a map coarser than the photos is the mean of finer pixels
+    halvings = max(0, round(math.log2(grid.resolution / ground_resolution(scene))))
+    finer = grid.finer(halvings)
+    painter = MapPainter(device, run, finer, scene)
+    met = {(x, y) for y in range(finer.tiles[1]) for x in range(finer.tiles[0])
+           if extent.meets(finer.tile_bounds(x, y))}
+    done = 0
+
+    def tile(column: int, row: int, level: int) -> tuple[NDArray[Any], NDArray[Any]] | None:
+        nonlocal done
+        if not level:
+            if (column, row) not in met:
+                return None
+            painted = painter.tile(column, row)
+            done += 1
+            count("tile", done, len(met))
+            inside = extent.inside(finer, column, row)[..., None]
+            return (np.where(inside, painted.colours, 0),
+                    np.where(inside, painted.surface, np.float32(np.nan)))
+        four = [[tile(2 * column + x, 2 * row + y, level - 1) or EMPTY for x in (0, 1)]
+                for y in (0, 1)]
+        if all(part is EMPTY for row_of in four for part in row_of):
+            return None
+        colours, surface = (halved_pixels(np.concatenate([np.concatenate(
+            [part[kind] for part in row_of], axis=1) for row_of in four])) for kind in (0, 1))
+        return colours, surface
+
+    for place in np.ndindex(grid.tiles[::-1]):
+        found = tile(place[1], place[0], halvings)
+        if found:
+            for raster, values in zip(drawn, found):
+                raster.write(place[::-1], values)
+    for raster in drawn:
+        raster.close()
 
 
-def _write_contours(path: Path, lines: list[ContourLine], raster: Raster, grid: MapGrid,
+def _cleaned(drawn: tuple[Raster, Raster], result: tuple[Raster, Raster], fill: int
+             ) -> tuple[int, int]:
+    """Copy colours, and heights without pits, with small holes filled; how many heights are left
+    out, and how many are filled."""
+    dropped = filled_count = 0
+    own = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+    for y, x in np.ndindex(drawn[0].tiles[::-1]):
+        colours = drawn[0].read((x, y), MARGIN)
+        alpha = colours[..., 3] > 0
+        if not alpha.any():
+            continue
+        heights = drawn[1].read((x, y), 2 * MARGIN)
+        found = pits(heights[..., 0], heights[..., 1], drawn[1].grid.resolution)
+        heights = heights[own]
+        known = np.isfinite(heights[..., 0]) & ~found
+        dropped += int((alpha & ~known)[own].sum())
+        if fill:
+            smooth, alpha = filled(colours.astype(np.float32), alpha, fill)
+            colours = np.round(smooth)
+            colours[..., 3][(colours[..., 3] == 0) & alpha] = 255
+            heights, more = filled(heights, known, fill)
+            filled_count += int((more & ~known)[own].sum())
+            known = more
+        result[0].write((x, y), colours[own])
+        result[1].write((x, y), np.where(known[..., None], heights, np.nan)[own])
+    return dropped, filled_count
+
+
+def _write_contours(path: Path, lines: list[ContourLine], grid: MapGrid, level: int,
                     to_wgs84: Reprojection | None) -> None:
-    size = grid.resolution * 2 ** raster.level(CONTOUR_SIDE)
+    size = grid.resolution * 2**level
 
     def to_place(line: NDArray[np.float64]) -> NDArray[np.float64]:
         places = np.column_stack([np.array([grid.left, grid.top]) + line * (size, -size),
@@ -171,14 +222,3 @@ def _write_contours(path: Path, lines: list[ContourLine], raster: Raster, grid: 
 
     digits = DEGREE_DIGITS if to_wgs84 else max(0, math.ceil(1 - math.log10(size)))
     write_contours(path, lines, to_place, digits)
-
-
-def _preview(raster: Raster, grid: MapGrid, interval: float) -> NDArray[np.float32]:
-    """Orthophoto and shaded surface with contour lines, one beside the other, on white."""
-    level = raster.level(PREVIEW_SIDE)
-    pixels = raster.colours[level].whole().astype(np.float32) / 255
-    colours = pixels[..., :3] * pixels[..., 3:] + 1 - pixels[..., 3:]
-    surface = shaded(raster.heights[level].whole(), grid.resolution * 2**level, interval)
-    gap = np.ones((len(colours), max(4, colours.shape[1] // 50), 3), np.float32)
-    picture: NDArray[np.float32] = np.concatenate([colours, gap, surface], axis=1)
-    return picture

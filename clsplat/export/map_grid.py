@@ -20,6 +20,8 @@ LARGEST_SIDE = 1 << 17  # pixels of a map
 EXTENT = (0.005, 0.995)  # quantiles of the sparse points within a map
 HEIGHTS = (0.001, 0.999)  # quantiles of their heights; outliers lie far above and below
 HEADROOM = 0.1  # of the range of heights: gaussians may lie higher than the points
+FOOTROOM = 0.05  # likewise below them, and of FLAT times the diagonal of a flat scene
+FLAT = 0.25
 UPRIGHT = 0.1  # radians, the angle of an up axis with z below which x and y are the map's axes
 
 Bounds = tuple[float, float, float, float]
@@ -37,6 +39,7 @@ class MapGrid:
     resolution : map units a pixel.
     columns, rows : size, pixels.
     ceiling : height in map coordinates, above which nothing is drawn.
+    floor : height in map coordinates, below which no height is taken for known.
     reprojection : from the coordinate reference system (CRS) of the scene to that of the map; None:
         they are the same.
     """
@@ -49,6 +52,7 @@ class MapGrid:
     columns: int
     rows: int
     ceiling: float
+    floor: float = -math.inf
     reprojection: Reprojection | None = None
 
     @property
@@ -61,6 +65,23 @@ class MapGrid:
         """(left, bottom, right, top), map coordinates."""
         return (self.left, self.top - self.rows * self.resolution,
                 self.left + self.columns * self.resolution, self.top)
+
+    def tile_bounds(self, column: int, row: int) -> Bounds:
+        """(left, bottom, right, top) of a tile, map coordinates."""
+        side = TILE * self.resolution
+        left, top = self.left + column * side, self.top - row * side
+        return left, top - side, left + side, top
+
+    def within(self, bounds: Bounds, resolution: float | None = None) -> MapGrid:
+        """The grid with other bounds, which move outwards to multiples of its pixels, or of pixels
+        of another size."""
+        size = resolution or self.resolution
+        left, bottom, right, top = (
+            outwards(side / size) * size for outwards, side
+            in zip((math.floor, math.floor, math.ceil, math.ceil), bounds))
+        return replace(self, left=left, top=top, resolution=size,
+                       columns=max(1, round((right - left) / size)),
+                       rows=max(1, round((top - bottom) / size)))
 
     def finer(self, halvings: int) -> MapGrid:
         """The same map, the sides of whose pixels are halved so often."""
@@ -130,23 +151,28 @@ def map_grid(scene: Scene, resolution: float | None = None, bounds: Bounds | Non
         raise InputError(f"{scene.name}: has no points, so the extent of a map is unknown")
     origin = np.zeros(3) if scene.georeference is None else np.array(scene.georeference.offset)
     original = scene.offset + scene.unit * scene.points
-    grid = MapGrid(map_axes(scene), origin, 0, 0, 1, 1, 1, 0, reprojection)
+    grid = MapGrid(map_axes(scene), origin, 0, 0, 1, 1, 1, 0, reprojection=reprojection)
     places = grid.to_map(original)
     lowest, highest = np.quantile(places[:, 2], HEIGHTS)
-    size = resolution or ground_resolution(scene)
-    if bounds is None:
-        (left, bottom), (right, top) = np.quantile(places[:, :2], EXTENT, axis=0)
-        left, bottom = (math.floor(side / size) * size for side in (left, bottom))
-        right, top = (math.ceil(side / size) * size for side in (right, top))
-    else:
+    size = float(resolution or ground_resolution(scene))
+    (left, bottom), (right, top) = np.quantile(places[:, :2], EXTENT, axis=0)
+    below = FOOTROOM * max(highest - lowest, FLAT * math.hypot(right - left, top - bottom))
+    if bounds is not None:
         left, bottom, right, top = bounds
-    columns, rows = (max(1, round(side / size)) for side in (right - left, top - bottom))
-    if max(columns, rows) > LARGEST_SIDE:
-        raise InputError(f"--resolution {size:g}: a map of {columns:,} x {rows:,} pixels, more "
-                         f"than {LARGEST_SIDE:,} a side; give a coarser resolution or smaller "
-                         "--bounds")
-    return replace(grid, left=float(left), top=float(top), resolution=float(size), columns=columns,
-                   rows=rows, ceiling=float(highest + HEADROOM * (highest - lowest)))
+    sides = float(right - left), float(top - bottom)
+    if size > max(sides):
+        raise InputError(f"--resolution {size:g}: a pixel larger than the map, which is "
+                         f"{sides[0]:.3g} x {sides[1]:.3g}; give a finer resolution")
+    if max(sides) > size * LARGEST_SIDE:
+        raise InputError(f"--resolution {size:g}: the map would have {max(sides) / size:.3g} "
+                         f"pixels along a side, more than {LARGEST_SIDE:,}; give a coarser "
+                         "resolution or smaller --bounds")
+    grid = replace(grid, ceiling=float(highest + HEADROOM * (highest - lowest)),
+                   floor=float(lowest - below), resolution=size)
+    if bounds is None:
+        return grid.within((float(left), float(bottom), float(right), float(top)))
+    columns, rows = (max(1, round(side / size)) for side in sides)
+    return replace(grid, left=float(left), top=float(top), columns=columns, rows=rows)
 
 
 def map_axes(scene: Scene) -> NDArray[np.float64]:

@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, zoom
 
 from clsplat.camera import Camera
-from clsplat.export.map_grid import TILE, MapGrid
-from clsplat.rendering.slabs import ModelRenderer
+from clsplat.device import Device
+from clsplat.evaluation.run import Run
+from clsplat.export.map_grid import TILE, MapGrid, ground_resolution
+from clsplat.rendering.project import LOW_PASS
+from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.scene import Scene
 
+MEDIAN, FIRST = 50, 90  # per cent of the light that still passes, at the depths that are drawn
 HOLE = 0.5  # of the light passes: the map has a hole there
 LEAST_VIEWS = 2  # photos that must show a place: one alone knows no height
 STEP = 16  # pixels between the places that are looked for in the photos
@@ -32,11 +36,13 @@ class MapTile:
         where fewer than two photos show the place. Colours contain the background that shows
         through, as in the training, which has made dark ground of it: divided by the share that the
         gaussians cover, they would be too bright (by 5 dB on caliterra).
-    heights : float32[TILE, TILE], map coordinates; nan where alpha is 0.
+    surface : float32[TILE, TILE, 2], heights, map coordinates, and how far above them the first
+        tenth of the light is held back, map units: how sure a height is. nan where alpha is 0, and
+        below the floor of the map.
     """
 
     colours: NDArray[np.uint8]
-    heights: NDArray[np.float32]
+    surface: NDArray[np.float32]
 
 
 class MapPainter:
@@ -44,33 +50,42 @@ class MapPainter:
 
     Parameters
     ----------
-    renderer, rows, degree : the model on the device, for orthographic cameras and median depths, on
-        the background of the training; see `rendering.slabs.open_model`.
-    offset : float64[3], original coordinates of the origin of the model.
+    device : an open device.
+    run : finished.
     grid : of the map.
-    scene : its cameras tell which places the photos show.
+    scene : its cameras say which places the photos show.
     """
 
-    def __init__(self, renderer: ModelRenderer, rows: Any, degree: int,
-                 offset: NDArray[np.float64], grid: MapGrid, scene: Scene) -> None:
-        self._renderer, self._rows, self._degree = renderer, rows, degree
-        self._offset, self._grid, self._scene = offset, grid, scene
+    def __init__(self, device: Device, run: Run, grid: MapGrid, scene: Scene) -> None:
+        model, options = run.finished_model, run.options
+        # splats were trained with a low-pass of so many pixels of the photos: they keep their size
+        finer = max(1.0, ground_resolution(scene) / grid.resolution)
+        renderer, self._rows = open_model(
+            device, model, 0.0, options.antialiased, options.background, orthographic=True,
+            depth_percent=MEDIAN, low_pass=LOW_PASS * finer**2)
+        self._renderers: list[ModelRenderer] = [renderer, renderer.at_percent(FIRST)]
+        self._model, self._grid, self._scene = model, grid, scene
         self._cameras = [view.camera for view in scene.views]
         self._step = 2.0 ** np.floor(np.log2(grid.resolution / FINENESS))
 
     def tile(self, column: int, row: int) -> MapTile:
         """Draw a tile; column and row as for `MapGrid.camera`."""
         camera = self._grid.camera(column, row)
-        frame = self._renderer.render(self._rows, self._renderer.pack(camera.shifted(self._offset)),
-                                      TILE, TILE, self._degree, with_depth=True)
+        frame, first = (renderer.render(
+            self._rows, renderer.pack(camera.shifted(self._model.offset)), TILE, TILE,
+            self._model.sh_degree, with_depth=True) for renderer in self._renderers)
         covered = 1 - frame.blended.transmittance.download()
-        depths = median_filter(frame.blended.depth.download(), SPECK, mode="nearest")
-        heights = np.round((self._grid.ceiling - depths) / self._step) * self._step
+        heights, highest = (
+            np.round((self._grid.ceiling - median_filter(each.blended.depth.download(), SPECK,
+                                                         mode="nearest")) / self._step) * self._step
+            for each in (frame, first))
         known = (covered >= 1 - HOLE) & self._shown(camera, heights, covered)
         pixels = np.concatenate([frame.image.download(), known[None]]).transpose(1, 2, 0)
         eight_bits = np.where(known[..., None], np.clip(pixels, 0, 1) * 255 + 0.5, 0)
+        surface = np.stack([heights, highest - heights], axis=-1)
+        supported = known & (heights >= self._grid.floor)
         return MapTile(eight_bits.astype(np.uint8),
-                       np.where(known, heights, np.nan).astype(np.float32))
+                       np.where(supported[..., None], surface, np.nan).astype(np.float32))
 
     def _shown(self, camera: Camera, heights: NDArray[np.floating],
                covered: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -90,6 +105,22 @@ class MapPainter:
         inside: NDArray[np.bool_] = zoom(square.astype(np.float32), STEP, order=1, mode="nearest",
                                          grid_mode=True) > 0.5
         return inside
+
+
+def halved_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
+    """[H/2, W/2, ...]: means of 2 x 2 pixels, of heights without nan, of colours by alpha."""
+    height, width = (side // 2 for side in pixels.shape[:2])
+    four = pixels.reshape(height, 2, width, 2, -1).astype(np.float32)
+    if pixels.dtype == np.float32:
+        known = ~np.isnan(four)
+        number = known.sum(axis=(1, 3))
+        total = np.where(known, four, 0).sum(axis=(1, 3))
+        return np.where(number > 0, total / np.maximum(number, 1), np.nan).astype(np.float32)
+    alpha = four[..., 3:]
+    weight = alpha.sum(axis=(1, 3))
+    colours = (four[..., :3] * alpha).sum(axis=(1, 3)) / np.maximum(weight, 1)
+    result = np.concatenate([colours, weight / 4], axis=-1)
+    return (result + 0.5).astype(np.uint8)
 
 
 def shown_by(cameras: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[np.int64]:

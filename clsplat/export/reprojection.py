@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.io.georeference.crs import map_crs, on_ground
+from clsplat.errors import InputError
+from clsplat.io.georeference.crs import SHOWN, map_crs, on_ground, vertical_part
+from clsplat.io.reason import clean
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,13 @@ def reprojection_of(own: str, wanted: str) -> Reprojection | None:
 
     Raises
     ------
-    clsplat.ClsplatError : the wanted one is unknown, or not projected with metres as its unit.
+    clsplat.ClsplatError : the wanted one is unknown, not projected with metres as its unit, or has
+        another vertical part than the scene's, as heights are not converted.
     """
     crs = map_crs(wanted)
+    vertical, known = vertical_part(crs), vertical_part(own)
+    if vertical and vertical != known:
+        raise InputError(f"--crs {clean(wanted)[:SHOWN]}: its heights count from {vertical}, those "
+                         f"of the scene from {known or 'what its georeference does not name'}, and "
+                         "heights are not converted; name the horizontal system alone")
     return None if crs == own else Reprojection(own, crs)
-
-
-def epsg_code(crs: str) -> int | None:
-    """The EPSG code of a CRS; None if it has none."""
-    match = re.fullmatch(r"EPSG:(\d{1,5})", crs)
-    return int(match[1]) if match else None

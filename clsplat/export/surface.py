@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.export.contours import smoothed
-from clsplat.export.geotiff import TileStore
-from clsplat.export.map_grid import TILE, MapGrid
+from clsplat.export.geotiff import Raster
 from clsplat.io.las import Part, write_points
 
 MOST_POINTS = 10_000_000  # of a LAZ file; a larger map gives a point to several pixels
@@ -17,6 +16,12 @@ FINENESS = 100  # coordinates are stored as multiples of about this part of a pi
 SUN = np.array([-1.0, 1.0, 1.4])  # east, north, up: from the north-west, as maps are shaded
 # colours of the lowest, of the middle and of the highest ground
 TINTS = np.array([[0.36, 0.55, 0.42], [0.87, 0.82, 0.62], [0.93, 0.91, 0.90]])
+
+
+def usual_heights(heights: NDArray[np.floating]) -> tuple[float, float]:
+    """The heights between which a surface is coloured: where 2 and 98 % of it lie, smoothed."""
+    low, high = np.nanquantile(smoothed(heights), (0.02, 0.98))
+    return float(low), float(high)
 
 
 def shaded(heights: NDArray[np.floating], resolution: float, interval: float = 0.0
@@ -33,7 +38,7 @@ def shaded(heights: NDArray[np.floating], resolution: float, interval: float = 0
     known = ~np.isnan(heights)
     if not known.any():
         return np.ones((*heights.shape, 3), np.float32)
-    low, high = np.quantile(heights[known], (0.01, 0.99))
+    low, high = usual_heights(heights)
     filled = np.where(known, heights, low)
     share = np.clip((filled - low) / max(high - low, np.finfo(float).tiny), 0, 1)
     colours = np.stack([np.interp(share, (0, 0.5, 1), tint) for tint in TINTS.T], axis=-1)
@@ -53,42 +58,37 @@ def shaded(heights: NDArray[np.floating], resolution: float, interval: float = 0
     return picture
 
 
-def write_surface(path: Path, surface: TileStore, colours: TileStore, grid: MapGrid, step: int,
-                  crs: str | None) -> None:
+def write_surface(path: Path, surface: Raster, colours: Raster, level: int, crs: str | None
+                  ) -> None:
     """Replace a LAS or LAZ file by a point for every known pixel of a surface.
 
     Parameters
     ----------
     path : the file; its suffix .laz compresses it.
-    surface, colours : rasters of the same size: heights, and red, green, blue and alpha.
-    grid : of the map.
-    step : pixels of the map for each pixel of the rasters.
+    surface, colours : rasters of the same size: heights first, and red, green, blue and alpha.
+    level : of the rasters that is taken.
     crs : coordinate reference system (CRS) as pyproj knows it; None: none is written.
 
     Raises
     ------
     clsplat.ClsplatError : laspy is not installed.
     """
-    across, down = surface.tiles
-    places = [(x, y) for y in range(down) for x in range(across)]
-    heights = np.array([(np.nanmin(tile), np.nanmax(tile)) for tile in (
-        surface.read(*place) for place in places) if not np.isnan(tile).all()])
-    lowest, highest = (heights[:, 0].min(), heights[:, 1].max()) if len(heights) else (0.0, 0.0)
-    left, bottom, right, top = grid.bounds
-    write_points(path, (_part(surface, colours, grid, step, place) for place in places),
-                 ((left, bottom, lowest), (right, top, highest)),
-                 grid.resolution * step / FINENESS, crs)
+    ends = [(np.nanmin(part[..., 0]), np.nanmax(part[..., 0]))
+            for _, _, part in surface.parts(level) if np.isfinite(part[..., 0]).any()]
+    lowest, highest = (min(low for low, _ in ends), max(high for _, high in ends)
+                       ) if ends else (0.0, 0.0)
+    left, bottom, right, top = surface.grid.bounds
+    size = surface.grid.resolution * 2**level
+    parts = (_points(part[..., 0], colour, left + column * size, top - row * size, size)
+             for (column, row, part), (_, _, colour)
+             in zip(surface.parts(level), colours.parts(level)))
+    write_points(path, parts, ((left, bottom, lowest), (right, top, highest)), size / FINENESS, crs)
 
 
-def _part(surface: TileStore, colours: TileStore, grid: MapGrid, step: int,
-          place: tuple[int, int]) -> Part:
-    """The points of a tile."""
-    heights, pixels = surface.read(*place), colours.read(*place)
-    rows, columns = np.nonzero(~np.isnan(heights))
-    inside = (place[1] * TILE + rows < surface.rows) & (place[0] * TILE + columns < surface.columns)
-    rows, columns = rows[inside], columns[inside]
-    size = grid.resolution * step
-    points = np.column_stack([grid.left + (place[0] * TILE + columns + 0.5) * size,
-                              grid.top - (place[1] * TILE + rows + 0.5) * size,
+def _points(heights: NDArray[np.floating], colours: NDArray[np.uint8], left: float, top: float,
+            size: float) -> Part:
+    """The points of a part of a surface, whose pixels have a size."""
+    rows, columns = np.nonzero(np.isfinite(heights))
+    points = np.column_stack([left + (columns + 0.5) * size, top - (rows + 0.5) * size,
                               heights[rows, columns]])
-    return points, pixels[rows, columns, :3] / 255, np.zeros(len(points))
+    return points, colours[rows, columns, :3] / 255, np.zeros(len(points))

@@ -132,11 +132,11 @@ class SplatGrads:
     earlier: Array | None = None
 
 
-def blend_defines(with_depth: bool, smooth_cutoff: bool = False, median_depth: bool = False
+def blend_defines(with_depth: bool, smooth_cutoff: bool = False, depth_percent: int = 0
                   ) -> Defines:
-    """The build-time choices of both kernels; a median depth has no adjoint."""
+    """The build-time choices of both kernels; a depth at a share of the light has no adjoint."""
     choices = ("WITH_DEPTH", int(with_depth)), ("SMOOTH_CUTOFF", int(smooth_cutoff))
-    return (*choices, ("MEDIAN_DEPTH", 1)) if with_depth and median_depth else choices
+    return (*choices, ("DEPTH_PERCENT", depth_percent)) if with_depth and depth_percent else choices
 
 
 def layer_defines(layers: Array | None) -> Defines:

@@ -1,6 +1,9 @@
 """The whole of rendering: gaussians to an image, and the image's gradient back to gaussians."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -145,8 +148,8 @@ class Renderer:
         2024, Mip-Splatting).
     background : red, green and blue.
     orthographic : whether its cameras are; such frames have no adjoint.
-    median_depth : the depth channel is the depth at which the transmittance falls to one half, in
-        place of the sum of weight times depth; such frames have no adjoint.
+    depth_percent : the depth channel is the depth at which the transmittance falls to so many per
+        cent, in place of the sum of weight times depth, which 0 is; such frames have no adjoint.
     low_pass : added to the variances of a splat, pixels squared.
     smooth_cutoff : for tests only (cl/include/footprint.h).
     pair_limit : pairs of tile and splat at a time; a frame that has more is rendered in bands, to
@@ -162,9 +165,9 @@ class Renderer:
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
                  background: Sequence[float] = (0.0, 0.0, 0.0), smooth_cutoff: bool = False,
                  pair_limit: int | None = None, orthographic: bool = False,
-                 median_depth: bool = False, low_pass: float = LOW_PASS) -> None:
+                 depth_percent: int = 0, low_pass: float = LOW_PASS) -> None:
         self.device, self.near, self.smooth_cutoff = device, near, smooth_cutoff
-        self.orthographic, self.median_depth = orthographic, median_depth
+        self.orthographic, self.depth_percent = orthographic, depth_percent
         self.low_pass = low_pass
         self.pair_limit = pair_limit
         self.background, self.skipped, self._token = (
@@ -177,6 +180,12 @@ class Renderer:
         if camera.orthographic != self.orthographic:
             raise ValueError("a renderer is for orthographic cameras, or for pinhole cameras")
         return pack_camera(self.device, camera, self.near, self.low_pass)
+
+    def at_percent(self, depth_percent: int) -> Renderer:
+        """The same renderer for another `depth_percent`."""
+        other = copy(self)
+        other.depth_percent = depth_percent
+        return other
 
     def render(self, rows: Rows, camera: Array, width: int, height: int, sh_degree: int,
                with_depth: bool = False, room: Room | None = None, counts: Array | None = None,
@@ -269,8 +278,8 @@ class Renderer:
         grad_depth, grad_transmittance : real[H, W], for a frame with depth; None: zero.
         frozen, statistics, masked, with_pose : as for `project_adjoint`.
         """
-        if self.orthographic or self.median_depth:
-            raise ValueError("orthographic frames and median depths have no adjoint")
+        if self.orthographic or self.depth_percent:
+            raise ValueError("orthographic frames and depths at some light have no adjoint")
         device, zero = self.device, self._token
         if frame.with_depth and (grad_depth is None or grad_transmittance is None):
             zero = device.empty(frame.blended.depth.shape)
@@ -301,4 +310,4 @@ class Renderer:
                              defines, earlier, frame.layers)
 
     def _blend_defines(self, with_depth: bool) -> Defines:
-        return blend_defines(with_depth, self.smooth_cutoff, self.median_depth)
+        return blend_defines(with_depth, self.smooth_cutoff, self.depth_percent)

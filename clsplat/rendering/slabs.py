@@ -17,6 +17,7 @@ mostly far smaller.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -60,6 +61,13 @@ class ModelRenderer(Protocol):
         """Render the model from a packed camera."""
 
 
+class OpenedRenderer(ModelRenderer, Protocol):
+    """What `open_model` returns."""
+
+    def at_percent(self, depth_percent: int, /) -> ModelRenderer:
+        """The same renderer for another `depth_percent`."""
+
+
 class SlabParts(Protocol):
     """What a SlabRenderer draws: fewer than 2^32 rows, as in `Parts`."""
 
@@ -82,13 +90,13 @@ def gaussian_limit(device: Device, sh_degree: int) -> int:
 
 def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: bool = False,
                background: Sequence[float] = (0.0, 0.0, 0.0), *, orthographic: bool = False,
-               median_depth: bool = False, low_pass: float = LOW_PASS
-               ) -> tuple[ModelRenderer, Any]:
+               depth_percent: int = 0, low_pass: float = LOW_PASS
+               ) -> tuple[OpenedRenderer, Any]:
     """Prepare finished gaussians for rendering.
 
     Parameters
     ----------
-    device, near, antialiased, background, orthographic, median_depth, low_pass : as for
+    device, near, antialiased, background, orthographic, depth_percent, low_pass : as for
         `pipeline.Renderer`.
     gaussians : the model, of any size.
 
@@ -99,10 +107,10 @@ def open_model(device: Device, gaussians: Gaussians, near: float, antialiased: b
     settings = device, gaussians.sh_degree, near, antialiased, background
     limit = gaussian_limit(device, gaussians.sh_degree)
     if gaussians.count > limit:
-        return (SlabRenderer(*settings, limit, orthographic, median_depth, low_pass),
+        return (SlabRenderer(*settings, limit, orthographic, depth_percent, low_pass),
                 Parts.of(gaussians.rows))
     rows = {field.name: device.upload(gaussians.rows[field.name]) for field in LEARNED}
-    return Renderer(*settings, orthographic=orthographic, median_depth=median_depth,
+    return Renderer(*settings, orthographic=orthographic, depth_percent=depth_percent,
                     low_pass=low_pass), rows
 
 
@@ -209,20 +217,27 @@ class SlabRenderer:
     device, sh_degree, near, antialiased, background, orthographic, low_pass : as for
         `pipeline.Renderer`.
     limit : gaussians of a slab; None: as many as the device has memory for.
-    median_depth : as for `pipeline.Renderer`. In the slab where the transmittance falls to one half
+    depth_percent : as for `pipeline.Renderer`. In the slab where the transmittance falls that low
         it is the depth at which that slab's own does.
     """
 
     def __init__(self, device: Device, sh_degree: int, near: float, antialiased: bool = False,
                  background: Sequence[float] = (0.0, 0.0, 0.0), limit: int | None = None,
-                 orthographic: bool = False, median_depth: bool = False,
+                 orthographic: bool = False, depth_percent: int = 0,
                  low_pass: float = LOW_PASS) -> None:
-        self.device, self.near, self.median_depth = device, near, median_depth
+        self.device, self.near, self.depth_percent = device, near, depth_percent
         self.limit = limit or gaussian_limit(device, sh_degree)
         self.background = np.asarray(background, np.float64)
         self._renderer = Renderer(device, sh_degree, near, antialiased, orthographic=orthographic,
-                                  median_depth=median_depth, low_pass=low_pass)  # on black
+                                  depth_percent=depth_percent, low_pass=low_pass)  # on black
         self._defines = project_defines(sh_degree, antialiased, orthographic)
+
+    def at_percent(self, depth_percent: int) -> SlabRenderer:
+        """The same renderer for another `depth_percent`."""
+        other = copy(self)
+        other.depth_percent = depth_percent
+        other._renderer = self._renderer.at_percent(depth_percent)
+        return other
 
     def pack(self, camera: Camera) -> tuple[Camera, Array]:
         """The camera for `render`: in host memory, to choose the parts, and on the device."""
@@ -247,8 +262,8 @@ class SlabRenderer:
                                          with_depth).blended
             image += left * slab.image.download()
             transmittance = slab.transmittance.download()
-            if with_depth and self.median_depth:
-                found = (left > 0.5) & (transmittance < 1)
+            if with_depth and self.depth_percent:
+                found = (left > self.depth_percent / 100) & (transmittance < 1)
                 depth = np.where(found, slab.depth.download(), depth)
             elif with_depth:
                 depth += left * slab.depth.download()

@@ -17,7 +17,7 @@ from tests.reference.blend import blend, fragile_pixels
 from tests.reference.project import project
 from tests.rendering.test_slabs import downloaded, faint, in_slabs
 
-CHOICES = dict(orthographic=True, median_depth=True)
+CHOICES = dict(orthographic=True, depth_percent=50)
 
 
 def flat(case):
@@ -30,20 +30,22 @@ def flat(case):
     return case
 
 
+@pytest.mark.parametrize("percent", [50, 90])
 @pytest.mark.parametrize("name", ["plain", "ragged", "needles", "giants"])
 @pytest.mark.one_in(3)
-def test_image_and_median_depth(device, name):
+def test_image_and_depth_at_a_share_of_the_light(device, name, percent):
     case = flat(cases.gaussians(name))
     splats = project(case["rows"], case["camera"], case["degree"], case["near"])
     order, size = depth_order(splats), size_of(case)
     fragile = fragile_pixels(splats, order, *size)
     image, left, depth = blend(splats, order, *size, case["background"], with_depth=True,
-                               median=True)
-    _, _, frame = render(device, case, with_depth=True, **CHOICES)
+                               depth_at=percent / 100)
+    _, _, frame = render(device, case, with_depth=True,
+                         **{**CHOICES, "depth_percent": percent})
     assert sorted(frame.visible.download()) == sorted(order) and len(order) > 5
     precision = precision_of(device)
     close(np.where(fragile, image, frame.image.download()), image, precision, f"{name}: image")
-    fragile |= abs(left - 0.5) < 1e-4  # another splat may be the one in the middle
+    fragile |= abs(left - percent / 100) < 1e-4  # another splat may be the one at the threshold
     close(np.where(fragile, depth, frame.blended.depth.download()), depth, precision,
           f"{name}: depth")
     assert (frame.blended.transmittance.download() < 0.5).any()

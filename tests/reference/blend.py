@@ -11,20 +11,20 @@ ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 1e-4
 
 
-def blend(splats, order, width, height, background, smooth=False, with_depth=False, median=False):
+def blend(splats, order, width, height, background, smooth=False, with_depth=False, depth_at=0.0):
     """image[3, H, W], transmittance[H, W], depth[H, W] (zero unless with_depth).
 
-    depth is sum(alpha T z), without background; median: z of the last splat that is blended while
-    T > 1/2. smooth: fade alpha in from 1/255 to 2/255 instead
-    of switching it on, so that the image is continuously differentiable; for gradient tests.
+    depth is sum(alpha T z), without background; depth_at: z of the last splat that is blended while
+    T is greater. smooth: fade alpha in from 1/255 to 2/255 instead of switching it on, so that the
+    image is continuously differentiable; for gradient tests.
     """
     pixels = height * width
     image, depth, transmittance = np.zeros((3, pixels)), np.zeros(pixels), np.ones(pixels)
     for touch in _touches(splats, order, width, height, smooth):
         weight = touch["alpha"] * touch["before"]
         image[:, touch["pixels"]] += splats["colours"][touch["splat"]][:, None] * weight
-        if median:
-            depth[touch["pixels"][touch["before"] > 0.5]] = splats["depths"][touch["splat"]]
+        if depth_at:
+            depth[touch["pixels"][touch["before"] > depth_at]] = splats["depths"][touch["splat"]]
         else:
             depth[touch["pixels"]] += splats["depths"][touch["splat"]] * weight * with_depth
         transmittance[touch["pixels"]] = touch["before"] * (1 - touch["alpha"])

@@ -9,8 +9,8 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
-from pathlib import Path
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -104,6 +104,15 @@ def scene_crs(text: str) -> str:
         raise InputError(f"--crs {_shown(text)}: is Web Mercator, whose metres are not those of "
                          f"the ground; {EXAMPLE}")
     return crs
+
+
+def vertical_part(crs: str) -> str:
+    """The name of what heights of a CRS, as `normal_crs` returns it, count from; "": it has none.
+    """
+    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
+        return ""
+    system = pyproj_crs(crs, "--crs")
+    return str(system.sub_crs_list[1].name) if system.is_compound else ""
 
 
 def project_crs(definition: str, north_first: bool = False) -> str:
