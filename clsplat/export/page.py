@@ -33,7 +33,7 @@ USUAL = 0.9  # share of the gaussians on each axis whose distance from the middl
 TURN_STEPS = 2**10 - 1  # of each of three components of a quaternion
 MIDDLE = 1 / 3  # of the picture's width and height
 OUTLIERS = 1e-3  # share of colours and harmonics at each end, and of smallest scales, clipped
-HARMONIC_LEVELS = (32, 16, 16)  # of the harmonics of degree 1, 2 and 3; fewer compress better
+HARMONIC_STEP = 8  # of 256: so the harmonics have 32 levels; fewer compress better, and 16 are seen
 COMPRESSION = 6  # level of zlib; 9 takes twice as long for 1 % less
 LARGEST_PAGE = 2**29 - 2**20  # characters: browsers hold no longer text
 PART = re.compile(r"\{\{(\w[\w.]*)\}\}\n?")  # of a template: a file of web/, or a given value
@@ -214,10 +214,10 @@ def _harmonics(rest: NDArray[np.float32], degree: int) -> tuple[NDArray[np.int64
     steps above it for each degree."""
     bands = [rest[:, (l * l - 1):(l * l + 2 * l)] for l in range(1, degree + 1)]  # noqa: E741
     reaches, columns = [], [np.zeros((len(rest), 0), np.int64)]
-    for values, levels in zip(bands, HARMONIC_LEVELS):
+    most = 127 // HARMONIC_STEP
+    for values in bands:
         reach = float(np.quantile(np.abs(values), 1 - OUTLIERS)) or 1.0
-        step = 256 // levels
-        whole = np.rint(np.clip(values / reach, -1, 1) * (127 // step)) * step
+        whole = np.rint(np.clip(values / reach, -1, 1) * most) * HARMONIC_STEP
         columns.append(whole.astype(np.int64).reshape(len(rest), -1) + 128)
-        reaches.append(reach * 127 / (127 // step * step))
+        reaches.append(reach * 127 / (most * HARMONIC_STEP))
     return np.concatenate(columns, axis=1), reaches
