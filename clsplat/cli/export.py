@@ -88,7 +88,7 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
         if is_page and not photos:
             progress.message(f"{run}: its scene is not there, so gaussians that fewer than two "
                              "photos support are kept too; name it with --scene")
-        visible, keep = int(keep.sum()), keep & seen
+        visible, keep = int(keep.sum()), keep & seen if (keep & seen).any() else keep
         progress.phase(f"writing {output}")
         if _is_plain_ply(output) and not upright:
             _copy(source, output, keep, degree, gaussians.sh_degree)
