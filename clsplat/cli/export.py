@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import FiniteRange, check_free
+from clsplat.cli.flags import FiniteRange, check_free, everything_flag
 from clsplat.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,28 +36,35 @@ if TYPE_CHECKING:
               "the lowest that costs the held-out views less than --sh-cost.")
 @click.option("--sh-cost", type=FiniteRange(min=0), default=0.05, show_default=True,
               help="Loss of PSNR, dB, that --sh-degree auto allows.")
+@everything_flag
 @click.option("--device", default="auto", show_default=True,
               help="For --sh-degree auto: as for `clsplat eval`.")
 @click.option("--scene", type=click.Path(path_type=Path),
-              help="For --sh-degree auto: where the scene is now, if it was moved.")
+              help="For a page and --sh-degree auto: where the scene is now, if it was moved.")
 def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles: bool,
-           sh_degree: str, sh_cost: float, device: str, scene: Path | None) -> None:
+           sh_degree: str, sh_cost: float, everything: bool, device: str, scene: Path | None
+           ) -> None:
     """Write the gaussians of RUN to a file for other programs.
 
     They are in the world coordinates of the scene; in .las and .laz, in map coordinates if it is
     georeferenced. Gaussians that are invisible in every view, with an opacity below one step of 8
-    bits, and degrees of spherical harmonics that are zero everywhere are left out.
+    bits, and degrees of spherical harmonics that are zero everywhere are left out; of a page also
+    gaussians at places that fewer than two photos show.
     """
+    import numpy as np
+
     from clsplat.cli.progress import Progress
     from clsplat.edit.harmonics import used_sh_degree
     from clsplat.edit.select import selected
     from clsplat.evaluation.run import Run
     from clsplat.export.page import write_run_page
-    from clsplat.export.prune import alive
+    from clsplat.export.prune import alive, photos_of, supported
     from clsplat.export.tiles import write_run_tiles
     from clsplat.export.upright import write_run_model
     is_page, is_folder = output.suffix.lower() == ".html", not output.suffix
     has_harmonics = _check_format(output, is_page or is_folder, upright, plain_tiles)
+    if everything and not is_page:
+        raise InputError("--everything: is for pages, other formats have all; leave it out")
     opened = Run.open(run)
     source = opened.folder.model_path
     if output.exists() and output.samefile(source):
@@ -76,6 +83,12 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
                     else "is empty")
             raise InputError(f"{source}: {what}, so nothing is left to write; train longer, or see "
                              "the report of the run")
+        photos = photos_of(opened, scene) if is_page else []
+        seen = supported(gaussians, photos) if photos and not everything else np.ones_like(keep)
+        if is_page and not photos:
+            progress.message(f"{run}: its scene is not there, so gaussians that fewer than two "
+                             "photos support are kept too; name it with --scene")
+        visible, keep = int(keep.sum()), keep & seen if (keep & seen).any() else keep
         progress.phase(f"writing {output}")
         if _is_plain_ply(output) and not upright:
             _copy(source, output, keep, degree, gaussians.sh_degree)
@@ -85,14 +98,15 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
                 tree = write_run_tiles(output, opened, part, not plain_tiles,
                                        partial(progress.count, "tile"))
             elif is_page:
-                write_run_page(output, opened, part)
+                write_run_page(output, opened, part, photos)
             else:
                 write_run_model(output, opened, part, upright)
     if is_folder:
         tiles = sum(1 for _ in tree.all())
         click.echo(f"{output}/tileset.json: {tiles:,} {'tile' if tiles == 1 else 'tiles'}")
-    invisible = len(keep) - keep.sum()
-    left_out = f"; left out as invisible: {invisible:,}" if invisible else ""
+    left_out = "".join(f"; left out as {what}: {count:,}" for what, count in (
+        ("invisible", len(keep) - visible),
+        ("supported by fewer than two photos", visible - int(keep.sum()))) if count)
     click.echo(f"{output}: {keep.sum():,} gaussians, spherical harmonics to degree {degree}"
                f"{left_out}")
 

@@ -12,6 +12,7 @@ from clsplat.cli.flags import (
     check_free,
     check_streaming,
     device_flag,
+    everything_flag,
     lod_flag,
     moved_scene_flag,
     size_type,
@@ -20,32 +21,34 @@ from clsplat.cli.flags import (
 from clsplat.errors import InputError
 
 LARGEST_SIDE = 8192  # pixels: the most that H.264 has a level for
-PHOTOS, TURNTABLE = "photos", "turntable"
+AUTO, PHOTOS, TURNTABLE = "auto", "photos", "turntable"
+USUAL, USUAL_GIF = ((1280, 720), 30.0), ((480, 270), 10.0)  # size and frames a second
 
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path),
-              help="A file .mp4, .mov or .mkv, or a folder for frames as PNG.")
-@click.option("--path", "route", default=PHOTOS, show_default=True, metavar="PATH",
-              help="photos: along the photos; turntable: around the scene; or a JSON file with a "
-              "camera path.")
+              help="A file .mp4, .mov, .mkv or .gif, or a folder for frames as PNG.")
+@click.option("--path", "route", default=AUTO, show_default=True, metavar="PATH",
+              help="auto: obliquely over a site whose photos look down, else as photos; photos: "
+              "along the photos; turntable: around the scene; or a JSON file with a camera path.")
 @click.option("--seconds", type=FiniteRange(0.1, 36_000), default=20.0, show_default=True,
               help="Length of the film.")
-@click.option("--fps", type=FiniteRange(1, 240), default=30.0, show_default=True,
-              help="Frames a second.")
-@click.option("--size", type=size_type(LARGEST_SIDE), default="1280x720",
-              show_default=True, help="Pixels of a frame.")
+@click.option("--fps", type=FiniteRange(1, 240), help="Frames a second. "
+              "Default: 30; of a .gif 10.")
+@click.option("--size", type=size_type(LARGEST_SIDE), help="Pixels of a frame. Default: "
+              "1280x720; of a .gif 480x270.")
 @click.option("--fov", type=FiniteRange(1, 170), help="Horizontal angle of view, degrees. Default: "
               "that of the photos or of the camera path.")
+@everything_flag
 @click.option("--overwrite", is_flag=True, help="Replace an existing film.")
 @lod_flag
 @streaming_flags
 @moved_scene_flag
 @device_flag
 @click.pass_context
-def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: float, fps: float,
-         size: tuple[int, int], fov: float | None, overwrite: bool, lod: bool, lod_bias: float,
+def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: float, fps: float | None,
+         size: tuple[int, int] | None, fov: float | None, everything: bool, overwrite: bool, lod: bool, lod_bias: float,
          host_memory: float, scene: Path | None, device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
@@ -57,7 +60,6 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
     from clsplat.evaluation.run import Run
     from clsplat.evaluation.streamed import streaming_of
     from clsplat.export.camera_path import (
-        eased,
         film_degrees,
         flight,
         interpolated,
@@ -65,6 +67,7 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
         turntable,
     )
     from clsplat.export.film import (
+        GIF,
         SUFFIXES,
         check_codec,
         frames,
@@ -72,12 +75,15 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
         write_film,
         write_frames,
     )
+    from clsplat.export.overflight import auto
     check_streaming(ctx, lod)
     as_film = output.suffix.lower() in SUFFIXES
     if not as_film and output.suffix:
         raise InputError(f"{output}: unknown suffix '{output.suffix}'; known: "
                          f"{', '.join(SUFFIXES)}, or a folder for PNG files")
-    if as_film and (size[0] % 2 or size[1] % 2):
+    usual = USUAL_GIF if output.suffix.lower() == GIF else USUAL
+    size, fps = size or usual[0], fps or usual[1]
+    if as_film and output.suffix.lower() != GIF and (size[0] % 2 or size[1] % 2):
         raise InputError(f"--size {size[0]}x{size[1]}: a film needs even numbers; give such, or a "
                          "folder for PNG files")
     if as_film or frames_in(output):
@@ -87,19 +93,20 @@ def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: fl
     opened = Run.open(run)
     data = opened.scene(scene).with_up(opened.up)
     count = max(1, round(seconds * fps))
-    if route == PHOTOS:
-        keys, times = flight(data, seconds), eased(count)
+    times = np.linspace(0, 1, count)
+    if route in (AUTO, PHOTOS):
+        keys = (auto if route == AUTO else flight)(data, seconds)
     elif route == TURNTABLE:  # the last frame is not the first once more
         keys, times = turntable(data), np.arange(count) / count
     else:
-        keys, times = read_camera_path(Path(route)), np.linspace(0, 1, count)
+        keys = read_camera_path(Path(route))
     if fov is not None:
         keys = replace(keys, degrees=None)
     cameras = interpolated(keys, times, size, film_degrees(data) if fov is None else fov)
     with Progress() as progress:
         progress.phase("opening the device")
         pictures = frames(opened, data, cameras, choose_device(device),
-                          streaming_of(opened, lod, lod_bias, host_memory))
+                          streaming_of(opened, lod, lod_bias, host_memory), everything)
 
         def shown(number: int) -> None:
             progress.count("frame", number, count)

@@ -122,6 +122,8 @@ device_flag = click.option("--device", default="auto", show_default=True,
                            help="auto, cpu, gpu, a number of `clsplat devices`, or part of a name.")
 moved_scene_flag = click.option("--scene", type=click.Path(path_type=Path),
                                 help="Where the scene is now, if it was moved.")
+everything_flag = click.option("--everything", is_flag=True, help="Keep gaussians at places that "
+                               "fewer than two photos show, which a page and a film leave out.")
 
 
 lod_flag = click.option("--lod", is_flag=True, help="Draw distant parts at coarser levels of "

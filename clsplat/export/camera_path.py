@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, interp1d
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -27,9 +27,12 @@ from clsplat.scene import Scene
 # and at most this, degrees
 DEGREES = (40.0, 75.0)
 KEYS_A_SECOND = 1.0  # photos that a flight passes, at most: more would shake
-SMOOTHING = 0.7  # keys, the standard deviation of the filter along a flight
+SMOOTHING = 1.0  # keys, the standard deviation of the filter along a flight
 ELEVATIONS = (20.0, 55.0)  # degrees above the horizon of a turntable's camera
-SLOW = 0.15  # of a flight, at its beginning and at its end, in which it gains and loses speed
+TURNING = 1.0  # seconds, the standard deviation of the filter of turns
+KEYS_OF_A_PATH, PATH_KEYS = 30, (64, 2000)  # a second; least and most
+FINER = 8  # places of a curve for each key
+ROUNDING = 1e-9  # of the coordinates: shorter ways are none
 MOST_KEYS = 100_000
 FARTHEST = 1e12  # units: the largest coordinate that a path may have
 ORTHOGONAL = 1e-6  # largest error of a rotation, which `world_to_camera` has made exact
@@ -84,8 +87,8 @@ def interpolated(keys: Keys, times: NDArray[np.float64], size: tuple[int, int], 
 
 
 def flight(scene: Scene, seconds: float) -> Keys:
-    """A flight along the photos in the order of their names, smoothed, with a gentle beginning and
-    end; at a constant speed between, in which a turn counts as the way that it moves the picture.
+    """A flight along the photos in the order of their names, smoothed, at a constant speed over the
+    ground, with turns spread over some seconds.
 
     Parameters
     ----------
@@ -93,26 +96,47 @@ def flight(scene: Scene, seconds: float) -> Keys:
     seconds : length of the film.
     """
     cameras = [view.camera for view in scene.views]
-    most = max(4, round(KEYS_A_SECOND * seconds))
-    number = min(most, len(cameras))
+    number = min(max(4, round(KEYS_A_SECOND * seconds)), len(cameras))
     chosen = np.unique(np.linspace(0, len(cameras) - 1, number).round().astype(int))
     positions = _original(scene, np.array([cameras[i].position for i in chosen]))
-    turns = Rotation.from_matrix(np.array([cameras[i].rotation for i in chosen]))
-    if len(chosen) < 2:
-        return Keys(np.zeros(1), positions, turns.as_matrix())
-    quaternions = turns.as_quat()
+    quaternions = Rotation.from_matrix(
+        np.array([cameras[i].rotation for i in chosen])).as_quat()
+    return steady(positions, quaternions, seconds)
+
+
+def steady(positions: NDArray[np.float64], quaternions: NDArray[np.float64], seconds: float
+           ) -> Keys:
+    """A smooth curve along places, flown at a constant speed. If all are one place, it turns there.
+
+    Parameters
+    ----------
+    positions : float64[K, 3], original coordinates.
+    quaternions : float64[K, 4], xyzw, from the world to the camera at the places.
+    seconds : length of the film; turns are smoothed over TURNING of them.
+    """
+    quaternions = quaternions.copy()
     for i in range(1, len(quaternions)):  # q and -q are the same turn
         if quaternions[i] @ quaternions[i - 1] < 0:
             quaternions[i] = -quaternions[i]
-    positions = gaussian_filter1d(positions, SMOOTHING, axis=0, mode="nearest")
-    turns = Rotation.from_quat(gaussian_filter1d(quaternions, SMOOTHING, axis=0, mode="nearest"))
-    distance = scene.unit * float(np.median([
-        np.median(camera.project(scene.points)[1]) for camera in cameras[::-(-len(cameras) // 20)]]
-    )) if len(scene.points) else scene.unit * scene.extent
-    ways = (np.linalg.norm(np.diff(positions, axis=0), axis=1)
-            + (turns[:-1].inv() * turns[1:]).magnitude() * abs(distance))
-    along = np.concatenate([[0], np.cumsum(np.maximum(ways, 1e-9 * max(ways.max(), 1e-300)))])
-    return Keys(along / along[-1], positions, turns.as_matrix())
+    if len(positions) < 2:
+        return Keys(np.zeros(1), positions, Rotation.from_quat(quaternions).as_matrix())
+    number = int(np.clip(KEYS_OF_A_PATH * seconds, *PATH_KEYS))
+    coarse = np.arange(len(positions))
+    fine = np.linspace(0, coarse[-1], FINER * max(number, len(positions)))
+    middle = positions.mean(axis=0)  # smoothing far from the origin would cost digits
+    curve = gaussian_filter1d(interp1d(coarse, positions - middle, axis=0)(fine),
+                              SMOOTHING * len(fine) / len(positions), axis=0, mode="nearest")
+    ways = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+    if not ways.sum() > ROUNDING * abs(positions).max():
+        ways = np.ones_like(ways)
+    # a way of 0 would stand for two places at one time
+    along = np.concatenate([[0], np.cumsum(ways + LEAST_STEP * ways.mean())])
+    times = np.linspace(0, 1, number)
+    where = np.interp(times, along / along[-1], fine)
+    turns = interp1d(coarse, quaternions, axis=0)(where)
+    turns = gaussian_filter1d(turns, TURNING * number / seconds, axis=0, mode="nearest")
+    return Keys(times, middle + interp1d(fine, curve, axis=0)(where),
+                Rotation.from_quat(turns).as_matrix())
 
 
 def turntable(scene: Scene, count: int = 72) -> Keys:
@@ -149,15 +173,6 @@ def turntable(scene: Scene, count: int = 72) -> Keys:
     return Keys(np.linspace(0, 1, count + 1),
                 _original(scene, np.array([camera.position for camera in cameras])),
                 np.array([camera.rotation for camera in cameras]))
-
-
-def eased(count: int) -> NDArray[np.float64]:
-    """`count` shares from 0 to 1 with a steady speed between a slow beginning and end."""
-    times = np.linspace(0, 1, count)
-    ramp = np.where(times < SLOW, times**2 / (2 * SLOW), times - SLOW / 2)
-    last = 1 - times
-    end = 1 - SLOW - last**2 / (2 * SLOW)
-    return np.where(last < SLOW, end, ramp) / (1 - SLOW)
 
 
 def film_degrees(scene: Scene) -> float:

@@ -33,13 +33,18 @@ USUAL = 0.9  # share of the gaussians on each axis whose distance from the middl
 TURN_STEPS = 2**10 - 1  # of each of three components of a quaternion
 MIDDLE = 1 / 3  # of the picture's width and height
 OUTLIERS = 1e-3  # share of colours and harmonics at each end, and of smallest scales, clipped
-HARMONIC_LEVELS = (32, 16, 16)  # of the harmonics of degree 1, 2 and 3; fewer compress better
+HARMONIC_STEP = 8  # of 256: so the harmonics have 32 levels; fewer compress better, and 16 are seen
 COMPRESSION = 6  # level of zlib; 9 takes twice as long for 1 % less
+FREEDOM = 20.0  # degrees: so much steeper or flatter than the photos may the reader look
+FARTHEST = 4.0  # first distances: so far from its centre may the reader go
+GROUND = 0.05  # share of what is seen that lies lower than the ground
+CLEARANCE = 0.02  # of the first distance: the reader stays so high above the ground
 LARGEST_PAGE = 2**29 - 2**20  # characters: browsers hold no longer text
 PART = re.compile(r"\{\{(\w[\w.]*)\}\}\n?")  # of a template: a file of web/, or a given value
 
 
-def write_run_page(path: str | Path, run: Run, gaussians: Gaussians) -> None:
+def write_run_page(path: str | Path, run: Run, gaussians: Gaussians,
+                   photos: Sequence[Camera] = ()) -> None:
     """Write the page of a run; needs nothing of its scene.
 
     Parameters
@@ -47,6 +52,7 @@ def write_run_page(path: str | Path, run: Run, gaussians: Gaussians) -> None:
     path : the file, which is replaced as a whole.
     run : whose first view and options are used.
     gaussians : its model, or a part of that.
+    photos : as for `view_record`.
 
     Raises
     ------
@@ -54,8 +60,15 @@ def write_run_page(path: str | Path, run: Run, gaussians: Gaussians) -> None:
     """
     options = run.options
     write_page(path, gaussians, run.first_view, run.up, near=near_of(run),
-               title=run.path.resolve().name, antialiased=options.antialiased,
-               background=options.background)
+               title=title_of(run), antialiased=options.antialiased,
+               background=options.background, photos=photos)
+
+
+def title_of(run: Run) -> str:
+    """The title of a page: the name of the run's folder, and of the scene unless that is part of
+    it, since many folders are called run."""
+    name, scene = run.path.resolve().name, Path(str(run.record.get("scene", ""))).stem
+    return name if scene in name or name in scene else f"{scene}: {name}"
 
 
 def near_of(run: Run) -> float:
@@ -68,7 +81,8 @@ def near_of(run: Run) -> float:
 
 def write_page(path: str | Path, gaussians: Gaussians, first_view: Camera,
                up: NDArray[np.float64], *, near: float, title: str, antialiased: bool = False,
-               background: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+               background: Sequence[float] = (0.0, 0.0, 0.0),
+               photos: Sequence[Camera] = ()) -> None:
     """Write a page that shows a model and lets the reader move through it.
 
     Parameters
@@ -82,6 +96,7 @@ def write_page(path: str | Path, gaussians: Gaussians, first_view: Camera,
     title : of the page.
     antialiased : whether the model was trained with opacities that the low-pass filter scales.
     background : red, green and blue, 0 to 1.
+    photos : as for `view_record`.
 
     Raises
     ------
@@ -91,8 +106,8 @@ def write_page(path: str | Path, gaussians: Gaussians, first_view: Camera,
         raise InputError(f"{path}: the model holds no gaussians, so a page would show nothing")
     content, coding = encoded(gaussians)
     view = first_view.shifted(gaussians.offset - first_view.offset)
-    model = {**coding, **view_record(view, up, gaussians.positions), "near": near,
-             "antialiased": antialiased, "background": list(background)}
+    model = {**coding, **view_record(view, up, gaussians.positions, photos),
+             "near": near, "antialiased": antialiased, "background": list(background)}
     text = filled("model.html", title=escape(title), model=script_json(model),
                   gaussians=base64.b64encode(content).decode())
     if len(text) > LARGEST_PAGE:
@@ -103,9 +118,9 @@ def write_page(path: str | Path, gaussians: Gaussians, first_view: Camera,
         file.write(text.encode("utf-8", "backslashreplace"))
 
 
-def view_record(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floating]
-                ) -> dict[str, Any]:
-    """What web/camera.js must know of the first view.
+def view_record(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floating],
+                photos: Sequence[Camera] = ()) -> dict[str, Any]:
+    """The first view and the limits of the reader's movement, as web/camera.js takes them.
 
     Parameters
     ----------
@@ -113,16 +128,28 @@ def view_record(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floa
     up : float64[3], world; the direction that is upwards.
     points : float[N, 3], world; of what is seen. The median of those in the middle of the picture
         is how far away the centre is, around which the reader turns.
+    photos : the cameras of the photos, in axes of the same directions; their pitches and that of
+        the first view limit where the reader may look. Empty: unknown, the first view decides.
     """
     pixels, depths = camera.project(points)
     size = np.array([camera.width, camera.height])
     ahead = depths > 0
     middle = ahead & (np.abs(pixels - size / 2) < size * MIDDLE / 2).all(axis=1)
     chosen = depths[middle] if middle.any() else depths[ahead] if ahead.any() else np.ones(1)
+    distance, up = float(np.median(chosen)), np.asarray(up, np.float64)
+    slopes = np.array([each.rotation[2] @ up for each in (camera, *photos)])
+    pitches = np.degrees(np.arcsin(np.clip(slopes, -1, 1)))
+    height = float(camera.position @ up)
+    heights = points[np.isfinite(points).all(axis=1)].astype(np.float64) @ up
+    ground = (float(np.quantile(heights, GROUND)) if len(heights) else height) + (
+        CLEARANCE * distance)
     return {"width": camera.width, "height": camera.height, "focal": list(camera.focal),
             "centre": list(camera.centre), "rotation": camera.rotation.tolist(),
-            "position": camera.position.tolist(), "up": np.asarray(up, np.float64).tolist(),
-            "distance": float(np.median(chosen))}
+            "position": camera.position.tolist(), "up": up.tolist(), "distance": distance,
+            "middle": (camera.position + distance * camera.rotation[2]).tolist(),
+            "reach": FARTHEST * distance, "ground": min(ground, height),
+            "pitches": np.radians([max(-90, pitches.min() - FREEDOM),
+                                   min(90, pitches.max() + FREEDOM)]).tolist()}
 
 
 def script_json(value: Any) -> str:
@@ -214,10 +241,10 @@ def _harmonics(rest: NDArray[np.float32], degree: int) -> tuple[NDArray[np.int64
     steps above it for each degree."""
     bands = [rest[:, (l * l - 1):(l * l + 2 * l)] for l in range(1, degree + 1)]  # noqa: E741
     reaches, columns = [], [np.zeros((len(rest), 0), np.int64)]
-    for values, levels in zip(bands, HARMONIC_LEVELS):
+    most = 127 // HARMONIC_STEP
+    for values in bands:
         reach = float(np.quantile(np.abs(values), 1 - OUTLIERS)) or 1.0
-        step = 256 // levels
-        whole = np.rint(np.clip(values / reach, -1, 1) * (127 // step)) * step
+        whole = np.rint(np.clip(values / reach, -1, 1) * most) * HARMONIC_STEP
         columns.append(whole.astype(np.int64).reshape(len(rest), -1) + 128)
-        reaches.append(reach * 127 / (127 // step * step))
+        reaches.append(reach * 127 / (most * HARMONIC_STEP))
     return np.concatenate(columns, axis=1), reaches

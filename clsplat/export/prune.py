@@ -1,17 +1,23 @@
-"""Smaller finished models: without invisible gaussians and unneeded spherical harmonics."""
+"""Smaller finished models: without invisible and unsupported gaussians, and unneeded spherical
+harmonics."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.camera import Camera
 from clsplat.constants import ALPHA_STEPS
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views
+from clsplat.export.orthophoto import LEAST_VIEWS, shown_by
 from clsplat.gaussians import Gaussians
 from clsplat.io.model_values import opacities
+from clsplat.scene import Scene
 
 
 def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
@@ -21,6 +27,44 @@ def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
     the invisible gaussians every image has the same bytes.
     """
     return opacities(gaussians) >= 1 / ALPHA_STEPS
+
+
+def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool_]:
+    """[N]: whether at least LEAST_VIEWS photos show the place of a gaussian, hidden there or not,
+    as on a map; all if that holds for none.
+
+    Parameters
+    ----------
+    gaussians : the model.
+    photos : cameras, in original coordinates up to their offsets.
+    """
+    shifted = [camera.shifted(gaussians.offset - camera.offset) for camera in photos]
+    shown = shown_by(shifted, gaussians.positions.astype(np.float64)) >= LEAST_VIEWS
+    return shown if shown.any() else np.ones(gaussians.count, bool)
+
+
+def photos_of(run: Run, scene_path: Path | None = None) -> list[Camera]:
+    """The cameras of a run's photos in original coordinates; empty if its scene is not there.
+
+    Parameters
+    ----------
+    run : the run.
+    scene_path : where the scene is now, which must then be there; None: where the run has recorded
+        it.
+    """
+    try:
+        scene = run.scene(scene_path)
+    except InputError:
+        if scene_path is not None:
+            raise
+        return []
+    return in_original(scene)
+
+
+def in_original(scene: Scene) -> list[Camera]:
+    """The cameras of a scene in original coordinates."""
+    return [replace(view.camera, translation=scene.unit * view.camera.translation,
+                    offset=scene.offset).shifted(-scene.offset) for view in scene.views]
 
 
 def needed_sh_degree(run: Run, device: Device, cost: float, scene_path: Path | None = None

@@ -11,7 +11,8 @@ from typing import Any, NoReturn
 from clsplat.device import Device
 from clsplat.evaluation.run import Run, shown
 from clsplat.evaluation.streamed import Streaming, open_tree
-from clsplat.export.page import filled, near_of, script_json, view_record
+from clsplat.export.page import filled, near_of, script_json, title_of, view_record
+from clsplat.export.prune import photos_of
 from clsplat.gaussians import Gaussians
 from clsplat.io.tree import Tree
 from clsplat.rendering.slabs import ModelRenderer, open_model
@@ -58,7 +59,7 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
         renderer, rows = open_model(device, model, near_of(run), options.antialiased,
                                     options.background)
     view = run.first_view.shifted(model.offset - run.first_view.offset)
-    page = live_page(run.path.resolve().name, view_record(view, run.up, positions))
+    page = live_page(title_of(run), view_record(view, run.up, positions, photos_of(run)))
     requests = FrameRequests()
     with ViewServer(page, requests, lambda: {"gaussians": model.count}, port) as server:
         opened(server.address)
@@ -91,7 +92,8 @@ class TrainingView(SilentProgress):
         self._requests = FrameRequests()
         self._drawn_until = self._seconds = 0.0
         self._status: dict[str, Any] = {"phase": "beginning", "message": "", "losses": []}
-        page = live_page(scene.name, view_record(scene.first_view, scene.up, scene.points))
+        page = live_page(scene.name, view_record(
+            scene.first_view, scene.up, scene.points, [view.camera for view in scene.views]))
         self._server = ViewServer(page, self._requests, lambda: self._status, port)
         self.address = self._server.address
 

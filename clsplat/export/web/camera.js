@@ -7,7 +7,7 @@ const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
                          a[0] * b[1] - a[1] * b[0]];
 const plus = (a, b, factor = 1) => a.map((value, axis) => value + factor * b[axis]);
 const unit = (a) => a.map((value) => value / Math.hypot(...a));
-const STEEPEST = Math.PI / 2;
+const clamped = (value, low, high) => Math.min(high, Math.max(low, value));
 
 // A 3 x 3 matrix (rows) from an axis times an angle in radians (Rodrigues).
 function rotationAbout(turn) {
@@ -45,7 +45,7 @@ class ReaderCamera {
     this.distance = this.view.distance;
     this.position = [...this.view.position];
     const slope = dot(forward, this.up);
-    this.pitch = Math.asin(Math.min(1, Math.max(-1, slope)));
+    this.pitch = Math.asin(clamped(slope, -1, 1));
     const ahead = plus(forward, down, slope < 0 ? -1 : 1); // not vertical, even straight down
     this.heading = Math.atan2(dot(ahead, this.west), dot(ahead, this.north));
     this.tilt = [0, 0, 0];
@@ -68,7 +68,7 @@ class ReaderCamera {
   // Look elsewhere, from the same place.
   look(heading, pitch) {
     this.heading += heading;
-    this.pitch = Math.min(STEEPEST, Math.max(-STEEPEST, this.pitch + pitch));
+    this.pitch = clamped(this.pitch + pitch, ...this.view.pitches);
     this.level();
   }
 
@@ -76,26 +76,35 @@ class ReaderCamera {
   orbit(heading, pitch) {
     const centre = this.centre();
     this.look(heading, pitch);
-    this.position = plus(centre, this.axes()[2], -this.distance);
+    this.place(plus(centre, this.axes()[2], -this.distance));
   }
 
-  // Nearer to the centre, by a factor below 1, or away from it.
-  zoom(factor) {
-    const centre = this.centre();
-    this.distance = this.limited(this.distance * factor);
-    this.position = plus(centre, this.axes()[2], -this.distance);
+  // Nearer by a factor below 1, or away. What lies in a direction, a unit vector, as far away as the
+  // centre stays where it is in the picture; without one, the centre itself.
+  zoom(factor, ray = this.axes()[2]) {
+    const distance = this.limited(this.distance * factor);
+    const length = (this.distance - distance) / dot(ray, this.axes()[2]);
+    this.distance = distance;
+    this.place(plus(this.position, ray, length));
   }
 
   // Along the camera's axes, world units.
   move(right, down, forward) {
     const axes = this.axes();
-    [right, down, forward].forEach((length, axis) => {
-      this.position = plus(this.position, axes[axis], length);
-    });
+    this.place([right, down, forward].reduce(
+      (place, length, axis) => plus(place, axes[axis], length), this.position));
   }
 
   // Upwards in the world.
-  rise(length) { this.position = plus(this.position, this.up, length); }
+  rise(length) { this.place(plus(this.position, this.up, length)); }
+
+  // Go to a place, or to the nearest one that is above the ground and near enough to show something.
+  place(wanted) {
+    const { ground, middle, reach } = this.view;
+    const away = plus(wanted, middle, -1), length = Math.hypot(...away);
+    const near = length > reach ? plus(middle, away, reach / length) : wanted;
+    this.position = plus(near, this.up, Math.max(0, ground - dot(near, this.up)));
+  }
 
   // Turn towards a point, which becomes the centre.
   lookAt(point) {
@@ -104,14 +113,11 @@ class ReaderCamera {
     const forward = unit(away), slope = dot(forward, this.up);
     if (Math.abs(slope) < 0.999)
       this.heading = Math.atan2(dot(forward, this.west), dot(forward, this.north));
-    this.pitch = Math.asin(Math.min(1, Math.max(-1, slope)));
+    this.pitch = clamped(Math.asin(clamped(slope, -1, 1)), ...this.view.pitches);
     this.tilt = [0, 0, 0];
   }
 
-  limited(distance) {
-    const { distance: first } = this.view;
-    return Math.min(50 * first, Math.max(0.01 * first, distance));
-  }
+  limited(distance) { return clamped(distance, 0.01 * this.view.distance, this.view.reach); }
 
   level() { this.tilt = this.tilt.map((value) => 0.9 * value); }
 

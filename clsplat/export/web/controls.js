@@ -87,7 +87,8 @@ class Controls {
     const after = this.fingers();
     const dx = after.x - before.x, dy = after.y - before.y;
     if (this.pointers.size > 1) {
-      if (before.spread && after.spread) this.camera.zoom(before.spread / after.spread);
+      if (before.spread && after.spread)
+        this.camera.zoom(before.spread / after.spread, this.rayTo(after.x, after.y));
       this.pan(dx, dy);
     } else if (event.buttons & 6 || event.shiftKey) {
       this.pan(dx, dy);
@@ -119,8 +120,12 @@ class Controls {
     const lines = event.deltaMode === 1 ? 33 : 1; // some browsers count lines
     const factor = Math.exp(Math.min(0.5, Math.max(-0.5, event.deltaY * lines * 0.0015)));
     if (this.flying) this.camera.move(0, 0, (1 - factor) * this.camera.distance);
-    else this.camera.zoom(factor);
+    else this.camera.zoom(factor, this.rayTo(event.clientX, event.clientY));
     this.changed();
+  }
+
+  rayTo(x, y) {
+    return this.camera.ray(x, y, this.surface.clientWidth, this.surface.clientHeight);
   }
 
   keyDown(event) {
@@ -132,7 +137,8 @@ class Controls {
       if (!event.repeat) this.fly(FIRST_STEP);
       this.changed();
     } else if (!event.repeat) {
-      const act = { KeyR: "reset", KeyO: "orbit", KeyF: "fly", KeyH: "explain" }[event.code];
+      const act = event.key === "?" ? "explain" // wherever the keyboard has it
+        : { KeyR: "reset", KeyO: "orbit", KeyF: "fly", KeyH: "explain" }[event.code];
       if (act) document.getElementById(act).click();
     }
   }

@@ -41,6 +41,24 @@ class Painter {
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.clearColor(...model.background, 1);
+    this.target = this.fineTarget();
+  }
+
+  // A frame buffer of 16-bit floats, or null where the device draws into none. The canvas has 8
+  // bits, to which each of hundreds of faint layers would be rounded: pictures would be too dark.
+  fineTarget() {
+    const { gl } = this;
+    if (!gl.getExtension("EXT_color_buffer_float") && !gl.getExtension("EXT_color_buffer_half_float"))
+      return null;
+    const target = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.bindRenderbuffer(gl.RENDERBUFFER, gl.createRenderbuffer());
+    gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA16F, 1, 1);
+    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER,
+                               gl.getParameter(gl.RENDERBUFFER_BINDING));
+    if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) === gl.FRAMEBUFFER_COMPLETE) return target;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return null;
   }
 
   place(name) { return this.gl.getUniformLocation(this.program, name); }
@@ -73,7 +91,12 @@ class Painter {
   }
 
   draw({ width, height, position, rotation, focal, centre }) {
-    const { gl } = this;
+    const { gl, target } = this;
+    if (target && (width !== this.width || height !== this.height)) {
+      gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA16F, width, height);
+      Object.assign(this, { width, height });
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.viewport(0, 0, width, height);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.uniformMatrix3fv(this.place("rotation"), false, rotation.flat());
@@ -86,5 +109,8 @@ class Painter {
       ...size.map((length, axis) => (-BORDER * length - centre[axis]) / focal[axis]),
       ...size.map((length, axis) => ((1 + BORDER) * length - centre[axis]) / focal[axis]));
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.drawn);
+    if (!target) return;
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
   }
 }
