@@ -27,7 +27,7 @@ from clsplat.io.model_values import colours_of, to_bytes
 from clsplat.io.ply import write_ply
 from clsplat.io.run import RunFolder
 from clsplat.io.undistort import undistorted
-from clsplat.options import TrainOptions, checked, resolve
+from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.input import world_of
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene
@@ -128,8 +128,7 @@ def joint_options(city: CityFolder, given: Any, options: TrainOptions, count: in
     if not isinstance(given, dict):
         raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "
                          f"it with `clsplat partition {city.path}`")
-    values = {key: checked(str(path), key, value) for key, value in given.items()}
-    joint = resolve(values, {"init": str(city.joint_start)})
+    joint = resolve(checked_values(str(path), given), {"init": str(city.joint_start)})
     most = joint.max_gaussians and max(joint.max_gaussians, count)
     return dataclasses.replace(joint, max_gaussians=most, test_every=options.test_every,
                                test_offset=options.test_offset)

@@ -91,7 +91,10 @@ def verdict(error: BaseException, signalled: int = 0) -> tuple[str, int]:
     if isinstance(error, Interrupted):
         return str(error), stopped
     if signalled or isinstance(error, (KeyboardInterrupt, click.Abort)):
-        return "interrupted; what was saved is kept: give the same command again", stopped
+        where = f" {text}" if (text := str(error.__cause__ or error).strip()) and isinstance(
+            error.__cause__ or error, KeyboardInterrupt) else ""
+        return (f"interrupted{where}; what was saved is kept: give the same command again",
+                stopped)
     if isinstance(error, click.UsageError):
         command = error.ctx.command_path if error.ctx else "clsplat"
         return f"error: {error.format_message()} See `{command} --help`.", 2

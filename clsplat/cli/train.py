@@ -10,12 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.cli.flags import FiniteRange, given_options, training_flags
-from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.cli.flags import (
+    FiniteRange,
+    TrainingCommand,
+    config_options,
+    given_options,
+    training_flags,
+)
+from clsplat.cli.sections import SectionedOption
 from clsplat.cli.sfm import trained_scene
 from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError
-from clsplat.options import RunOptions, TrainOptions, from_toml, recorded, resolve
+from clsplat.options import RunOptions, TrainOptions, recorded, resolve
 
 if TYPE_CHECKING:
     from clsplat.training.progress import SilentProgress
@@ -24,7 +30,7 @@ LOG_LEVELS = ("debug", "info", "warning", "error")
 FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
 
 
-@click.command(cls=SectionedCommand)
+@click.command(cls=TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path), required=False)
 @training_flags
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), **FOLDER,
@@ -66,7 +72,7 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path, config: Path 
             raise InputError(f"{name}: cannot be used with --resume, which continues the run as it "
                              "was; leave one of them out")
     flags = given_options(ctx)
-    values = from_toml(config) if config else {}
+    values = config_options(ctx, config)
     if scene is None and not resume:
         raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
     options = None if resume or schedules else resolve(values, flags)

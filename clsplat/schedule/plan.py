@@ -13,6 +13,7 @@ if TYPE_CHECKING:  # --help must not wait for numpy
 
     from clsplat.options import TrainOptions
 
+LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", 0, 1), ("regularises", 0, 1e6))  # of a Plan
 STEPS_A_ROUND = 100  # between rounds of growth, by default
 
 
@@ -41,6 +42,13 @@ class Plan:
     prunes_large: bool
     decay: float
     regularises: float = 0.0
+
+    def __post_init__(self) -> None:
+        """ValueError for what no training could do."""
+        for name, low, high in LIMITS:
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"{name} {value} is not from {low:g} to {high:g}")
 
 
 @dataclass(frozen=True, eq=False)
