@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import TrainingCommand, config_options, given_options, size_type, training_flags
+from clsplat.cli.flags import (
+    TrainingCommand,
+    config_options,
+    given_options,
+    size_type,
+    training_flags,
+)
 from clsplat.errors import InputError
 
 if TYPE_CHECKING:

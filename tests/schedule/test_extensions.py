@@ -67,9 +67,9 @@ def test_a_schedule_in_one_file(package, tmp_path):
     done = clsplat("train", CITY, "--config", "run.toml", "-n", "8", "-r", "8", "-o", "third")
     assert json.loads((tmp_path / "third/options.json").read_text())["half_share"] == 0.75
     done = clsplat("train", CITY, "--half-share", "0.25", "-o", "fourth")
-    assert done.returncode == 2 and done.stderr == (
-        "error: No such option: --half-share The flags of a schedule of another package need "
-        "--schedule halves. See `clsplat train --help`.\n")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "--half-share" in done.stderr and ("The flags of a schedule of another package need "
+                                              "--schedule halves.") in done.stderr
     (tmp_path / "others-1.dist-info" / "entry_points.txt").write_text("")
     gone = clsplat("eval", "run", "--no-images")
     assert gone.returncode == 2 and "one of sig, constant, dash, taming, mcmc" in gone.stderr
