@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # --help must not wait for numpy
 
     from clsplat.options import TrainOptions
 
-LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", 0, math.inf),  # of a Plan
+LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", -1, math.inf),  # of a Plan
           ("regularises", 0, 1e6))
 STEPS_A_ROUND = 100  # between rounds of growth, by default
 
