@@ -24,7 +24,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.city import PARTITION, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.model_values import colours_of, to_bytes
-from clsplat.io.ply import write_ply
+from clsplat.io.ply import start_of, write_ply
+from clsplat.io.records import digest_of
 from clsplat.io.run import RunFolder
 from clsplat.io.undistort import undistorted
 from clsplat.options import TrainOptions, checked_values, resolve
@@ -74,6 +75,10 @@ def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged:
             start = resume if run.is_begun else train
             start(whole, joint_options(city, given, options, merged.count), device,
                   run if run.is_begun else RunFolder.create(city.joint), progress)
+    if (began := start_of(run.model_path)) and began != digest_of(city.joint_start):
+        raise InputError(f"{run.path}: is the joint training of another city or partition, as it "
+                         f"did not begin at {city.joint_start}; remove it, and give the same "
+                         "command again")
     return by_block(merged, run.load_model(scene.offset), city.partition(scene), scene)
 
 

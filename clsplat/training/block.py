@@ -140,6 +140,7 @@ def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Devi
     run, latest = RunFolder(block.run), list[Saved]()
     noted = NotedProgress(run.path, progress or SilentProgress())
     if run.checkpoint_iteration() and block.around.is_file():
+        block.check_own(block.around)
         scene = replace(scene, surroundings=block.around)
     stop_at = min(filter(None, (until, options.stop_at)), default=0)
     stopping = replace(options, stop_at=stop_at)
