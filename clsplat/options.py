@@ -23,7 +23,7 @@ from clsplat.loss.options import (
 from clsplat.optimise.options import OptimiseOptions, PoseOptions
 from clsplat.rendering.options import RenderingOptions
 from clsplat.schedule.mcmc import McmcOptions
-from clsplat.schedule.registry import OURS, ScheduleOptions, others_that_load, schedule_of
+from clsplat.schedule.registry import OURS, ScheduleOptions, own_options, schedule_of
 from clsplat.schedule.sig import SigOptions
 from clsplat.schedule.steps import PUBLISHED_LENGTH, chooses_steps
 from clsplat.schedule.taming import TamingOptions
@@ -108,25 +108,35 @@ class TrainOptions(DeviceOptions, GrowthOptions, TamingOptions, McmcOptions, Sph
     """
 
 
-def _with_others(kind: type[TrainOptions]) -> type[TrainOptions]:
-    """Add the options of schedules that other packages register."""
-    groups = dict.fromkeys(schedule.Options for schedule in others_that_load().values())
-    bases = [own for own in groups if own is not None and not issubclass(kind, own)]
-    return dataclasses.make_dataclass(kind.__name__, [], bases=(*bases, kind), frozen=True) \
-        if bases else kind
+def options_with(*schedules: str) -> type[TrainOptions]:
+    """TrainOptions with the own options of those schedules that other packages register."""
+    groups = tuple(dict.fromkeys(
+        own for name in schedules if name not in OURS and (own := own_options(name, TrainOptions))))
+    return dataclasses.make_dataclass(TrainOptions.__name__, [], bases=(*groups, TrainOptions),
+                                      frozen=True) if groups else TrainOptions
 
 
-TrainOptions = _with_others(TrainOptions)  # type: ignore[misc]
-
-
-def checked(source: str, key: str, value: Any) -> Any:
+def checked(source: str, key: str, value: Any, kind: type = TrainOptions) -> Any:
     """`config.option.checked` for the options of a training."""
-    return declared.checked(TrainOptions, source, key, value)
+    return declared.checked(kind, source, key, value)
 
 
-def from_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """`config.toml.from_toml` for the options of a training."""
-    return toml.from_toml(TrainOptions, path)
+def checked_values(source: str, values: dict[str, Any], *schedules: str) -> dict[str, Any]:
+    """The checked values of options, by name; InputError, which begins with `source`, for others.
+
+    Parameters
+    ----------
+    values : option -> value; the schedule among them adds its own options.
+    schedules : names of schedules whose options are allowed as well.
+    """
+    name = checked(source, "schedule", values.get("schedule", TrainOptions.schedule))
+    kind = options_with(name, *schedules)
+    return {key: checked(source, key, value, kind) for key, value in values.items()}
+
+
+def from_toml(path: str | os.PathLike[str], *schedules: str) -> dict[str, Any]:
+    """The options of a training in a TOML file; `schedules` as for `checked_values`."""
+    return checked_values(str(path), toml.table(path), *schedules)
 
 
 def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOptions:
@@ -135,17 +145,17 @@ def resolve(file_values: dict[str, Any], flag_values: dict[str, Any]) -> TrainOp
     An option that neither gives has the value that the schedule, preset, size and the like set.
     Raises InputError for options that contradict each other.
     """
-    given = {k: checked("", k, v) for k, v in {**file_values, **flag_values}.items()}
-    chosen = TrainOptions(**given)
-    name = chosen.schedule
-    values = {key: checked(f"defaults of the schedule {name}", key, value)
-              for key, value in schedule_of(name).defaults.items()}
-    for known in options_of(TrainOptions):
+    given = checked_values("", {**file_values, **flag_values})
+    name = given.get("schedule", TrainOptions.schedule)
+    kind = options_with(name)
+    chosen = kind(**given)
+    values = checked_values(f"defaults of the schedule {name}", schedule_of(name).defaults, name)
+    for known in options_of(kind):
         values |= known.metadata["sets"].get(getattr(chosen, known.name), {})
     if any(given.get(known.name, known.default) != known.default
            for known in options_of(SphereOptions)):
         values["sphere"] = True
-    options = TrainOptions(**{**values, **given})
+    options = kind(**{**values, **given})
     _check_agreement(options, given)
     return options
 
@@ -157,9 +167,10 @@ def recorded(record: dict[str, Any]) -> TrainOptions:
     """The options among the values of a run's options.json; InputError for a damaged one."""
     record = {**EARLIER, **record}
     schedule = checked("options.json", "schedule", record.get("schedule", TrainOptions.schedule))
-    known = {option.name for option in options_of(TrainOptions) if serves(option, schedule)}
-    return resolve({name: checked("options.json", name, value)
-                    for name, value in record.items() if name in known}, {})
+    known = {option.name for option in options_of(options_with(schedule))
+             if serves(option, schedule)}
+    return resolve(checked_values("options.json", {
+        name: value for name, value in record.items() if name in known}), {})
 
 
 def serves(known: declared.Option, schedule: str) -> bool:
@@ -169,10 +180,10 @@ def serves(known: declared.Option, schedule: str) -> bool:
 
 
 def _check_agreement(options: TrainOptions, given: dict[str, Any]) -> None:
-    for known in options_of(TrainOptions):
+    for known in options_of(type(options)):
         if given.get(known.name, known.default) != known.default and not serves(
                 known, options.schedule):
-            serving = [name for name in (*OURS, *others_that_load()) if serves(known, name)]
+            serving = [name for name in OURS if serves(known, name)]
             raise InputError(
                 f"{flag_name(known.name)}: has no effect with --schedule {options.schedule}; leave "
                 f"it out, or use --schedule {' or '.join(serving)}")

@@ -24,10 +24,11 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.city import PARTITION, CityFolder
 from clsplat.io.depth import with_depths
 from clsplat.io.model_values import colours_of, to_bytes
-from clsplat.io.ply import write_ply
+from clsplat.io.ply import start_of, write_ply
+from clsplat.io.records import digest_of
 from clsplat.io.run import RunFolder
 from clsplat.io.undistort import undistorted
-from clsplat.options import TrainOptions, checked, resolve
+from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.input import world_of
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene
@@ -74,6 +75,10 @@ def train_jointly(city: CityFolder, scene: Scene, options: TrainOptions, merged:
             start = resume if run.is_begun else train
             start(whole, joint_options(city, given, options, merged.count), device,
                   run if run.is_begun else RunFolder.create(city.joint), progress)
+    if (began := start_of(run.model_path)) and began != digest_of(city.joint_start):
+        raise InputError(f"{run.path}: is the joint training of another city or partition, as it "
+                         f"did not begin at {city.joint_start}; remove it, and give the same "
+                         "command again")
     return by_block(merged, run.load_model(scene.offset), city.partition(scene), scene)
 
 
@@ -128,8 +133,7 @@ def joint_options(city: CityFolder, given: Any, options: TrainOptions, count: in
     if not isinstance(given, dict):
         raise InputError(f"{path}: damaged ({JOINT} is {str(given)[:20]!r}); remove it, and make "
                          f"it with `clsplat partition {city.path}`")
-    values = {key: checked(str(path), key, value) for key, value in given.items()}
-    joint = resolve(values, {"init": str(city.joint_start)})
+    joint = resolve(checked_values(str(path), given), {"init": str(city.joint_start)})
     most = joint.max_gaussians and max(joint.max_gaussians, count)
     return dataclasses.replace(joint, max_gaussians=most, test_every=options.test_every,
                                test_offset=options.test_offset)

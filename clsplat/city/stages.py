@@ -15,7 +15,7 @@ from clsplat.io.run import CITY, RunFolder
 from clsplat.io.scene_path import recorded_scene, scene_record
 from clsplat.io.scenes import fingerprint, read_scene
 from clsplat.io.undistort import undistorted
-from clsplat.options import TrainOptions, checked, resolve
+from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
 from clsplat.schedule import chooses_steps, schedule_of, worthwhile_steps
 from clsplat.training.facts import scene_facts
@@ -69,8 +69,7 @@ def begin_from_coarse(city: CityFolder, scene_path: Path | None = None
     """
     if city.has_record:
         record = city.read(scene=str, options=dict)
-        options = resolve({}, {key: checked(str(city.path / CITY), key, value)
-                               for key, value in record["options"].items()})
+        options = resolve({}, checked_values(str(city.path / CITY), record["options"]))
         scene = read_scene(recorded_scene(record, city.path, scene_path), options.images)
         if fingerprint(scene) != record["fingerprint"]:
             raise InputError(f"{city.path}: its scene {scene.path} has changed since; put it "

@@ -14,7 +14,7 @@ import click
 
 from clsplat.config.option import differences, options_of
 from clsplat.errors import ClsplatError, InputError, Interrupted
-from clsplat.options import TrainOptions, resolve, serves
+from clsplat.options import TrainOptions, options_with, resolve, serves
 
 if TYPE_CHECKING:
     from clsplat.io.run import RunFolder
@@ -45,7 +45,7 @@ def combinations(file_values: dict[str, Any], flag_values: dict[str, Any], sched
         raise InputError("--stop-at: cannot be used with --schedules, which finishes every run; "
                          "leave one of them out")
     serving = {option.name: [name for name in names if serves(option, name)]
-               for option in options_of(TrainOptions)}
+               for option in options_of(options_with(*names))}
     return [resolve({}, {**{key: value for key, value in given.items()
                             if name in (serving[key] or names)},
                          "schedule": name, "seed": given.get("seed", 0) + number})

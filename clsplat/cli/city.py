@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from clsplat.city.sharing import CORES_SHARING, MOST_SHARING, blocks_sharing, most_sharing
-from clsplat.cli.flags import Parsed, flags_of, given_options, training_flags
+from clsplat.cli.flags import Parsed, TrainingCommand, flags_of, given_options, training_flags
 from clsplat.cli.sections import SectionedCommand, SectionedOption
 from clsplat.cli.train import ending
 from clsplat.config.option import AUTO, is_auto
@@ -47,7 +47,7 @@ def number_of_workers(text: str) -> int | None:
         raise ValueError("not a number of workers; give auto or a whole number") from None
 
 
-@click.command(cls=SectionedCommand)
+@click.command(cls=TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
 @flags_of(PartitionOptions)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
-from clsplat.cli.sections import SectionedOption
+from clsplat.cli.sections import SHOW_ALL, SectionedCommand, SectionedOption
 from clsplat.config.option import (
     Option,
     check_flag,
@@ -21,11 +22,14 @@ from clsplat.config.option import (
     options_of,
     parsed,
 )
+from clsplat.config.toml import table
 from clsplat.errors import InputError
-from clsplat.options import TrainOptions
+from clsplat.options import TrainOptions, from_toml, options_with
+from clsplat.schedule.registry import OURS, others
 
 LEAST_HOST_BYTES = 16 << 20
 DEVICE = "CLSPLAT_DEVICE"  # environment variable: the device of a worker
+SCHEDULES = "clsplat.schedules"  # in a context's `meta`: those of other packages that are named
 NAMES = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -112,9 +116,65 @@ def flags_of(kind: type) -> Callable[[Command], Command]:
     """A decorator that adds a flag for each option of a dataclass, in order."""
     def decorate(command: Command) -> Command:
         for option in reversed(options_of(kind)):
-            command = _flag(option)(command)
+            names, settings = _flag(option)
+            command = click.option(*names, cls=SectionedOption, **settings)(command)
         return command
     return decorate
+
+
+class TrainingCommand(SectionedCommand):
+    """A command with `training_flags`, and those of schedules of other packages.
+
+    Code of others is loaded only for the schedules that the arguments name, or for --help-all.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments, by the flags of the schedules among them as well."""
+        ctx.meta[SCHEDULES] = () if ctx.resilient_parsing else _others_named(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if not others() or ctx.meta[SCHEDULES]:
+                raise
+            raise click.UsageError(f"{error.format_message()} The flags of a schedule of another "
+                                   f"package need --schedule {' or '.join(others())}.", ctx
+                                   ) from None
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The parameters of the command; the same objects in each call."""
+        every = SHOW_ALL in ctx.meta
+        if (key := f"{SCHEDULES}.{every}") not in ctx.meta:
+            kind = options_with(*(_loading_others() if every else ctx.meta.get(SCHEDULES, ())))
+            own = {option.name for option in options_of(TrainOptions)}
+            ctx.meta[key] = [SectionedOption(names, **settings) for names, settings in (
+                _flag(option) for option in options_of(kind) if option.name not in own)]
+        return [*ctx.meta[key], *super().get_params(ctx)]
+
+
+def _others_named(args: list[str]) -> tuple[str, ...]:
+    """The schedules of other packages that arguments name, or a TOML file among them."""
+    words = [part for word in args for part in word.split("=", 1)]
+    named: list[object] = []
+    for flag, value in zip(words, words[1:]):
+        if flag in ("--schedule", "--schedules"):
+            named += value.split(",")
+        elif flag == "--config":
+            with suppress(InputError):  # reported where it is read
+                named.append(table(value).get("schedule", ""))
+    return tuple(name for name in named
+                 if isinstance(name, str) and name not in OURS and name in others())
+
+
+def _loading_others() -> list[str]:
+    """The schedules of all other packages; those that do not load are named, and left out."""
+    loading = []
+    for name in others():
+        try:
+            options_with(name)
+            loading.append(name)
+        except InputError as error:
+            click.echo(f"warning: {error}", err=True)
+    return loading
 
 
 training_flags = flags_of(TrainOptions)
@@ -184,13 +244,20 @@ def check_free(output: Path, overwrite: bool) -> None:
                          "another --output")
 
 
-def given_options(ctx: click.Context, kind: type = TrainOptions) -> dict[str, Any]:
-    """The options of a dataclass, by name, that the user gave as flags."""
+def given_options(ctx: click.Context, kind: type | None = None) -> dict[str, Any]:
+    """The options of a dataclass, by name, that the user gave as flags; None: of a training."""
+    kind = kind or options_with(*ctx.meta.get(SCHEDULES, ()))
     return {option.name: ctx.params[option.name] for option in options_of(kind)
             if ctx.get_parameter_source(option.name) is not ParameterSource.DEFAULT}
 
 
-def _flag(option: Option) -> Callable[[Command], Command]:
+def config_options(ctx: click.Context, config: Path | None) -> dict[str, Any]:
+    """The options of a training, by name, in the file of --config."""
+    return from_toml(config, *ctx.meta[SCHEDULES]) if config else {}
+
+
+def _flag(option: Option) -> tuple[list[str], dict[str, Any]]:
+    """The names of an option's flag, and the settings of a SectionedOption."""
     meta, default, name = option.metadata, option.default, flag_name(option.name)
     kind, count = kind_of(option)
     word = next((word for word, value in meta["words"].items() if value == default), None)
@@ -214,6 +281,5 @@ def _flag(option: Option) -> Callable[[Command], Command]:
         return check_flag(option, sum(value, ()) if count is None else value)
 
     names = [name, option.name] if meta["short"] is None else [meta["short"], name, option.name]
-    return click.option(*names, cls=SectionedOption, section=meta["group"], main=meta["main"],
-                        callback=check, envvar=DEVICE if option.name == "device" else None,
-                        **settings)
+    return names, {"section": meta["group"], "main": meta["main"], "callback": check,
+                   "envvar": DEVICE if option.name == "device" else None, **settings}

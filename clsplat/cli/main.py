@@ -100,8 +100,11 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
     if isinstance(error, Interrupted):
         return str(error), stopped
     if signalled or isinstance(error, (KeyboardInterrupt, click.Abort)):
+        cause = error.__cause__ or error
+        where = f" {text}" if isinstance(cause, KeyboardInterrupt) and (
+            text := str(cause).strip()) else ""
         kept = "; what was saved is kept" if keeps else ""
-        return f"interrupted{kept}: give the same command again", stopped
+        return f"interrupted{where}{kept}: give the same command again", stopped
     if isinstance(error, click.UsageError):
         command = error.ctx.command_path if error.ctx else "clsplat"
         return f"error: {error.format_message()} See `{command} --help`.", 2

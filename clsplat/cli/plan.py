@@ -7,8 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsplat.cli.flags import given_options, size_type, training_flags
-from clsplat.cli.sections import SectionedCommand
+from clsplat.cli.flags import (
+    TrainingCommand,
+    config_options,
+    given_options,
+    size_type,
+    training_flags,
+)
 from clsplat.errors import InputError
 from clsplat.schedule.plan import size_at
 
@@ -21,7 +26,7 @@ MOST_PHOTOS, MOST_SIDE = 10**9, 10**6
 NAME_WIDTH = 12  # characters
 
 
-@click.command(cls=SectionedCommand)
+@click.command(cls=TrainingCommand)
 @click.argument("scene", type=click.Path(path_type=Path))
 @training_flags
 @click.option("--config", type=click.Path(path_type=Path),
@@ -54,10 +59,10 @@ def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, m
     from clsplat.estimate.measured import MeasuredSteps
     from clsplat.estimate.step_time import load
     from clsplat.io.scenes import read_scene
-    from clsplat.options import from_toml, resolve
+    from clsplat.options import resolve
     from clsplat.partition.options import PartitionOptions
     from clsplat.training.photos import size_note
-    options = resolve(from_toml(config) if config else {}, given_options(ctx))
+    options = resolve(config_options(ctx, config), given_options(ctx))
     counts, margin = _numbers(photos), PartitionOptions(margin=margin).margin
     known = MeasuredSteps.read(steps_from) if steps_from else None
     busy, progress = None if known else load(), Progress()

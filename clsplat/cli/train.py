@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from clsplat.cli.flags import FiniteRange, given_options, training_flags
-from clsplat.cli.sections import SectionedCommand, SectionedOption
+from clsplat.cli.flags import (
+    FiniteRange,
+    TrainingCommand,
+    config_options,
+    given_options,
+    training_flags,
+)
+from clsplat.cli.sections import SectionedOption
 from clsplat.cli.sfm import trained_scene
 from clsplat.config.option import differences, flag_name
 from clsplat.errors import InputError
-from clsplat.options import RunOptions, TrainOptions, from_toml, recorded, resolve
+from clsplat.options import RunOptions, TrainOptions, recorded, resolve
 
 if TYPE_CHECKING:
     from clsplat.training.progress import SilentProgress
@@ -25,7 +31,7 @@ LOG_LEVELS = ("debug", "info", "warning", "error")
 FOLDER: dict[str, Any] = {"cls": SectionedOption, "section": "Run folder"}
 
 
-@click.command(cls=SectionedCommand, short_help="Train gaussians on photos, or on a scene.")
+@click.command(cls=TrainingCommand, short_help="Train gaussians on photos, or on a scene.")
 @click.argument("scene", type=click.Path(path_type=Path), required=False)
 @training_flags
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), **FOLDER,
@@ -67,7 +73,7 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path, config: Path 
             raise InputError(f"{name}: cannot be used with --resume, which continues the run as it "
                              "was; leave one of them out")
     flags = given_options(ctx)
-    values = from_toml(config) if config else {}
+    values = config_options(ctx, config)
     if scene is None and not resume:
         raise click.MissingParameter(ctx=ctx, param=ctx.command.params[0])
     options = None if resume or schedules else resolve(values, flags)

@@ -7,7 +7,6 @@ can continue after a kill at any moment.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
@@ -24,9 +23,9 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.exposures import EXPOSURES, read_exposures, write_exposures
 from clsplat.io.linked import link_again, write_linked
-from clsplat.io.ply import write_ply
+from clsplat.io.ply import start_of, write_ply
 from clsplat.io.reason import reason
-from clsplat.io.records import object_of, write_object
+from clsplat.io.records import digest_of, object_of, write_object
 from clsplat.io.run import CITY, FILES, RunFolder
 from clsplat.io.undistort import FOLDER as UNDISTORTED
 from clsplat.partition.partition import Partition
@@ -132,8 +131,7 @@ class CityFolder:
         """What the record of a block of this city must hold: `city`, the scene's fingerprint, and
         `partition`, the SHA-256 of partition.json."""
         self.read_partition()
-        digest = hashlib.sha256((self.path / PARTITION).read_bytes()).hexdigest()
-        return {"city": self.read()["fingerprint"], "partition": digest}
+        return {"city": self.read()["fingerprint"], "partition": digest_of(self.path / PARTITION)}
 
     def replace_partition(self, record: dict[str, Any], numbers: Iterable[int]) -> None:
         """Write a partition that differs in the blocks of these numbers only: their folders are
@@ -275,6 +273,18 @@ class BlockFolder:
     def part(self, number: int) -> Path:
         """The file of what the block owns at the exchange of this number, from 1."""
         return self.run / f"exchange_{number}.npz"
+
+    def start(self) -> str:
+        """SHA-256 of `initial`, which names the block in its models, parts and surroundings."""
+        return digest_of(self.initial)
+
+    def check_own(self, model: Path) -> None:
+        """InputError for a PLY of another block's training; one of an earlier version does not
+        record whose it is."""
+        if (start := start_of(model)) and start != self.start():
+            raise InputError(f"{model}: is of another block, partition or city than {self.path}, "
+                             f"as its training did not begin at {self.initial}; put the block's "
+                             f"own there, or remove {self.run}, and run `clsplat city` again")
 
     @property
     def is_there(self) -> bool:

@@ -21,6 +21,7 @@ ROWS_AT_A_TIME = 1 << 13  # so few that they stay in the cache while columns are
 # positions are written as double if float would move one by more than this share of the median
 # scale
 TOLERANCE = 1e-3
+START = "start"  # comment: SHA-256 of the file from which a training began
 HEADER_BYTES = 1 << 20  # at most
 ASCII_FORMAT = re.compile(rb"[\r\n]format\s+ascii\b")
 END_HEADER = re.compile(rb"[\r\n]end_header(?=[\r\n]|$)")
@@ -162,6 +163,20 @@ def gaussians_of(path: str | Path, element: plyfile.PlyElement, comments: Iterab
                 column[...] = values
     rows = {name: with_meaning(name, values) for name, values in rows.items()}
     return Gaussians(usable(path, rows, most_left_out), degree, offset)
+
+
+def start_comment(digest: str) -> tuple[str, ...]:
+    """The comment that names the file from which a training began; none where there is no file."""
+    return (f"{START} {digest}",) if digest else ()
+
+
+def start_of(path: str | Path) -> str:
+    """The digest in the `start_comment` of a PLY file, or "" if it has none."""
+    with open(path, "rb") as file:
+        lines = file.read(HEADER_BYTES).split(b"end_header", 1)[0].splitlines()
+    begin = f"comment {START} ".encode()
+    return next((line[len(begin):].decode("ascii", "replace").strip() for line in lines
+                 if line.startswith(begin)), "")
 
 
 def _columns(degree: int, fields: Iterable[Field]) -> dict[str, tuple[str, tuple[int, ...]]]:

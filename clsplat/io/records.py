@@ -5,6 +5,7 @@ Whatever passes can be used in sums, drawn and written again: numbers are finite
 and the keys that reports use have the types that they expect.
 """
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -95,3 +96,15 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
+
+
+def digest_of(path: str | Path) -> str:
+    """SHA-256 of a file; "" if it cannot be read."""
+    digest = hashlib.sha256()
+    try:
+        with open(path, "rb") as file:
+            while part := file.read(1 << 20):
+                digest.update(part)
+    except OSError:
+        return ""
+    return digest.hexdigest()

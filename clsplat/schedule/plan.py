@@ -13,6 +13,8 @@ if TYPE_CHECKING:  # --help must not wait for numpy
 
     from clsplat.options import TrainOptions
 
+LIMITS = (("level", 1, 1e6), ("degree", 0, 3), ("decay", -1, math.inf),  # of a Plan
+          ("regularises", 0, 1e6))
 STEPS_A_ROUND = 100  # between rounds of growth, by default
 
 
@@ -41,6 +43,13 @@ class Plan:
     prunes_large: bool
     decay: float
     regularises: float = 0.0
+
+    def __post_init__(self) -> None:
+        """ValueError for what no training could do."""
+        for name, low, high in LIMITS:
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"{name} {value} is not from {low:g} to {high:g}")
 
 
 @dataclass(frozen=True, eq=False)

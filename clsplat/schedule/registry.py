@@ -1,13 +1,14 @@
 """Schedules by name: our own, and those that other packages register as entry points."""
 
-from contextlib import suppress
+import dataclasses
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
-from clsplat.config.option import option
+from clsplat.config.option import option, options_of
 from clsplat.errors import InputError
 from clsplat.schedule.plan import Schedule
+from clsplat.schedule.plug_in import CORRECT, clean, guarded, load, source_of
 
 GROUP = "clsplat.schedules"  # of entry points: NAME = MODULE:SUBCLASS_OF_SCHEDULE
 OURS = {name: EntryPoint(name, f"clsplat.schedule.{name}:{name.title()}", GROUP)
@@ -21,30 +22,41 @@ def others() -> dict[str, EntryPoint]:
             if entry.name not in OURS}
 
 
+@cache
 def schedule_of(name: str) -> type[Schedule]:
-    """The class of a schedule; InputError if no package registers it, or it does not load."""
-    entry = OURS.get(name) or others().get(name)
-    if entry is None:
+    """The class of a schedule, which is imported here, and nowhere before it is asked for.
+
+    InputError if no package registers it, or it does not load.
+    """
+    if name in OURS:
+        schedule: type[Schedule] = OURS[name].load()
+        return schedule
+    if name not in others():
         raise InputError(f"{name}: no package registers it in {GROUP}; install the one that does "
                          "in this environment")
+    entry = others()[name]
+    return guarded(load(entry), name, source_of(entry))
+
+
+def own_options(name: str, taken: type) -> type | None:
+    """The dataclass of a schedule's own options, or None.
+
+    InputError if it is no frozen dataclass of options, or if `taken` has an option of that name.
+    """
+    own = schedule_of(name).Options
+    if own is None:
+        return None
+    cure = f"{name}: Options of {source_of(others()[name])}"
     try:
-        schedule = entry.load()
-    except Exception as error:  # noqa: BLE001  (whatever the code of others raises)
-        raise InputError(f"{name}: {entry.value} does not load ({type(error).__name__}: {error}); "
-                         "correct the package that registers it") from error
-    if not (isinstance(schedule, type) and issubclass(schedule, Schedule)):
-        raise InputError(f"{name}: what is registered by this name is not a subclass of "
-                         "clsplat.Schedule; correct the package that registers it")
-    return schedule
-
-
-def others_that_load() -> dict[str, type[Schedule]]:
-    """The classes of `others`, without those that do not load."""
-    loaded = {}
-    for name in others():
-        with suppress(InputError):  # `schedule_of` reports it when the schedule is used
-            loaded[name] = schedule_of(name)
-    return loaded
+        names = [option.name for option in options_of(own)]
+        twice = [option for option in names if hasattr(taken, option)]
+        dataclasses.make_dataclass("Options", [], bases=(own, taken), frozen=True)
+    except (TypeError, AttributeError) as error:
+        raise InputError(f"{cure} is not a frozen dataclass of options ({clean(str(error))}); "
+                         f"{CORRECT}") from error
+    if twice:
+        raise InputError(f"{cure} names {', '.join(twice)}, which clsplat has; {CORRECT}")
+    return own
 
 
 @dataclass(frozen=True)

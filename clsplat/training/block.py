@@ -12,7 +12,7 @@ from clsplat.io.city import BlockFolder
 from clsplat.io.linked import DEPTH
 from clsplat.io.run import OPTIONS, RunFolder
 from clsplat.io.scenes import read_scene
-from clsplat.options import EARLIER, TrainOptions, checked, resolve
+from clsplat.options import EARLIER, TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Saved
 from clsplat.training.exchange import exchange, lacking_blocks, other_blocks, write_part
@@ -34,7 +34,7 @@ def decided_by(coarse: RunFolder) -> dict[str, Any]:
     if not set(DECIDED) <= set(known):
         raise InputError(f"{path}: damaged (decisions is {str(decisions)[:20]!r}); remove "
                          f"{coarse.path}, and train it again")
-    return {name: checked(str(path), name, known[name]) for name in DECIDED}
+    return checked_values(str(path), {name: known[name] for name in DECIDED})
 
 
 def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[str, Any]:
@@ -56,8 +56,7 @@ def options_of_blocks(given: dict[str, Any], decided: dict[str, Any]) -> dict[st
 
 def block_options(block: BlockFolder, **changes: Any) -> TrainOptions:
     """The options in a block's folder, with changes; InputError for invalid ones."""
-    values = {key: checked(str(block.path), key, value)
-              for key, value in block.read()["options"].items()}
+    values = checked_values(str(block.path), block.read()["options"])
     return resolve(values, {"init": str(block.initial), **changes})
 
 
@@ -141,6 +140,7 @@ def _go_on(block: BlockFolder, scene: Scene, options: TrainOptions, device: Devi
     run, latest = RunFolder(block.run), list[Saved]()
     noted = NotedProgress(run.path, progress or SilentProgress())
     if run.checkpoint_iteration() and block.around.is_file():
+        block.check_own(block.around)
         scene = replace(scene, surroundings=block.around)
     stop_at = min(filter(None, (until, options.stop_at)), default=0)
     stopping = replace(options, stop_at=stop_at)

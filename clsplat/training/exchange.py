@@ -13,7 +13,6 @@ killed during an exchange repeats it, and ends in the same bytes.
 
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.city import LAYERS, BlockFolder, CityFolder
 from clsplat.io.npz import read_npz, state_array, write_npz
-from clsplat.io.ply import write_ply
+from clsplat.io.ply import START, start_comment, write_ply
 from clsplat.io.records import object_of
 from clsplat.io.run import STATE, RunFolder
 from clsplat.options import TrainOptions
@@ -83,7 +82,7 @@ def write_part(block: BlockFolder, scene: Scene, number: int, saved: Saved | Non
     with replacing(path) as file:
         write_npz(file, {**{name: values[owned] for name, values in arrays.items()},
                          STATE: state_array({"unit": scene.unit, "offset": scene.offset.tolist(),
-                                             CITY: block.read()[CITY]})})
+                                             CITY: block.read()[CITY], START: block.start()})})
 
 
 def other_blocks(block: BlockFolder) -> list[BlockFolder]:
@@ -140,11 +139,11 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
     scene = scene.reduced(options.downscale, options.max_resolution).normalised()
     region = scene.region
     assert region is not None
-    own = Part(block.part(number), record)
+    own = Part(block, number, record)
 
     def taken_from(other: BlockFolder) -> tuple[Arrays, Arrays]:
         """What the block holds of another one, and what it draws as layers."""
-        part = Part(other.part(number), record)
+        part = Part(other, number, record)
         placed = _in_frame_of(scene, {name: part.rows[name] for name in PLACED}, part.frame)
         start = block_start(Gaussians({name.removeprefix("row."): values
                                        for name, values in placed.items()}, own.degree),
@@ -163,7 +162,8 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
         rows = {field.name: np.concatenate([around[f"row.{field.name}"] for _, around in found]
                                            or [own.rows[f"row.{field.name}"][:0]])
                 for field in LEARNED}
-        write_ply(block.around, Gaussians(rows, own.degree).scaled(scene.unit), scene.offset)
+        write_ply(block.around, Gaussians(rows, own.degree).scaled(scene.unit), scene.offset,
+                  start_comment(block.start()))
 
     with ThreadPoolExecutor(PARTS_TOGETHER) as threads:
         found = list(threads.map(taken_from, others))
@@ -185,7 +185,8 @@ class Part:
 
     Parameters
     ----------
-    path : of the file.
+    block : that wrote the file.
+    number : of the exchange, from 1.
     record : of the block that reads it.
 
     Attributes
@@ -195,7 +196,8 @@ class Part:
     frame : the unit and the offset of the block.
     """
 
-    def __init__(self, path: Path, record: dict[str, Any]) -> None:
+    def __init__(self, block: BlockFolder, number: int, record: dict[str, Any]) -> None:
+        path = block.part(number)
         self._path, self._cure = path, f"remove {path.parent}, and train that block again"
         self.rows = read_npz(path, DAMAGED, self._cure, lambda name: name == STATE or _is_row(name))
         try:
@@ -208,6 +210,9 @@ class Part:
             raise self._damaged(error) from None
         if self.frame.get(CITY) != record[CITY]:
             raise InputError(f"{path}: of another city; {self._cure}")
+        if self.frame.get(START, start := block.start()) != start:
+            raise InputError(f"{path}: of another block or partition than {block.path}; "
+                             f"{self._cure}")
 
     def arrays(self, indices: NDArray[np.integer] | None = None) -> Arrays:
         """Rows of gaussians with their moments and statistics; InputError if they are damaged.

@@ -7,6 +7,7 @@ from clsplat.errors import ClsplatError
 from clsplat.evaluation.views import pictures_of
 from clsplat.io.georeference.files import placement_comments
 from clsplat.io.model_values import mode_comment
+from clsplat.io.ply import START, start_comment
 from clsplat.io.poses import write_poses
 from clsplat.io.reason import reason
 from clsplat.io.run import RunFolder
@@ -26,7 +27,7 @@ def save_model(run: RunFolder, session: Session) -> None:
         write_poses(run.path, {name: Correction(each.turn, each.shift * session.scene.unit)
                                for name, each in session.corrections().items()})
     gaussians = session.model.download().scaled(session.scene.unit)
-    run.save_model(gaussians, session.scene.offset, _comments(session),
+    run.save_model(gaussians, session.scene.offset, _comments(run, session),
                    session.options.sphere_columns)
 
 
@@ -39,13 +40,14 @@ def save_snapshot(run: RunFolder, session: Session) -> None:
     frequency = scene_frequency(session.device, session.model.current_rows(), unit)
     run.save_snapshot(
         session.level, session.model.download().scaled(unit), session.scene.offset,
-        (*_comments(session), f"level {session.level:g}",
+        (*_comments(run, session), f"level {session.level:g}",
          *(f"frequency {name} {frequency[f'{name}_mean']:.9g}" for name in VARIANTS)))
 
 
-def _comments(session: Session) -> tuple[str, ...]:
+def _comments(run: RunFolder, session: Session) -> tuple[str, ...]:
     """Comments for the PLY header, which other tools read."""
-    return (f"iterations {session.iteration}",
+    return (*start_comment(str(run.read_options().get(START, ""))),
+            f"iterations {session.iteration}",
             mode_comment(session.options.antialiased),
             *placement_comments(session.scene.up, session.scene.georeference))
 

@@ -18,6 +18,8 @@ from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.gaussians import Gaussians
 from clsplat.io.depth import with_depths
+from clsplat.io.ply import START
+from clsplat.io.records import digest_of
 from clsplat.io.run import PART_OF_CITY, RunFolder
 from clsplat.io.scenes import fingerprint
 from clsplat.io.undistort import undistorted
@@ -83,6 +85,7 @@ def train(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
 def run_record(scene: Scene, options: TrainOptions, device: Device) -> dict[str, Any]:
     """The options of a run and what it was trained on, for its options.json."""
     return {"scene": scene.path, **dataclasses.asdict(options), "fingerprint": fingerprint(scene),
+            START: digest_of(options.init),
             "opencl_device": device.name, "kernel_form": device.form, "extent": scene.extent,
             "offset": scene.offset.tolist(), PART_OF_CITY: is_part_of_city(scene, options)}
 

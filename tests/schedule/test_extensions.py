@@ -2,9 +2,10 @@
 
 import json
 import os
-import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -12,30 +13,38 @@ import pytest
 from tests.data.tiny_training import CITY
 
 ROOT = Path(__file__).resolve().parents[2]
+RECORD = "open('imported', 'a').write(__name__)\n"  # what a module does that records its import
+BASE = "from clsplat import Plan, Schedule\nclass S(Schedule):\n"
+PLAN = ("    def plan(self, iteration):\n        return Plan(level=1.0, degree=0, gathers=False, "
+        "grows=False, resets_opacity=False, prunes_large=False, decay=0.0)\n")
+TINY = ("train", CITY, "-n", "4", "-r", "8", "-o", "run", "-q", "--test-every", "none",
+        "--exposure", "off", "--init", "sfm")
 
 
 @pytest.fixture
-def clsplat(tmp_path):
-    """A function that runs the command line where packages register schedules."""
-    shutil.copy(ROOT / "docs" / "examples" / "halves.py", tmp_path)
-    (tmp_path / "wrong.py").write_text("number = 3\nraise_ = 1\n")
-    (tmp_path / "broken.py").write_text("raise RuntimeError('no such thing')\n")
-    info = tmp_path / "others-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1\n")
-    (info / "entry_points.txt").write_text(
-        "[clsplat.schedules]\nhalves = halves:Halves\nwrong = wrong:number\nbroken = broken:X\n")
+def package(tmp_path):
+    """A function that makes a package `others` of a module's text, which registers schedules; the
+    result runs the command line beside it."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(tmp_path)))}
 
-    def run(*words):
-        path = os.pathsep.join((str(ROOT), str(tmp_path)))
-        return subprocess.run([sys.executable, "-m", "clsplat", *map(str, words)], text=True,
-                              capture_output=True, env={**os.environ, "PYTHONPATH": path},
-                              cwd=tmp_path, check=False)
-    return run
+    def install(text, entries):
+        (tmp_path / "module.py").write_text(text)
+        info = tmp_path / "others-1.dist-info"
+        info.mkdir(exist_ok=True)
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1\n")
+        (info / "entry_points.txt").write_text(f"[clsplat.schedules]\n{entries}\n")
+
+        def run(*words, start=subprocess.run, **settings):
+            settings = settings or {"capture_output": True, "check": False}
+            return start([sys.executable, "-m", "clsplat", *map(str, words)], text=True,
+                         env=environment, cwd=tmp_path, **settings)
+        return run
+    return install
 
 
 @pytest.mark.slow
-def test_a_schedule_in_one_file(clsplat, tmp_path):
+def test_a_schedule_in_one_file(package, tmp_path):
+    clsplat = package((ROOT / "docs/examples/halves.py").read_text(), "halves = module:Halves")
     done = clsplat("train", CITY, "--schedule", "halves", "-n", "40", "-r", "8", "--densify-every",
                    "5", "-o", "run")
     assert done.returncode == 0, done.stderr
@@ -49,25 +58,108 @@ def test_a_schedule_in_one_file(clsplat, tmp_path):
     assert options["half_share"] == 0.5
     whole = " ".join(clsplat("train", "--help-all").stdout.split())
     assert "--half-share FLOAT Share of the run at half size" in whole
-    done = clsplat("train", CITY, "--schedule", "halves", "-n", "8", "-r", "8", "--half-share",
+    done = clsplat("train", CITY, "--schedule=halves", "-n", "8", "-r", "8", "--half-share",
                    "0.25", "-o", "other", "--snapshots")
     assert done.returncode == 0, done.stderr
     records = [json.loads(line) for line in (tmp_path / "other/metrics.jsonl").open()]
     assert {r["level"] for r in records if r["event"] == "eval"} == {1.0, 2.0}
-    done = clsplat("train", CITY, "--half-share", "0.25", "-o", "third")
-    assert done.returncode == 2 and done.stderr == (
-        "error: --half-share: has no effect with --schedule sig; leave it out, or use --schedule "
-        "halves\n")
+    (tmp_path / "run.toml").write_text('schedule = "halves"\nhalf-share = 0.75\n')
+    done = clsplat("train", CITY, "--config", "run.toml", "-n", "8", "-r", "8", "-o", "third")
+    assert json.loads((tmp_path / "third/options.json").read_text())["half_share"] == 0.75
+    done = clsplat("train", CITY, "--half-share", "0.25", "-o", "fourth")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "--half-share" in done.stderr and ("The flags of a schedule of another package need "
+                                              "--schedule halves.") in done.stderr
     (tmp_path / "others-1.dist-info" / "entry_points.txt").write_text("")
     gone = clsplat("eval", "run", "--no-images")
     assert gone.returncode == 2 and "one of sig, constant, dash, taming, mcmc" in gone.stderr
 
 
-@pytest.mark.parametrize("name, words", [
-    ("wrong", "not a subclass of clsplat.Schedule"), ("broken", "RuntimeError: no such thing"),
-    ("nothing", "expects one of sig, constant, dash, taming, mcmc, broken, halves, wrong")])
+@pytest.mark.parametrize("words, code", [
+    (("--help",), 0), (("train", "--help"), 0), (("devices",), 0), (("--version",), 0),
+    pytest.param(TINY, 0, marks=pytest.mark.slow),
+    (("train", "nothing", "--schedule", "sig", "-o", "run"), 2),
+    (("plan", "nothing", "--schedule", "unknown"), 2),
+    (("train", "nothing", "--sphere-reach", "3", "--schedule", "mcmc", "-o", "run"), 2)])
 @pytest.mark.one_in(3)
-def test_what_is_no_schedule_is_one_line(clsplat, name, words):
-    done = clsplat("train", CITY, "--schedule", name, "-n", "4", "-r", "8", "-o", "run")
-    assert done.returncode == 2 and words in done.stderr, done.stderr
-    assert done.stderr.count("error: ") == 1 and "Traceback" not in done.stderr
+def test_no_command_imports_a_schedule_that_it_does_not_name(package, tmp_path, words, code):
+    clsplat = package(RECORD + "import sys\nsys.exit(0)\n", "x = module:S\nsig = module:S")
+    done = clsplat(*words)
+    assert done.returncode == code, done.stderr
+    assert (done.stdout or done.stderr or words is TINY) and not (tmp_path / "imported").exists()
+
+
+FAILS = {  # what a module says -> what the one line says
+    "import sys\nsys.exit(0)\n": "does not load (SystemExit: 0)",
+    "import argparse\nargparse.ArgumentParser().parse_args()\n": "does not load (SystemExit: 2)",
+    "raise RuntimeError('no\\nsuch thing')\n": "does not load (RuntimeError: no such thing)",
+    "import nowhere_at_all\n": "No module named 'nowhere_at_all'",
+    "class S(:\n": "does not load (SyntaxError: invalid syntax",
+    "T = 3\n": "has no attribute 'S'",
+    "S = 3\n": "is not a subclass of clsplat.Schedule",
+    "class S:\n    pass\n": "is not a subclass of clsplat.Schedule",
+    "class E(Exception):\n    def __str__(self):\n        return 1 / 0\nraise E\n":
+        "does not load (E)",
+    "class E(BaseException):\n    pass\nraise E('mine')\n": "does not load (E: mine)",
+    BASE + "    Options = 3\n": "is not a frozen dataclass of options",
+    BASE + "    class Options:\n        pass\n": "is not a frozen dataclass of options",
+    "from dataclasses import dataclass\nfrom clsplat import option\n@dataclass(frozen=True)\n"
+    "class O:\n    seed: int = option(0, 'Run', 'mine')\n" + BASE + "    Options = O\n":
+        "names seed, which clsplat has",
+    BASE + "    defaults = {'nonsense': 1}\n": "unknown option 'nonsense'",
+    BASE + "    defaults = 3\n": "defaults of module:S",
+    BASE + "    parts = None\n" + PLAN: "parts of module:S",
+    BASE + "    levels = (2.0, 'a')\n" + PLAN: "levels of module:S",
+    BASE + "    selection = 'nonsense'\n" + PLAN: "selection of module:S",
+    BASE + "    observe_every = 0\n" + PLAN: "observe_every of module:S",
+    BASE + "    levels = (0.0,)\n" + PLAN: "levels of module:S",
+    BASE + "    def __init__(self, *all):\n        raise ValueError('wrong')\n" + PLAN:
+        "__init__ of module:S (package others) failed (ValueError: wrong)",
+    BASE + "    pass\n": "plan of module:S (package others) failed (NotImplementedError)",
+    BASE + "    def plan(self, iteration):\n        import sys\n        sys.exit(0)\n":
+        "plan of module:S (package others) failed (SystemExit: 0)",
+    BASE + "    def plan(self, iteration):\n        return None\n": "returned None, not a clsplat",
+    BASE + PLAN.replace("level=1.0", "level=0.0"): "plan of module:S (package others) failed "
+        "(ValueError: level 0.0",
+    BASE + PLAN.replace("degree=0", "degree=9"): "failed (ValueError: degree 9",
+    BASE + PLAN.replace("decay=0.0", "decay=float('nan')"): "failed (ValueError: decay nan",
+    BASE + "    @classmethod\n    def grows_every(cls, options):\n        return 1 // 0\n" + PLAN:
+        "grows_every of module:S (package others) failed (ZeroDivisionError",
+}
+
+
+@pytest.mark.parametrize("text", FAILS)
+@pytest.mark.one_in(9)
+def test_what_fails_in_a_schedule_of_others_is_one_line_that_names_it(package, text):
+    done = package(text, "x = module:S")(*TINY, "--schedule", "x")
+    assert done.returncode == 2 and FAILS[text] in done.stderr, done.stderr
+    assert done.stderr.count("\n") == 1 or "argparse" in text  # which prints its own usage
+
+
+@pytest.mark.one_in(3)
+def test_an_unknown_schedule_names_those_that_are_there(package):
+    done = package("", "halves = module:S\nwrong = module:T")(*TINY, "--schedule", "nothing")
+    assert done.returncode == 2 and "mcmc, halves, wrong" in done.stderr
+
+
+@pytest.mark.one_in(3)
+def test_help_all_names_the_schedules_that_do_not_load(package):
+    done = package("import sys\nsys.exit(0)\n", "x = module:S")("train", "--help-all")
+    assert done.returncode == 0 and "--sphere-reach" in done.stdout
+    assert done.stderr.startswith("warning: x: module:S (package others) does not load")
+
+
+@pytest.mark.slow
+def test_a_schedule_that_hangs_is_named_and_so_is_what_ctrl_c_ended(package):
+    clsplat = package("import time\nprint('begun', flush=True)\ntime.sleep(60)\n", "x = module:S")
+    process = clsplat(*TINY, "--schedule", "x", start=subprocess.Popen, stdout=subprocess.PIPE,
+                      stderr=subprocess.PIPE)
+    assert process.stdout.readline() == "begun\n"
+    time.sleep(6)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert errors.splitlines() == [
+        "loading schedule 'x': module:S (package others) ...", "",
+        "interrupted while schedule 'x' was loaded: module:S (package others); what was saved is "
+        "kept: give the same command again"]
