@@ -1,25 +1,63 @@
-"""What mkdocs.yml cannot say: the folder of the pages, no assets of others, our docstrings.
+"""What mkdocs.yml cannot say: folder and version, the commands, no assets of others, our docstrings.
 
 mkdocs calls the functions, and griffe, which reads the docstrings, the class.
 """
 
+import inspect
 import logging
 import re
 from pathlib import Path
 
+import click
 import griffe
+
+from clsplat import __version__
+from clsplat.cli.main import main
 
 LOG = logging.getLogger("mkdocs.hooks")
 FOREIGN = re.compile(r"<(?:script|img|iframe|link)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^>]*")
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 HEADING = re.compile(r"^(\w+)\n-+\n", re.MULTILINE)
 ITEM = re.compile(r"^(\S[^:\n]*?) : ", re.MULTILINE)
+COMMANDS = "<!-- commands -->"  # a page has them in its place
 
 
 def on_config(config):
-    """Pages are all of docs/: guide and notebook."""
+    """Pages are all of docs/, guide and notebook, and their head names the version."""
     config.docs_dir = str(Path(config.config_file_path).parent)
+    config.site_name = f"clsplat {__version__}"
     return config
+
+
+def on_page_markdown(markdown, page, config, files):
+    """The guide comes before the notebook in a search; one page has the commands."""
+    if page.file.src_uri.startswith("notebook/"):
+        page.meta["search"] = {"boost": 0.5}
+    return markdown.replace(COMMANDS, commands()) if COMMANDS in markdown else markdown
+
+
+def commands():
+    """Every command with every option, under the headings of the help."""
+    lines = []
+    for heading, names in main.sections.items():
+        lines += [f"## {heading}", *(text for name in names for text in described(name))]
+    return "\n\n".join(lines)
+
+
+def described(name):
+    """Paragraphs and tables about a command."""
+    command = main.commands[name]
+    context = click.Context(command, info_name=f"clsplat {name}")
+    yield f"### clsplat {name}"
+    yield f"    {' '.join([context.command_path, *command.collect_usage_pieces(context)])}"
+    yield inspect.cleandoc(command.help)
+    tables = {}
+    for param in command.get_params(context):
+        if record := isinstance(param, click.Option) and param.get_help_record(context):
+            tables.setdefault(getattr(param, "section", "Other"), []).append(record)
+    for heading in sorted(tables, key="Other".__eq__):
+        rows = (f"| `{flags}` | {meaning} |" for flags, meaning in tables[heading])
+        yield "\n".join([f"| {heading} | |", "|---|---|", *rows])
 
 
 def on_page_content(html, page, config, files):
