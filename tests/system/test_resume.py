@@ -116,7 +116,8 @@ def test_crashed_and_resumed(item_device, city, tmp_path, whole, monkeypatch):
         patch.setattr(Step, "run", crash)
         trained(tmp_path / "run", city, item_device, eval_every=50, checkpoint_every=60)
     run = RunFolder.open(tmp_path / "run")
-    assert [record["iteration"] for record in run.records()][-3:] == [100, 100, 101]
+    assert [(record["event"], record["iteration"]) for record in run.records()][-4:] == [
+        ("eval", 100), ("step", 100), ("grow", 101), ("reset", 101)]
     resume(city, options_of(eval_every=50, checkpoint_every=60), item_device, run)
     assert model_digest(run) == model_digest(whole)
     assert history(run) == history(whole)
