@@ -49,6 +49,48 @@ def test_readme_is_run(listed):
     assert len(listed) > 10 and all(run for _, run in listed)
 
 
+def test_readme_begins_with_two_lines(listed):
+    """One for the set-up and the main job, one for the set-up and the tests."""
+    assert [said for said, _ in listed[:2]] == ["tools/quickstart", "tools/test"]
+    assert listed[2][0].startswith("python3 -m venv .venv")
+
+
+def repository(folder, readme, **scripts):
+    """A git repository with this README and these scripts in tools/."""
+    (folder / "tools").mkdir(parents=True)
+    (folder / "README.md").write_text(f"```\n{readme}\n```\n", encoding="utf-8")
+    for name, text in scripts.items():
+        (folder / "tools" / name).write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
+        (folder / "tools" / name).chmod(0o755)
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+    for words in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "made"]):
+        subprocess.run(["git", *words], cwd=folder, check=True)
+
+
+def test_readme_runs_in_a_bare_clone(readme, tmp_path, monkeypatch, capfd):
+    """What is not committed is not there, nor what CI has set."""
+    made = tmp_path / "made"
+    show = 'echo given "$@" ${CI-bare} ${CLSPLAT_VENV-bare} ${PYTHONPATH-bare}; ls'
+    repository(made, "tools/quickstart   # trains\ntools/test", quickstart=show, test=show)
+    (made / "uncommitted").touch()
+    monkeypatch.setattr(readme, "ROOT", made)
+    for name in ("CI", "CLSPLAT_VENV", "PYTHONPATH"):
+        monkeypatch.setenv(name, "set")
+    (tmp_path / "there").mkdir()
+    assert readme.main(tmp_path / "there") == 0
+    said = capfd.readouterr().out
+    assert "given -n 20 bare bare bare" in said and "tests/test_camera.py bare bare bare" in said
+    assert (tmp_path / "there/clsplat/README.md").is_file() and "uncommitted" not in said
+
+
+def test_a_command_of_readme_that_fails_is_named(readme, tmp_path, monkeypatch, capfd):
+    repository(tmp_path / "made", "tools/test\ntouch never", test="exit 3")
+    monkeypatch.setattr(readme, "ROOT", tmp_path / "made")
+    assert readme.main(tmp_path) == 1
+    assert "error: README: tools/test" in capfd.readouterr().out
+    assert not (tmp_path / "clsplat/never").exists()
+
+
 def test_readme_has_no_placeholder_that_nothing_replaces(listed):
     for _, run in listed:
         assert not re.search(r"\b[A-Z]{3,}\b", run.replace(str(ROOT), "")), run
