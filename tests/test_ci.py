@@ -3,6 +3,7 @@
 import configparser
 import importlib.util
 import re
+import shutil
 import subprocess
 import sys
 from importlib.machinery import SourceFileLoader
@@ -47,6 +48,74 @@ def listed(readme):
 def test_readme_is_run(listed):
     """Every command that it names in a block; tools/readme runs them all."""
     assert len(listed) > 10 and all(run for _, run in listed)
+
+
+def test_readme_begins_with_two_lines(listed):
+    """One for the set-up and the main job, one for the set-up and the tests."""
+    assert [said for said, _ in listed[:2]] == ["tools/quickstart", "tools/test"]
+    assert listed[2][0].startswith("python3 -m venv .venv")
+
+
+needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+
+
+def repository(folder, readme, **scripts):
+    """A git repository with this README and these scripts in tools/."""
+    (folder / "tools").mkdir(parents=True)
+    (folder / "README.md").write_text(f"```\n{readme}\n```\n", encoding="utf-8")
+    for name, text in scripts.items():
+        (folder / "tools" / name).write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
+        (folder / "tools" / name).chmod(0o755)
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+    for words in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "made"]):
+        subprocess.run(["git", *words], cwd=folder, check=True)
+
+
+@needs_git
+def test_readme_runs_in_a_bare_clone(readme, tmp_path, monkeypatch, capfd):
+    """What is not committed is not there, nor what CI has set."""
+    made = tmp_path / "made"
+    show = 'echo given "$@" ${CI-bare} ${CLSPLAT_VENV-bare} ${PYTHONPATH-bare}; ls'
+    repository(made, "tools/quickstart   # trains\ntools/test", quickstart=show, test=show)
+    (made / "uncommitted").touch()
+    monkeypatch.setattr(readme, "ROOT", made)
+    for name in ("CI", "CLSPLAT_VENV", "PYTHONPATH"):
+        monkeypatch.setenv(name, "set")
+    (tmp_path / "there").mkdir()
+    assert readme.main(tmp_path / "there") == 0
+    said = capfd.readouterr().out
+    assert "given -n 100 bare bare bare" in said and "tests/test_camera.py bare bare bare" in said
+    assert (tmp_path / "there/clsplat/README.md").is_file() and "uncommitted" not in said
+
+
+@needs_git
+def test_a_command_of_readme_that_fails_is_named(readme, tmp_path, monkeypatch, capfd):
+    repository(tmp_path / "made", "tools/test\ntouch never", test="exit 3")
+    monkeypatch.setattr(readme, "ROOT", tmp_path / "made")
+    assert readme.main(tmp_path) == 1
+    assert "error: README: tools/test" in capfd.readouterr().out
+    assert not (tmp_path / "clsplat/never").exists()
+
+
+@pytest.mark.parametrize("rows, passes", [
+    (["*  0  cpu   Xeon  Intel(R) OpenCL  works"], True),
+    (["   0  cpu   Xeon  Portable Computing Language  works"], False),
+    (["   0  cpu   Xeon  Portable Computing Language  works",
+      "*  1  cpu   Xeon  Intel(R) OpenCL  works"], False),
+    (["*  0  cpu   Xeon  Intel(R) OpenCL  works", "   1  -     -  rusticl  does not work"], False),
+    ([], False)])
+def test_a_bare_clone_must_see_one_runtime(tmp_path, rows, passes):
+    """Before any test runs there."""
+    for name, text in {".ci/bare": (ROOT / ".ci/bare").read_text(), "tools/test": "echo tests $@",
+                       ".venv/bin/clsplat": "cat ../rows"}.items():
+        path = tmp_path / "clone" / name
+        path.parent.mkdir(parents=True)
+        path.write_text(text if name == ".ci/bare" else f"#!/bin/sh\n{text}\n", encoding="utf-8")
+        path.chmod(0o755)
+    (tmp_path / "rows").write_text("\n".join(["   #  type", *rows, "      note", "* is auto"]))
+    done = subprocess.run([tmp_path / "clone/.ci/bare", "Intel(R) OpenCL", "-q"], check=False,
+                          capture_output=True, text=True)
+    assert (done.returncode == 0, "tests -q" in done.stdout) == (passes, passes), done.stdout
 
 
 def test_readme_has_no_placeholder_that_nothing_replaces(listed):

@@ -1,5 +1,7 @@
 """Gaussians to splats and the adjoint by themselves: splats, keys, gradients of random sums."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -33,10 +35,24 @@ def one_pair_each(device, sums):
                       device.upload(numbers))
 
 
+def many_pairs_each(device, first):
+    """SplatGrads of splats with 0, 1, 2, ... further pairs after a `first` one, and those whose one
+    pair has their sums, added up in the order of pairs in the device's precision."""
+    counts = 1 + np.arange(len(first), dtype=np.uint32)
+    offsets = np.cumsum(counts, dtype=np.uint32) - counts
+    values = np.random.default_rng(4).normal(size=(counts.sum(), first.shape[1]))
+    values = values.astype(device.real)
+    values[offsets] = first
+    sums = np.array([functools.reduce(np.add, values[begin:begin + count])
+                     for begin, count in zip(offsets, counts)])
+    return (SplatGrads(*map(device.upload, (values, counts, offsets))), one_pair_each(device, sums))
+
+
 class Projected:
     """A case through cull, project and its adjoint; everything downloaded, by row."""
 
-    def __init__(self, device, case, antialiased=False, with_depth=True):
+    def __init__(self, device, case, antialiased=False, with_depth=True,
+                 splat_grads=one_pair_each):
         defines = (("SH_REST", case["rows"]["sh_rest"].shape[1]), ("ANTIALIASED", int(antialiased)))
         rows = upload_rows(device, case["rows"])
         camera = pack_camera(device, camera_of(case), case["near"])
@@ -51,7 +67,7 @@ class Projected:
         self.skipped = device.zeros(1, np.uint32)
         gradients, self.grad_means, active, _ = project_adjoint(
             device, rows, seen, counts, camera, case["degree"], defines,
-            one_pair_each(device, self.sums), self.skipped)
+            splat_grads(device, self.sums), self.skipped)
         self.active = active.download()
         self.grad_means = self.grad_means.download()
         self.gradients = {}
@@ -121,6 +137,17 @@ def test_without_the_depth_sum_nothing_flows_to_depth(device):
             case["rows"], case["camera"], case["degree"], case["near"], grads=grads),
         case, precision_of(device), "nine sums")
     assert not np.array_equal(ten.gradients["positions"], nine.gradients["positions"])
+
+
+@pytest.mark.parametrize("with_depth", [True, False])
+def test_sums_over_pairs_are_added_in_their_order(device, with_depth):
+    """However many there are, so that the bytes in bands and in one piece are the same."""
+    case = cases.gaussians("degree_0", count=70)
+    pairs, sums = (Projected(device, case, False, with_depth,
+                             lambda *made: many_pairs_each(*made)[which])  # noqa: B023
+                   for which in (0, 1))
+    for field, values in pairs.gradients.items():
+        assert np.array_equal(values, sums.gradients[field]), field
 
 
 def test_saturated_opacities_keep_their_gradient(device):
