@@ -157,7 +157,7 @@ def _lenses(model: str, parameters: tuple[float, ...], size: tuple[int, int]
 def _middle_focal(lens: Lens) -> tuple[float, float]:
     """(fx, fy), pixels: the focal length close to the lens's axis."""
     middle, right, below = _project(lens, np.array([(0, 0, 1), (SHORT, 0, 1), (0, SHORT, 1)]))
-    focal = abs(right[0] - middle[0]) / SHORT, abs(below[1] - middle[1]) / SHORT
+    focal = (right[0] - middle[0]) / SHORT, (below[1] - middle[1]) / SHORT
     if not (np.isfinite(focal).all() and min(focal) > 0 and max(focal) < 1e3 * max(lens.size)):
         raise ValueError(f"{lens.model} has no valid focal length")
     return focal

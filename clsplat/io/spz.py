@@ -144,7 +144,6 @@ class _Header(NamedTuple):
 
 
 class _Content(NamedTuple):
-    version: int
     degree: int
     bits: int
     parts: list[NDArray[np.uint8]]  # [N, width] each
@@ -182,7 +181,7 @@ def _unpacked(data: bytes) -> _Content:
         whole = _whole(data, size, header)
         ends = np.cumsum(header.number * np.array(widths, np.int64))
         contents = [whole[end - header.number * width:end] for end, width in zip(ends, widths)]
-    return _Content(header.version, header.degree, header.bits, [
+    return _Content(header.degree, header.bits, [
         np.frombuffer(part, np.uint8).reshape(header.number, width)
         for part, width in zip(contents, widths)])
 

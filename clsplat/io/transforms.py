@@ -138,6 +138,8 @@ def _matrix(table: Mapping[str, Any], key: str) -> NDArray[np.float64]:
     matrix = np.array(table.get(key), np.float64)
     if matrix.shape not in ((3, 4), (4, 4)):
         raise ValueError(f"{key} is not a 3x4 or 4x4 matrix")
+    if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise ValueError(f"the last row of {key} is not 0 0 0 1; is it transposed?")
     return matrix[:3]
 
 
@@ -162,12 +164,13 @@ def _lens(frame: Mapping[str, Any], size: tuple[int, int], pinhole: tuple[float,
     """The camera model of a frame; None for a pinhole camera."""
     if "ftheta_p0" in frame:
         raise ValueError("the lens F-theta is not read; export with OPENCV_FISHEYE")
-    name = frame.get("camera_model") or "OPENCV"
+    name = frame.get("camera_model")
+    name = "OPENCV" if name is None else name
     if frame.get("is_fisheye"):
         name = FISHEYE
     if name == PANORAMA:
         return PANORAMA, tuple(map(float, size))
-    if name not in LENSES:
+    if not isinstance(name, str) or name not in LENSES:
         raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(LENSES)} "
                          f"or {PANORAMA}")
     value = {key: _number(frame, key, 0) for key in COEFFICIENTS}

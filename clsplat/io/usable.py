@@ -21,6 +21,8 @@ MOST_LEFT_OUT = 0.5  # of a file's rows; one with more is damaged
 
 def with_meaning(name: str, values: NDArray[np.float32]) -> NDArray[np.float32]:
     """The values of a field, with finite ones in place of infinite ones that have a meaning."""
+    if np.isfinite(values).all():
+        return values
     if name == "opacity_logits":
         low, high = (np.log(end / (1 - end)) for end in (LEAST_OPACITY, GREATEST_OPACITY))
         values = np.where(np.isinf(values), np.where(values > 0, high, low), values)

@@ -7,13 +7,13 @@ import tracemalloc
 
 import numpy as np
 import pytest
-import zstandard
 
 from clsplat.errors import InputError
 from clsplat.io.models import count_of, read_model, read_notes, write_model
 from tests.io.shared_cases import CASES, needs_cases
 from tests.io.test_ply import equal, random_gaussians
 
+zstandard = pytest.importorskip("zstandard", reason="an extra: pip install 'clsplat[spz]'")
 SAFE_ORBIT, OTHER_AXES = 0xADBE0002, 0xADBE0003
 NO_ZSTD = "SPZ of version 4 needs zstandard; `pip install zstandard`"
 

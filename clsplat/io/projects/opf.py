@@ -45,6 +45,7 @@ from clsplat.scene import Scene
 
 SUFFIX = ".opf"
 FORMAT = "application/opf-{}+json"
+VERSIONS = ("0", "1")  # before the first point: drafts of the format, and itself
 POINTS = "model/gltf+json"
 COEFFICIENTS = 4  # of a fisheye that COLMAP's OPENCV_FISHEYE has
 UNIT = np.ones(3)
@@ -107,7 +108,11 @@ class _Project:
                 raise ValueError(f"it has no {name.replace('-', ' ')}: calibrate the project")
             return {}
         try:
-            return object_of(read_regular(paths[0]))
+            table = object_of(read_regular(paths[0]))
+            version = str(table.get("version", VERSIONS[-1]))
+            if version.partition(".")[0] not in VERSIONS:
+                raise ValueError(f"version {version[:20]} of OPF is not read")
+            return table
         except (OSError, ValueError) as error:
             raise ValueError(f"{paths[0].name[:80]}: {reason(error)}") from None
 

@@ -115,3 +115,17 @@ def test_photos_in_a_folder_beside_the_project(tmp_path):
     path = tmp_path / "project/camera-list.json"
     path.write_text(path.read_text().replace("images/", "../photos/"))
     assert_same(read_scene(tmp_path / "project"), scene, points=1e-6)
+
+
+@pytest.mark.parametrize("version, is_read", [
+    ("1.0", True), ("0.9-draft4", True), ("1.7", True), (None, False), ("2.0", False),
+    ("x", False), (2, False), (1.0, True), ([], False)])
+def test_other_versions_are_named(tmp_path, version, is_read):
+    write_opf(tmp_path, made(tmp_path))
+    path = tmp_path / "calibrated-cameras.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "version": version}))
+    if is_read:
+        assert len(read_scene(tmp_path).views) == 4
+        return
+    with pytest.raises(InputError, match="calibrated-cameras.json: version .* of OPF is not read"):
+        read_scene(tmp_path)
