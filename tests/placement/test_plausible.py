@@ -20,9 +20,10 @@ def judged(mistake, seeds):
         outcome(mistake, seed) for seed in seeds))
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_no_mistake_is_believed(mistake):
-    found = judged(mistake, range(2))
+    found = judged(mistake, range(1))
     assert not found["believed", False]
 
 
@@ -41,7 +42,7 @@ def grid(columns=6, rows=4, seed=0):
     x, y = np.meshgrid(np.arange(columns) * 20.0, np.arange(rows) * 26.0)
     centres = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 80.0)])
     centres += np.random.default_rng(seed).normal(0, 0.5, centres.shape)
-    yaws = Rotation.from_euler("z", 180 * (y.ravel() / 26 % 2), degrees=True)
+    yaws = Rotation.from_rotvec(np.pi * np.outer(y.ravel() / 26 % 2, [0, 0, 1]))
     return centres, np.diag([1.0, -1.0, -1.0]) @ yaws.inv().as_matrix()
 
 
