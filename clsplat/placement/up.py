@@ -72,8 +72,8 @@ def up_axis(rotations: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
     There are two candidates: the direction most perpendicular to the rows of the images, since
     photographers keep the horizon level (Brown and Lowe 2007, section 5), and the normal of the
     plane through the points. The better determined one is taken. Its sign follows the tops of the
-    images or, if they look along it, the direction away from which they look. A minority of turned photos, or of
-    points on buildings and trees, has little influence.
+    images or, if they look along it, the direction away from which they look. A minority
+    of turned photos, or of points on buildings and trees, has little influence.
 
     Parameters
     ----------
