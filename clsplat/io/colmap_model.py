@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.colmap_binary import read_binary
-from clsplat.io.colmap_format import PARTS, PINHOLES, Camera, Points, places_within
+from clsplat.io.colmap_format import (
+    PARTS,
+    PINHOLES,
+    Camera,
+    Image,
+    Points,
+    places_within,
+)
 from clsplat.io.colmap_text import read_text
 from clsplat.io.lenses import undistorted_model
 
@@ -24,9 +31,7 @@ def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, N
     model : the folder of a COLMAP model.
     may_be_empty : parts that may be empty, such as points3D of test views.
     """
-    kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
-    cameras, images, points = (
-        _read_part(model / f"{part}.{kind}", part, part in may_be_empty) for part in PARTS)
+    cameras, images, points = model_parts(model, may_be_empty)
     images = sorted(images, key=lambda image: image.name)
     for image in images:
         if image.camera not in cameras:
@@ -52,6 +57,15 @@ def model_arrays(model: Path, may_be_empty: Collection[str] = ()) -> dict[str, N
     return undistorted_model(model, arrays, [
         None if camera.model in PINHOLES else (camera.model, camera.parameters)
         for camera in used])
+
+
+def model_parts(model: Path, may_be_empty: Collection[str] = ()
+                ) -> tuple[dict[int, Camera], list[Image], Points]:
+    """Read the cameras by id, the images and the points of a COLMAP model."""
+    kind = "bin" if any((model / f"{part}.bin").exists() for part in PARTS) else "txt"
+    cameras, images, points = (
+        _read_part(model / f"{part}.{kind}", part, part in may_be_empty) for part in PARTS)
+    return cameras, images, points
 
 
 def _read_part(path: Path, part: str, may_be_empty: bool) -> Any:

@@ -14,7 +14,7 @@ ITERATIONS = 20
 MOST_SAMPLED = 20_000  # points
 UNDETERMINED = 0.3  # ratio of spreads beyond which a direction is not known
 MOST_TILT = 30.0  # degrees between up in a result and a direction that is known to be up
-ON_ITS_HEAD = -0.7  # 0 if photos look upwards at 45 degrees, -1 if all is upside down
+CLEAR = 0.25  # cosine: the mean top of photos that shows which end of an axis is up
 CAMERA_DEGREES, GIMBAL_DEGREES = 3.0, 1.0  # standard deviations of up by cameras, and measured
 GIMBAL_SPREAD = 5.0  # degrees, median; gimbals that differ by more say nothing
 
@@ -28,14 +28,14 @@ class Vertical:
     up : float64[3], the unit vector that most probably points up.
     degrees : its standard deviation.
     known : float64[K, 3], directions of which one points up; none if nothing determines it.
-    tops : float64[3], the mean over the photos of the direction of their top plus the one away
-        from which they look; None if `up` was measured.
+    looks : float64[2, 3], the means over the photos of the direction of their top, and of the one
+        away from which they look; None if `up` was measured.
     """
 
     up: NDArray[np.float64]
     degrees: float
     known: NDArray[np.float64]
-    tops: NDArray[np.float64] | None = None
+    looks: NDArray[np.float64] | None = None
 
     @classmethod
     def measured(cls, up: ArrayLike, degrees: float = GIMBAL_DEGREES) -> Vertical:
@@ -51,7 +51,7 @@ class Vertical:
         found = _candidates(rotations, points)
         known = [direction for direction, ratio in found if ratio < UNDETERMINED]
         return cls(found[0][0], CAMERA_DEGREES, np.array(known).reshape(-1, 3),
-                   -(rotations[:, 1] + rotations[:, 2]).mean(axis=0))
+                   _looks(rotations))
 
     def tilt(self, rotation: NDArray[np.float64]) -> float:
         """Degrees between up and the nearest direction that is known, once a rotation has turned
@@ -62,8 +62,8 @@ class Vertical:
 
     def stands(self, rotation: NDArray[np.float64]) -> bool:
         """Whether the turned reconstruction is neither upside down nor tilted far."""
-        upright = self.tops is None or bool((rotation @ self.tops)[2] > ON_ITS_HEAD)
-        return upright and self.tilt(rotation) <= MOST_TILT
+        on_its_head = self.looks is not None and _sense(self.looks @ rotation.T, UP) < -CLEAR
+        return not on_its_head and self.tilt(rotation) <= MOST_TILT
 
 
 def up_axis(rotations: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -72,8 +72,8 @@ def up_axis(rotations: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
     There are two candidates: the direction most perpendicular to the rows of the images, since
     photographers keep the horizon level (Brown and Lowe 2007, section 5), and the normal of the
     plane through the points. The better determined one is taken. Its sign follows the tops of the
-    images, and the direction away from which the cameras look. A minority of turned photos, or of
-    points on buildings and trees, has little influence.
+    images or, if they look along it, the direction away from which they look. A minority
+    of turned photos, or of points on buildings and trees, has little influence.
 
     Parameters
     ----------
@@ -89,9 +89,21 @@ def _candidates(rotations: NDArray[np.float64], points: NDArray[np.float64]
     found = [_least_spread(rotations[:, 0])]
     if len(points):
         found.append(_least_spread(_centred(points)))
-    tops = -rotations[:, 1].sum(axis=0) - rotations[:, 2].sum(axis=0)
-    return [(axis if axis @ tops >= 0 else -axis, ratio)
+    looks = _looks(rotations)
+    return [(axis if _sense(looks, axis) >= 0 else -axis, ratio)
             for axis, ratio in sorted(found, key=lambda candidate: candidate[1])]
+
+
+def _looks(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    means: NDArray[np.float64] = -rotations[:, 1:].mean(axis=0)
+    return means
+
+
+def _sense(looks: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
+    """Above 0 if an axis points up, by the tops of the photos or, if these do not show it, since
+    photos that look along it look down."""
+    top, away = looks @ axis
+    return float(top if abs(top) > CLEAR else away)
 
 
 def gimbal_up(rotations: NDArray[np.float64], pitches: NDArray[np.float64],

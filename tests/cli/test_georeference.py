@@ -1,8 +1,14 @@
 """`clsplat georeference`: what it says, and what it refuses."""
 
+import json
+
+import numpy as np
+import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
+from clsplat.io.scenes import read_scene
+from tests.cases import CASES, needs_cases
 from tests.data.survey import CRS, Survey
 
 
@@ -50,3 +56,82 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path):
         code, said = georeference(tmp_path / "scene", "-o", tmp_path / "out", *words)
         assert code == 2 and complaint in said and said.count("\n") == 1
         assert [path.name for path in tmp_path.iterdir()] == ["scene"]
+
+
+@needs_cases
+@pytest.mark.one_in(3)
+@pytest.mark.parametrize("name, words, east, north, height", [
+    ("exif_gps_whole_seconds", "GPS of 12 photos: residual 0.00 m", 326892, 4685197, 100),
+    ("exif_gps_status_void", "positions of 12 photos as void; they are used", 326892, 4685198, 100),
+    ("exif_altitude_zero", "residual 0.00 m along the ground, 0.02 m in h", 326892, 4685197, 100),
+    ("tracks_without_observations", "error: CASE: not georeferenced: no photo has GPS;", 0, 0, 0),
+    ("gcp/scene wkt_ft", "are taken as US survey foot, the unit of its x", 549909, 4147338, 300),
+    ("gcp/scene_space spacename", "by 7 ground control points: residual 0.00", 500123, 5200451,
+     300),
+    ("gcp/scene utm_letterband", "32U: U is a latitude band; write N or S", 0, 0, 0)])
+def test_cases_of_public_reports(tmp_path, name, words, east, north, height):
+    scene, *control = name.split()
+    options = [word for file in control for word in ("--gcp", CASES / "gcp" / f"{file}.txt")]
+    code, said = georeference(CASES / scene, "-o", tmp_path / "out", *options)
+    assert words.replace("CASE", str(CASES / scene)) in said
+    assert code == (0 if east else 2)
+    if east:
+        known = read_scene(tmp_path / "out").georeference
+        assert np.abs(np.subtract(known.offset, (east, north, height))).max() <= 2
+
+
+def lines_of(survey, change, crs=CRS, marks=None):
+    """A file of the seven points that most photos show, with changed coordinates."""
+    best = sorted(range(20, 200), key=lambda index: -len(list(survey.marks(index))))[:7]
+    return "\n".join([crs, *(
+        " ".join(map(repr, (*map(float, change(*survey.points[index])), x, y, name, f"P{index}")))
+        .replace("'", "") for index in best for name, x, y in survey.marks(index))])
+
+
+EAST, NORTH = 587671.0, 3338100.0
+REFUSED, WARNED, RIGHT = "refused", "warned", "right"
+HOSTILE = [
+    ("as it is", lambda x, y, z: (x, y, z), CRS, RIGHT, ""),
+    ("exchanged", lambda x, y, z: (y, x, z), CRS, REFUSED, "are x and y exchanged?"),
+    ("exchanged near", lambda x, y, z: (EAST + y - NORTH, NORTH + x - EAST, z), CRS, REFUSED,
+     "are x and y exchanged, or has one of them the wrong sign?"),
+    ("east mirrored", lambda x, y, z: (2 * EAST - x, y, z), CRS, REFUSED, "the wrong sign?"),
+    ("north mirrored", lambda x, y, z: (x, 2 * NORTH - y, z), CRS, REFUSED, "the wrong sign?"),
+    ("east negative", lambda x, y, z: (-x, y, z), CRS, REFUSED, "outside the area of EPSG:32614"),
+    ("both negative", lambda x, y, z: (-x, -y, z), CRS, REFUSED, "outside the area"),
+    ("far", lambda x, y, z: (x + 5e7, y, z), CRS, REFUSED, "outside the area"),
+    ("a digit too many", lambda x, y, z: (10 * x, y, z), CRS, REFUSED, "outside the area"),
+    ("degrees", lambda x, y, z: (-98 + (x - EAST) * 1e-5, 30 + (y - NORTH) * 1e-5, z), CRS, REFUSED,
+     "are they degrees? Then EPSG:4326"),
+    ("heights negative", lambda x, y, z: (x, y, -z), CRS, REFUSED, "positive downwards?"),
+    ("heights in feet", lambda x, y, z: (x, y, z / 0.3048), CRS, REFUSED, "in feet?"),
+    ("one line", lambda x, y, z: (x, NORTH, z), CRS, REFUSED, "contradict each other|tilted"),
+    ("one place", lambda x, y, z: (EAST, NORTH, z), CRS, REFUSED, "too close together"),
+    ("east lost", lambda x, y, z: (0, y, z), CRS, WARNED, ""),  # a line
+    ("random", lambda x, y, z: (EAST + x * 7919 % 60, NORTH + y * 6271 % 60, z), CRS, REFUSED,
+     "contradict|upside|miss"),
+    ("another zone", lambda x, y, z: (x, y, z), "EPSG:32632", RIGHT, ""),  # nothing shows it
+    ("of Germany", lambda x, y, z: (x, y, z), "EPSG:25832", REFUSED, "latitude 30.2, longitude 9"),
+    ("in feet", lambda x, y, z: (x / 0.3048, y / 0.3048, z), CRS, REFUSED, "outside the area"),
+    ("of a vertical CRS", lambda x, y, z: (x, y, z), "EPSG:32614+5773", RIGHT, "EGM96 height"),
+    ("of the southern half", lambda x, y, z: (x, 1e7 - y, z), "EPSG:32714", REFUSED, "wrong sign?"),
+    ("a band", lambda x, y, z: (x, y, z), "WGS84 UTM 14R", REFUSED, "R is a latitude band; write"),
+    ("a band, lower", lambda x, y, z: (x, y, z), "utm zone 14r", REFUSED, "r is a latitude band"),
+]
+
+
+@pytest.mark.one_in(6)
+@pytest.mark.parametrize("name, change, crs, kind, words", HOSTILE, ids=[row[0] for row in HOSTILE])
+def test_control_points_with_gross_errors(tmp_path, name, change, crs, kind, words):
+    survey = Survey(tmp_path / "scene")
+    (tmp_path / "gcp.txt").write_text(lines_of(survey, change, crs))
+    code, said = georeference(tmp_path / "scene", "-o", tmp_path / "out", "--gcp",
+                              tmp_path / "gcp.txt")
+    assert code == (2 if kind == REFUSED else 0) and ("warning: " in said) == (kind == WARNED)
+    if kind == REFUSED:
+        assert said.count("\n") == 1 and any(word in said for word in words.split("|"))
+        assert {path.name for path in tmp_path.iterdir()} == {"scene", "gcp.txt"}
+    elif kind == RIGHT:
+        record = json.loads((tmp_path / "out" / "georeference.json").read_text())
+        assert record["control_count"] == 7 and words in record["vertical"]
+        assert record["control_errors"]["up"]["rms"] < 0.1

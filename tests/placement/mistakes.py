@@ -14,6 +14,7 @@ from clsplat.placement.alignment import Alignment
 from clsplat.placement.plausible import Guess, Implausible, believed, doubts
 from clsplat.placement.up import Vertical
 
+HEIGHT = 80.0  # metres of a flight above ground
 Positions = NDArray[np.float64]
 Mistake = Callable[[np.random.Generator, Positions], Positions]
 
@@ -98,8 +99,8 @@ class Outcome:
     Attributes
     ----------
     kind : "refused", "warned" or "believed".
-    right : whether the result is within 30 degrees and 5 % of scale of the truth, and its places
-        within 10 % of the flight's size; False if it was refused.
+    right : whether the result is within 30 degrees and 5 % of scale of the truth, and its cameras
+        within 10 % of the scene's size with the height of the flight; False if it was refused.
     said : why it was refused, or the warnings.
     """
 
@@ -157,7 +158,7 @@ def _flight(rng: np.random.Generator) -> tuple[Positions, Positions, Positions]:
                      (1, rng.integers(3, 5)))[kind]
     spacing = rng.uniform(5, 40)
     x, y = np.meshgrid(np.arange(columns) * spacing, np.arange(rows) * spacing * 1.3)
-    true = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 80.0)])
+    true = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, HEIGHT)])
     true += rng.normal(0, (0.03, 0.3)[rng.integers(2)] * spacing, true.shape) * (1, 1, 0.2)
     pitch = rng.uniform(0, 45) * rng.integers(2)
     yaws = 180 * (y.ravel() / spacing / 1.3 % 2) + rng.normal(0, 3, x.size)
@@ -172,7 +173,7 @@ def _flight(rng: np.random.Generator) -> tuple[Positions, Positions, Positions]:
 def _is_right(result: Alignment, turn: Positions, scale: float, places: Positions, true: Positions
               ) -> bool:
     angle = Rotation.from_matrix(result.similarity.rotation @ turn).magnitude()
-    size = np.linalg.norm(np.ptp(true[:, :2], axis=0))
+    size = np.linalg.norm([*np.ptp(true[:, :2], axis=0), HEIGHT])
     away = np.linalg.norm((result.similarity(places) - true)[:, :2], axis=1)
     return bool(np.degrees(angle) < 30 and abs(result.similarity.scale / scale - 1) < 0.05
                 and np.median(away) < 0.1 * size)

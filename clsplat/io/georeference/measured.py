@@ -13,6 +13,7 @@ from clsplat.errors import InputError
 from clsplat.io.georeference.adjustment import Located, NotGeoreferenced
 from clsplat.io.georeference.crs import (
     GEODETIC,
+    UTM_EPSG,
     converted_heights,
     heights_of,
     horizontal,
@@ -69,10 +70,11 @@ def by_control(located: Sequence[Located], lost: Sequence[str], crs: str, vertic
             f"and {LEAST_POSITIONS} are needed{missing}; mark each in two photos or more, by the "
             "names and in the pixels of the photos that were reconstructed")
     positions = np.array([item.point.position for item in located])
-    where = outside(crs, positions)
+    degrees = (np.abs(positions[:, :2]) <= (180, 90)).all()
+    where = outside(crs, positions) or (
+        "within 200 m of the origin" if degrees and UTM_EPSG.fullmatch(crs) else "")
     exchanged = positions[:, [1, 0, 2]]
     if where:
-        degrees = (np.abs(positions[:, :2]) <= (180, 90)).all()
         question = (": are they degrees? Then EPSG:4326 belongs into the first line" if degrees else
                     ": are x and y exchanged?" if not outside(crs, exchanged) else
                     ": is it the right CRS, and are they complete?")

@@ -8,12 +8,12 @@ from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
-import pycolmap
 from numpy.typing import ArrayLike
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
 from clsplat.io.colmap import read_model
+from clsplat.io.colmap_reconstruction import read_reconstruction
 from clsplat.io.colmap_write import write_reconstruction
 from clsplat.io.folders import make_folder
 from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
@@ -72,7 +72,7 @@ def georeference_scene(folder: Path, output: Path, *, photos: Path | None = None
     check_marks(control.points, names)
     metadata = {name: read_metadata(source / native(name)) for name in names
                 if (source / native(name)).is_file()}
-    reconstruction = pycolmap.Reconstruction(model)
+    reconstruction = read_reconstruction(model)
     try:
         placed = place_reconstruction(reconstruction, metadata, crs=control.crs or None,
                                       control=control.points, vertical=control.vertical, up=up)

@@ -88,9 +88,9 @@ def _control_points(folder):
 
 
 def _read_control_points(folder):
-    points, crs = read_control_points(folder / "gcp.txt")
-    assert crs and points
-    for point in points:
+    read = read_control_points(folder / "gcp.txt")
+    assert read.crs and read.points
+    for point in read.points:
         _finite(point.position, *(mark[1:] for mark in point.marks))
 
 
