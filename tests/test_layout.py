@@ -56,8 +56,9 @@ NO_DEVICE = {"camera", "config", "options", "gaussians", "georeference", "placem
 WALLS = {
     "pyopencl": ("clsplat/device/",),
     "pycolmap": ("clsplat/io/", "clsplat/sfm/"),
-    **dict.fromkeys(("laspy", "lazrs"), ("clsplat/io/",)),
-    "pyproj": ("clsplat/io/georeference/crs.py",), "rasterio": ("clsplat/export/geotiff.py",),
+    "laspy": ("clsplat/io/",), "lazrs": ("clsplat/io/",),
+    "pyproj": ("clsplat/io/georeference/crs.py",),
+    "rasterio": ("clsplat/export/geotiff.py", "tools/studies/surface.py"),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/flip.py"),
     "onnxruntime": ("clsplat/evaluation/lpips.py",),
     "click": ("clsplat/cli/",),
