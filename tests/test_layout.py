@@ -55,10 +55,9 @@ NO_DEVICE = {"camera", "config", "options", "gaussians", "georeference", "placem
 # package -> the only folders that may import it
 WALLS = {
     "pyopencl": ("clsplat/device/",),
-    "pycolmap": ("clsplat/io/", "clsplat/sfm/"),
-    "laspy": ("clsplat/io/",), "lazrs": ("clsplat/io/",),
+    "pycolmap": ("clsplat/io/", "clsplat/sfm/"), "rasterio": ("clsplat/export/", "tools/"),
+    **dict.fromkeys(("laspy", "lazrs"), ("clsplat/io/",)),
     "pyproj": ("clsplat/io/georeference/crs.py",),
-    "rasterio": ("clsplat/export/geotiff.py", "tools/studies/surface.py"),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/flip.py"),
     "onnxruntime": ("clsplat/evaluation/lpips.py",),
     "click": ("clsplat/cli/",),

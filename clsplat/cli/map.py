@@ -120,8 +120,8 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
                f"{low:.2f} to {high:.2f} {unit}, {wanted or 'no georeference'}")
     for line in sentences(record, unit):
         click.echo(f"{output}: {line}")
-    unsure = record["pits"] / (record["pits"] + record["covered"] * record["columns"]
-                                        * record["rows"])
+    known = record["covered"] * record["columns"] * record["rows"]
+    unsure = record["pits"] / (record["pits"] + known)
     if unsure > MOST_UNSURE:
         click.echo(f"{output}: warning: {unsure:.0%} of the heights are unsure and left out; train "
                    "longer, or expect gaps where photos show little or repeated texture")
