@@ -68,7 +68,7 @@ class Raster:
         """Replace a tile, [TILE, TILE, bands]; what lies beyond the raster is left out."""
         (top, bottom), (left, right) = self._window(place)
         inner = values[:bottom - top, :right - left].astype(self._dtype)
-        with _writing(self._path.parent):
+        with _writing(self._path.parent.parent):
             self._file.write(np.moveaxis(inner, -1, 0), window=((top, bottom), (left, right)))
 
     def finish(self, tags: Mapping[str, str]) -> None:
@@ -76,7 +76,7 @@ class Raster:
         sizes = [2**power for power in range(1, 32)
                  if max(self.grid.columns, self.grid.rows) > TILE * 2 ** (power - 1)]
         self.close()
-        with _writing(self._path.parent), rasterio.open(self._path, "r+") as file:
+        with _writing(self._path.parent.parent), rasterio.open(self._path, "r+") as file:
             file.update_tags(**tags)
             if sizes:
                 file.build_overviews(sizes, Resampling.average)
@@ -102,7 +102,7 @@ class Raster:
 
     def close(self) -> None:
         """End the writing of tiles."""
-        with _writing(self._path.parent):
+        with _writing(self._path.parent.parent):
             self._file.close()
 
     def read(self, place: Place, margin: int = 0) -> NDArray[Any]:

@@ -137,6 +137,7 @@ def test_a_coarse_map_is_the_mean_of_a_fine_one(item_device, tmp_path):
     assert abs(coarse[1] - heights.reshape(20, 8, 20, 8).mean(axis=(1, 3))).max() < 0.01
 
 
+@pytest.mark.slow
 def test_where_nothing_is_known(item_device, tmp_path):
     """Beyond the model there are holes; where one photo alone looks, nothing is claimed."""
     scene = made.scene(None)
@@ -154,6 +155,7 @@ def test_where_nothing_is_known(item_device, tmp_path):
     assert not any((tmp_path / "one").iterdir())
 
 
+@pytest.mark.slow
 def test_faint_ground_has_the_colour_of_the_training(item_device, tmp_path):
     """What shows through is the background, as where the photos taught it; fainter is a hole."""
     scene, run = made.scene(None), run_of(tmp_path, made.scene(None))
@@ -170,6 +172,7 @@ def test_faint_ground_has_the_colour_of_the_training(item_device, tmp_path):
         write_map(run, scene, grid, None, item_device, tmp_path / "fainter", points=False)
 
 
+@pytest.mark.slow
 def test_a_map_in_another_system_lies_at_the_same_places(item_device, tmp_path):
     pytest.importorskip("pyproj", reason="pyproj is not installed (extra geo)")
     scene = made.scene()
@@ -264,6 +267,7 @@ def test_the_command(tmp_path, monkeypatch):
     assert left == FILES - {"contours.geojson"} | {"mine.txt"}, "no lines of the earlier map"
 
 
+@pytest.mark.slow
 def test_too_many_contour_lines_leave_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(Run, "open", lambda path: run_of(path, made.scene(None)))
     result = CliRunner().invoke(main, ["map", "run", "-o", str(tmp_path / "map"), "--resolution",
