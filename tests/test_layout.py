@@ -55,9 +55,9 @@ NO_DEVICE = {"camera", "config", "options", "gaussians", "georeference", "placem
 # package -> the only folders that may import it
 WALLS = {
     "pyopencl": ("clsplat/device/",),
-    "pycolmap": ("clsplat/io/", "clsplat/sfm/"),
+    "pycolmap": ("clsplat/io/", "clsplat/sfm/"), "rasterio": ("clsplat/export/", "tools/"),
     **dict.fromkeys(("laspy", "lazrs", "zstandard"), ("clsplat/io/",)),
-    "pyproj": ("clsplat/io/georeference/crs.py",), "rasterio": ("clsplat/export/geotiff.py",),
+    "pyproj": ("clsplat/io/georeference/crs.py",),
     "OpenImageIO": ("clsplat/io/", "clsplat/evaluation/flip.py"),
     "onnxruntime": ("clsplat/evaluation/lpips.py",),
     "click": ("clsplat/cli/",),

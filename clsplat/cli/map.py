@@ -12,6 +12,7 @@ from clsplat.cli.flags import Parsed, check_free, device_flag, moved_scene_flag
 from clsplat.errors import InputError
 
 MOST_FILLED = 50  # pixels, the widest hole that is filled
+MOST_UNSURE = 0.1  # of the heights, without a warning
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}
 
 
@@ -65,7 +66,7 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
 
     Writes a true orthophoto and a surface model as GeoTIFF, contour lines as GeoJSON, the surface
     as LAZ, a preview and a record. Alpha is 0 in holes, and where fewer than two photos show the
-    place.
+    place. Heights that the model is unsure of are left out of the surface.
     """
     from dataclasses import replace
 
@@ -119,6 +120,11 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
                f"{low:.2f} to {high:.2f} {unit}, {wanted or 'no georeference'}")
     for line in sentences(record, unit):
         click.echo(f"{output}: {line}")
+    known = record["covered"] * record["columns"] * record["rows"]
+    unsure = record["pits"] / (record["pits"] + known)
+    if unsure > MOST_UNSURE:
+        click.echo(f"{output}: warning: {unsure:.0%} of the heights are unsure and left out; train "
+                   "longer, or expect gaps where photos show little or repeated texture")
 
 
 def _units(flag: str, length: tuple[float, bool] | None, metric: bool) -> float | None:

@@ -16,7 +16,7 @@ from scipy.ndimage import (
 
 from clsplat.device import Device
 from clsplat.evaluation.run import Run
-from clsplat.export.map_grid import EXTENT, TILE, Bounds, MapGrid
+from clsplat.export.map_grid import EXTENT, LARGEST_SIDE, TILE, Bounds, MapGrid
 from clsplat.export.orthophoto import MapPainter
 from clsplat.scene import Scene
 
@@ -63,10 +63,11 @@ class Extent:
         if not len(rows):
             return grid
         size = self.grid.resolution
-        return grid.within((self.grid.left + columns.min() * size,
-                            self.grid.top - (rows.max() + 1) * size,
-                            self.grid.left + (columns.max() + 1) * size,
-                            self.grid.top - rows.min() * size))
+        wider = grid.within((self.grid.left + columns.min() * size,
+                             self.grid.top - (rows.max() + 1) * size,
+                             self.grid.left + (columns.max() + 1) * size,
+                             self.grid.top - rows.min() * size))
+        return grid if max(wider.columns, wider.rows) > LARGEST_SIDE else wider
 
 
 def extent_of(device: Device, run: Run, scene: Scene, grid: MapGrid) -> Extent:

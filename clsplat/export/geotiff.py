@@ -17,7 +17,9 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
 from rasterio.enums import Resampling
+from rasterio.errors import CRSError, RasterioError
 
 from clsplat.errors import InputError
 from clsplat.export.map_grid import TILE, MapGrid
@@ -26,6 +28,7 @@ from clsplat.io.reason import clean, reason
 CACHE_MIB = 64  # of GDAL, which takes 5 % of the memory otherwise
 SHOWN = 60  # characters of a CRS in a message
 CURE = "give one with an EPSG code"
+GDAL_ERRORS = RasterioError, CRSError, CPLE_BaseError
 Place = tuple[int, int]  # of a tile: column, row
 
 
@@ -65,7 +68,7 @@ class Raster:
         """Replace a tile, [TILE, TILE, bands]; what lies beyond the raster is left out."""
         (top, bottom), (left, right) = self._window(place)
         inner = values[:bottom - top, :right - left].astype(self._dtype)
-        with _writing(self._path.parent):
+        with _writing(self._path.parent.parent):
             self._file.write(np.moveaxis(inner, -1, 0), window=((top, bottom), (left, right)))
 
     def finish(self, tags: Mapping[str, str]) -> None:
@@ -73,7 +76,7 @@ class Raster:
         sizes = [2**power for power in range(1, 32)
                  if max(self.grid.columns, self.grid.rows) > TILE * 2 ** (power - 1)]
         self.close()
-        with _writing(self._path.parent), rasterio.open(self._path, "r+") as file:
+        with _writing(self._path.parent.parent), rasterio.open(self._path, "r+") as file:
             file.update_tags(**tags)
             if sizes:
                 file.build_overviews(sizes, Resampling.average)
@@ -99,7 +102,7 @@ class Raster:
 
     def close(self) -> None:
         """End the writing of tiles."""
-        with _writing(self._path.parent):
+        with _writing(self._path.parent.parent):
             self._file.close()
 
     def read(self, place: Place, margin: int = 0) -> NDArray[Any]:
@@ -141,7 +144,7 @@ def _writing(path: Path) -> Iterator[None]:
     """Makes errors of GDAL into errors of a file."""
     try:
         yield
-    except rasterio.errors.RasterioError as error:
+    except GDAL_ERRORS as error:
         raise InputError(f"{path}: cannot be written ({reason(error)}); free some space, and check "
                          "that the folder may be written") from None
 
@@ -156,7 +159,7 @@ def bounded_memory() -> Iterator[None]:
 def check_crs(crs: str) -> None:
     """Raise InputError unless a GeoTIFF with this CRS reads back the same."""
     try:
-        wanted = rasterio.crs.CRS.from_user_input(crs)
+        wanted = rasterio.CRS.from_user_input(crs)
         with rasterio.MemoryFile() as memory:
             with memory.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8", crs=wanted,
                              geotiff_version="1.1",
@@ -164,7 +167,7 @@ def check_crs(crs: str) -> None:
                 file.write(np.ones((1, 1, 1), np.uint8))
             with memory.open() as file:
                 same = file.crs == wanted
-    except rasterio.errors.RasterioError as error:
+    except GDAL_ERRORS as error:
         raise InputError(f"--crs {clean(crs)[:SHOWN]}: cannot be written to GeoTIFF "
                          f"({reason(error)}); {CURE}") from None
     if not same:

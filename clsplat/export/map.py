@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from shutil import rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -86,6 +87,8 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
     if crs is not None:
         check_crs(crs)
     make_folder(folder)
+    for killed in folder.glob(SCRATCH + "*"):
+        rmtree(killed, ignore_errors=True)
     with bounded_memory(), TemporaryDirectory(dir=folder, prefix=SCRATCH) as scratch:
         phase("looking at the extent")
         extent = extent_of(device, run, scene, grid)

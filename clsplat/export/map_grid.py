@@ -72,15 +72,13 @@ class MapGrid:
         left, top = self.left + column * side, self.top - row * side
         return left, top - side, left + side, top
 
-    def within(self, bounds: Bounds, resolution: float | None = None) -> MapGrid:
-        """The grid with other bounds, which move outwards to multiples of its pixels, or of pixels
-        of another size."""
-        size = resolution or self.resolution
+    def within(self, bounds: Bounds) -> MapGrid:
+        """The grid with other bounds, which move outwards to multiples of its pixels."""
+        size = self.resolution
         left, bottom, right, top = (
             outwards(side / size) * size for outwards, side
             in zip((math.floor, math.floor, math.ceil, math.ceil), bounds))
-        return replace(self, left=left, top=top, resolution=size,
-                       columns=max(1, round((right - left) / size)),
+        return replace(self, left=left, top=top, columns=max(1, round((right - left) / size)),
                        rows=max(1, round((top - bottom) / size)))
 
     def finer(self, halvings: int) -> MapGrid:

@@ -31,6 +31,6 @@ def preview(colours: Raster, surface: Raster, interval: float, crs: str | None
     gap = np.ones((len(left), max(4, left.shape[1] // 50), 3), np.float32)
     pictures = np.concatenate([left, gap, shaded(heights, size, interval)], axis=1)
     legend = map_legend(pictures.shape[1], left.shape[1], size, usual_heights(heights), TINTS,
-                        interval, "m" if crs else "scene units")
+                        interval, *(("m", "north is up") if crs else ("scene units", "")))
     picture: NDArray[np.float32] = np.concatenate([pictures, legend], axis=0)
     return picture

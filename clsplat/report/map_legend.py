@@ -17,7 +17,8 @@ ROUND = 1.0, 2.0, 5.0
 
 
 def map_legend(width: int, half: int, size: float, heights: tuple[float, float],
-               tints: NDArray[np.float64], interval: float, unit: str) -> NDArray[np.float32]:
+               tints: NDArray[np.float64], interval: float, unit: str, up: str
+               ) -> NDArray[np.float32]:
     """A strip [HEIGHT, width, 3], 0 to 1: a bar of a round length under the orthophoto, and the
     colours of heights under the surface.
 
@@ -29,6 +30,7 @@ def map_legend(width: int, half: int, size: float, heights: tuple[float, float],
     tints : colours [N, 3], 0 to 1, from low to high.
     interval : between contour lines, map units; 0: there are none.
     unit : of the map.
+    up : what is written beside the bar.
     """
     figure = Figure(figsize=(width / DPI, HEIGHT / DPI), dpi=DPI, facecolor="white")
     canvas = FigureCanvasAgg(figure)
@@ -39,7 +41,7 @@ def map_legend(width: int, half: int, size: float, heights: tuple[float, float],
     begin = 0.03 * half
     axes.plot((begin, begin + length / size), (0.7, 0.7), color="black", linewidth=3,
               solid_capstyle="butt")
-    axes.text(begin, 0.45, f"{length:g} {unit}, north is up", va="top", fontsize=9)
+    axes.text(begin, 0.45, f"{length:g} {unit}" + f", {up}" * bool(up), va="top", fontsize=9)
     begin = 1 - half / width
     axes = figure.add_axes((begin + 0.04 * (1 - begin), 0.6, 0.55 * (1 - begin), 0.25))
     low, high = heights

@@ -40,7 +40,8 @@ REFUSED = [
     (["--bounds", "-1e300", "-1e300", "1e300", "1e300"], "pixels along a side"),
     (["--bounds", "0", "0", "1e9", "1", "--resolution", "1"], "pixels along a side"),
     (["--bounds", "0", "0", "1e-3", "1e-3", "--resolution", "1"], "larger than the map"),
-    (["--bounds", "0", "0", "10", "10", "--resolution", "1"], "other --bounds"),
+    pytest.param(["--bounds", "0", "0", "10", "10", "--resolution", "1"], "other --bounds",
+                 marks=pytest.mark.slow),
     (["--crs", "EPSG:4326"], "projected"),
     (["--crs", "EPSG:4979"], "projected"),
     (["--crs", "EPSG:5773"], "projected"),
@@ -54,8 +55,8 @@ REFUSED = [
     (["--fill", "-3px"], "number of pixels"),
     (["--fill", "51px"], "number of pixels"),
     (["--fill", "1e3px"], "number of pixels"),
-    (["--contours", "1e-300", "--resolution", "1"], "larger interval"),
-    (["--contours", "5e-324", "--resolution", "1"], "larger interval"),
+    *(pytest.param(["--contours", interval, "--resolution", "1"], "larger interval",
+                   marks=pytest.mark.slow) for interval in ("1e-300", "5e-324")),  # after drawing
     (["--contours", "nan"], "not a length"),
 ]
 

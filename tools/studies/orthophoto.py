@@ -67,14 +67,12 @@ def main():
 
 def painted(run, scene, grid, device):
     """The colours uint8[H, W, 4] and heights float32[H, W] of a map, in memory."""
-    model = run.finished_model
-    renderer, rows = open_model(device, model, 0.0, run.options.antialiased,
-                                run.options.background, orthographic=True, depth_percent=50)
-    painter = MapPainter(renderer, rows, model.sh_degree, model.offset, grid, scene)
+    painter = MapPainter(device, run, grid, scene)
     tiles = [[painter.tile(x, y) for x in range(grid.tiles[0])] for y in range(grid.tiles[1])]
-    return tuple(np.concatenate([np.concatenate([getattr(tile, name) for tile in row], axis=1)
-                                 for row in tiles])[:grid.rows, :grid.columns]
-                 for name in ("colours", "heights"))
+    colours, surface = (np.concatenate([np.concatenate([getattr(tile, name) for tile in row],
+                                                       axis=1) for row in tiles])
+                        [:grid.rows, :grid.columns] for name in ("colours", "surface"))
+    return colours, surface[..., 0]
 
 
 def mean_depth(run, grid, device):
