@@ -58,7 +58,10 @@ def _from_above(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDAr
     right, down, ahead = view.rotation @ (near - middle).T
     tangents = view.width / 2 / view.focal[0], view.height / 2 / view.focal[1]
     reach = np.maximum(np.abs(right) / tangents[0], np.abs(down) / tangents[1]) - ahead
-    distance = max(float(np.quantile(reach, CORE[1])), np.finfo(float).tiny)
+    distance = float(np.quantile(reach, CORE[1]))
+    if not distance > 0:  # all points are one
+        distance = float(np.median([np.linalg.norm(camera.position - middle)
+                                    for camera in cameras]))
     return Camera.looking_at(middle, middle - distance * forward, up=up, width=WIDTH,
                              height=HEIGHT, degrees=DEGREES)
 
