@@ -18,6 +18,7 @@ from clsplat.evaluation.views import render_view
 from clsplat.export import page as page_module
 from clsplat.export.page import encoded, view_record, write_page
 from clsplat.gaussians import Gaussians
+from clsplat.io.georeference.files import write_orientation
 from clsplat.rendering.slabs import open_model
 from tests.estimate.test_plan import city, clsplat_
 from tests.export.browser import answer_of, needs_chromium, picture_of
@@ -333,7 +334,7 @@ def test_the_reader_stays_where_photos_looked(tmp_path, city):
 def test_export_of_a_run_without_its_scene_keeps_everything(tmp_path, city):
     run = run_with(tmp_path / "run", colourful(city, 300))
     run.write_options({**run.read_options(), "scene": str(tmp_path / "gone"), "extent": 10.0})
-    record_orientation(run, city)
+    write_orientation(run.path, city.up, city.first_view)
     result = clsplat_("export", run.path, "-o", tmp_path / "run.html")
     assert result.exit_code == 0 and "its scene is not there" in result.output, result.output
     assert re.search(r'"count": (29|300)', (tmp_path / "run.html").read_text("utf-8"))
@@ -355,6 +356,7 @@ def test_a_page_leaves_out_what_one_photo_shows(tmp_path, city):
     model.opacity_logits[:] = 1
     model.positions[:5] += 1e5
     run = run_with(tmp_path / "run", model)
+    run.save_model(model, city.offset)
     for words, count in (((), 295), (("--everything",), 300)):
         result = clsplat_("export", run.path, "-o", tmp_path / "run.html", "--overwrite", *words)
         assert result.exit_code == 0, result.output
