@@ -47,9 +47,10 @@ USUAL, USUAL_GIF = ((1280, 720), 30.0), ((480, 270), 10.0)  # size and frames a 
 @moved_scene_flag
 @device_flag
 @click.pass_context
-def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: float, fps: float | None,
-         size: tuple[int, int] | None, fov: float | None, everything: bool, overwrite: bool, lod: bool, lod_bias: float,
-         host_memory: float, scene: Path | None, device: str) -> None:
+def film(ctx: click.Context, /, run: Path, output: Path, route: str, seconds: float,
+         fps: float | None, size: tuple[int, int] | None, fov: float | None, everything: bool,
+         overwrite: bool, lod: bool, lod_bias: float, host_memory: float, scene: Path | None,
+         device: str) -> None:
     """Draw a flight through RUN as a film."""
     from dataclasses import replace
 

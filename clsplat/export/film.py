@@ -37,10 +37,10 @@ except ImportError:
 FRAME = re.compile(r"frame_\d{5,}\.png")
 GIF = ".gif"
 SUFFIXES = (".mp4", ".mov", ".mkv", GIF)
-# a palette of each frame, as one of all would need all of them in memory; a pattern that does not
-# flicker
-PALETTE = (("split", ""), ("palettegen", "stats_mode=single"),
-           ("paletteuse", "new=1:dither=bayer:bayer_scale=4"))
+# a palette of each frame, as one of all would need all of them in memory; 64 colours in a pattern
+# that does not flicker have half the bytes of 256
+PALETTE = (("split", ""), ("palettegen", "stats_mode=single:max_colors=64"),
+           ("paletteuse", "new=1:dither=bayer:bayer_scale=5"))
 QUALITY = "18"  # constant rate factor of H.264: hardly to be told from the frames
 LIMITED_RANGE = BT709 = 1  # numbers of ITU-T H.273, by which players find the colours
 Pixels = NDArray[np.uint8]  # [H, W, 3]
@@ -95,18 +95,23 @@ class _Sink:
     """
 
     def __init__(self, file: BufferedWriter) -> None:
-        self.file, self.name, self.error = file, file.name, None
+        self.file, self.name = file, file.name
+        self.error: OSError | None = None
         self.seek, self.tell = file.seek, file.tell
 
     def write(self, content: bytes) -> int:
         """Write to the disk, unless that has failed before."""
         if self.error is None:
             try:
-                self.file.write(content)
-                self.file.flush()
+                self.put(content)
             except OSError as error:
                 self.error = error
         return len(content)
+
+    def put(self, content: bytes) -> None:
+        """Write, and see at once whether the disk is full."""
+        self.file.write(content)
+        self.file.flush()
 
     def check(self) -> None:
         """Raise the OSError of a write."""
@@ -166,7 +171,8 @@ def _gif(container: Any, pictures: Iterable[Pixels], size: tuple[int, int], rate
     stream = container.add_stream("gif", rate=rate)
     stream.width, stream.height, stream.pix_fmt = *size, "pal8"
     graph = av.filter.Graph()
-    source = graph.add_buffer(width=size[0], height=size[1], format="rgb24", time_base=1 / rate)
+    source = graph.add_buffer(width=size[0], height=size[1],
+                              format=av.VideoFormat("rgb24"), time_base=1 / rate)
     split, palette, use = (graph.add(*each) for each in PALETTE)
     sink = graph.add("buffersink")
     source.link_to(split)

@@ -12,7 +12,7 @@ from clsplat.camera import Camera
 WIDTH, HEIGHT, DEGREES = 1280, 720, 50.0  # of a view from above
 STEEP = -0.35  # cameras that look downwards more than this (20 degrees) are above their scene
 CORE = (0.05, 0.95)  # quantiles of the points that a view from above shows whole
-LEAST_DISTANCE = 1e-6  # of the distance from the origin, below which positions are rounding
+LEAST_EXTENT = 1e-6  # of the distance from the origin; points that are closer together are one
 # degrees above the horizon of a view from above: as steep as the photos, within these limits
 ELEVATIONS = (35.0, 60.0)
 
@@ -38,8 +38,10 @@ def first_view(cameras: Sequence[Camera], points: NDArray[np.float64], up: NDArr
     heights = points @ up
     above = len(points) and np.median(positions @ up) > np.quantile(heights, 0.8)
     if steepness < STEEP and above:
-        return view_from_above(points, up, _towards(cameras, _near(points), up)
-                               if north is None else north, steepness)
+        if north is None:
+            north = _towards(cameras, _near(points), up)
+        distances = np.linalg.norm(positions - np.median(points, axis=0), axis=1)
+        return view_from_above(points, up, north, steepness, float(np.median(distances)))
     return _middle(cameras, points)
 
 
@@ -51,14 +53,15 @@ def _near(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def view_from_above(points: NDArray[np.float64], up: NDArray[np.float64],
-                    north: NDArray[np.float64], steepness: float) -> Camera:
+                    north: NDArray[np.float64], steepness: float, if_one: float = 1.0) -> Camera:
     """A camera obliquely above that shows the core of the points.
 
     Parameters
     ----------
     points : [N, 3], world, at least one.
     up, north : [3], world; orthogonal unit vectors.
-    steepness : sine of the elevation of the photos, negative where they look down.
+    steepness : sine of the elevation of the photos, negative if they look down.
+    if_one : distance of the camera if all points are one.
     """
     middle, near = np.median(points, axis=0), _near(points)
     elevation = np.radians(np.clip(np.degrees(np.arcsin(-steepness)), *ELEVATIONS))
@@ -70,8 +73,9 @@ def view_from_above(points: NDArray[np.float64], up: NDArray[np.float64],
     right, down, ahead = view.rotation @ (near - middle).T
     tangents = view.width / 2 / view.focal[0], view.height / 2 / view.focal[1]
     reach = np.maximum(np.abs(right) / tangents[0], np.abs(down) / tangents[1]) - ahead
-    least = LEAST_DISTANCE * float(np.linalg.norm(middle)) or np.finfo(float).eps
-    distance = max(float(np.quantile(reach, CORE[1])), least)
+    distance = float(np.quantile(reach, CORE[1]))
+    if not distance > LEAST_EXTENT * float(np.linalg.norm(middle)):
+        distance = if_one
     return Camera.looking_at(middle, middle - distance * forward, up=up, width=WIDTH,
                              height=HEIGHT, degrees=DEGREES)
 

@@ -1,6 +1,8 @@
 """Films and their camera paths."""
 
+import errno
 import json
+from fractions import Fraction
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,9 +13,9 @@ from clsplat.camera import Camera
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
+from clsplat.export import film
 from clsplat.export.camera_path import (
     Keys,
-    eased,
     film_degrees,
     flight,
     interpolated,
@@ -35,16 +37,16 @@ def test_a_flight_passes_near_the_photos_without_jumps():
     scene = made.scene(None)
     keys = flight(scene, 60)
     positions = np.array([view.camera.position for view in scene.views]) + made.OFFSET
-    assert len(keys.times) == 9 and (np.diff(keys.times) > 0).all()
-    assert abs(keys.positions - positions).max() < 6
+    assert (np.diff(keys.times) > 0).all()
+    assert abs(keys.positions[[0, -1]] - positions[[0, -1]]).max() < 6
     cameras = cameras_of(keys, 200)
     path = np.array([camera.position for camera in cameras])
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    assert steps.max() < 2.5 * steps.mean() and np.allclose(path[[0, -1]], keys.positions[[0, -1]])
+    assert abs(steps / np.median(steps) - 1).max() < 0.1
+    assert np.allclose(path[[0, -1]], keys.positions[[0, -1]])
     for camera in cameras:
         assert np.allclose(camera.rotation @ camera.rotation.T, np.eye(3))
         assert camera.rotation[2] @ (0, 0, -1) > 0.99  # looks down, as the photos do
-    assert len(flight(scene, 3).times) == 4  # a short film does not rush
 
 
 def test_turns_are_smooth():
@@ -72,15 +74,6 @@ def test_a_turntable_looks_at_the_middle_from_all_sides():
         pixel, depth = camera.project(middle[None])
         assert depth[0] > 0 and abs(pixel[0] - np.array(SIZE) / 2).max() < 1
         assert camera.rotation[1] @ (0, 0, 1) < -0.5  # upright
-
-
-def test_a_film_begins_and_ends_slowly():
-    times = eased(101)
-    steps = np.diff(times)
-    assert times[0] == 0 and abs(times[-1] - 1) < 1e-12 and (steps > 0).all()
-    assert steps[0] < 0.1 * steps[50] and steps[-1] < 0.1 * steps[50]
-    assert np.allclose(steps[20:80], steps[50])
-    assert eased(1) == [0]
 
 
 def test_the_angle_of_view_is_that_of_the_photos():
@@ -139,11 +132,11 @@ def command(tmp_path, monkeypatch):
                           scene=lambda _=None: scene, up=scene.up)
     monkeypatch.setattr(Run, "open", lambda path: run)
 
-    def film(output, *words):
+    def run_film(output, *words):
         result = CliRunner().invoke(main, ["film", "run", "-o", str(tmp_path / output), "--size",
                                            "64x48", "--fps", "5", "--seconds", "1", *words])
         return result.exit_code, result.output
-    return film
+    return run_film
 
 
 @pytest.mark.slow
@@ -186,6 +179,49 @@ def test_a_film(tmp_path, command):
     assert abs(pictures[2][middle].mean((0, 1)) - expected[middle].mean((0, 1))).max() < 6
     code, said = command("film.mp4")
     assert code == 2 and "--overwrite" in said
+
+
+@pytest.mark.slow
+def test_a_gif(tmp_path, command):
+    av = pytest.importorskip("av", reason="av is not installed (extra film)")
+    code, said = command("film.gif", "--path", "turntable", "--size", "63x47")
+    assert code == 0 and "5 frames of 63 x 47" in said, said
+    with av.open(str(tmp_path / "film.gif")) as container:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(pictures) == 5 and pictures[0].shape == (47, 63, 3)
+    command("frames", "--path", "turntable", "--size", "63x47")
+    expected = read_image(tmp_path / "frames" / "frame_00003.png").astype(float)
+    assert abs(pictures[2] - expected).mean() < 8  # 64 colours
+
+
+def test_the_usual_size_of_a_film(tmp_path, command, monkeypatch):
+    pytest.importorskip("av", reason="av is not installed (extra film)")
+    sizes = []
+    monkeypatch.setattr("clsplat.export.film.write_film",
+                        lambda path, pictures, size, rate, shown: sizes.append((size, rate)))
+    monkeypatch.setattr("clsplat.export.film.frames", lambda *_: ())
+    for name in ("film.gif", "film.mp4"):
+        assert CliRunner().invoke(main, ["film", "run", "-o", str(tmp_path / name)]).exit_code == 0
+    assert sizes == [((480, 270), 10), ((1280, 720), 30)]
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "film.mkv", "film.gif"])
+def test_a_full_disk_ends_the_drawing(tmp_path, monkeypatch, capfd, name):
+    pytest.importorskip("av", reason="av is not installed (extra film)")
+    drawn, rng = [], np.random.default_rng(0)
+
+    def pictures():
+        for number in range(300):
+            drawn.append(number)
+            yield rng.integers(0, 255, (64, 64, 3), np.uint8)
+
+    def full(sink, content):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(film._Sink, "put", full)
+    with pytest.raises(InputError, match="No space left.*free some space"):
+        film.write_film(tmp_path / name, pictures(), (64, 64), Fraction(10))
+    assert len(drawn) < 100 and "Traceback" not in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_film_in_the_place_of_a_folder_is_refused_before_the_work(tmp_path, command, monkeypatch):

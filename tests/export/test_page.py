@@ -18,6 +18,7 @@ from clsplat.evaluation.views import render_view
 from clsplat.export import page as page_module
 from clsplat.export.page import encoded, view_record, write_page
 from clsplat.gaussians import Gaussians
+from clsplat.io.georeference.files import write_orientation
 from clsplat.rendering.slabs import open_model
 from tests.estimate.test_plan import city, clsplat_
 from tests.export.browser import answer_of, needs_chromium, picture_of
@@ -283,6 +284,83 @@ def test_movement_keeps_the_world_upright(tmp_path, city):
     assert found == {"orbit": True, "upright": "0.0000", "pinch": True, "look": True,
                      "taps": "[100,3,[200,200],0]", "coarse": True, "fast": True, "stops": True,
                      "tap": True, "still": "0.0000", "reset": True, "pick": True}
+
+
+@pytest.mark.slow
+@needs_chromium
+def test_the_reader_stays_where_photos_looked(tmp_path, city):
+    """However far somebody drags, pulls, flies or zooms."""
+    photos = [view.camera for view in city.views]
+    text = written(tmp_path / "page.html", city, colourful(city, 500), photos=photos)
+    steps = """
+      const view = page.viewer, camera = view.camera, surface = view.canvas, found = {};
+      const { ground, middle, reach, pitches } = camera.view;
+      const height = () => camera.position.reduce((sum, x, k) => sum + x * camera.up[k], 0);
+      const away = () => Math.hypot(...camera.position.map((x, k) => x - middle[k]));
+      const inside = () => height() >= ground - 1e-3 && away() <= reach * 1.01
+        && camera.pitch >= pitches[0] - 1e-9 && camera.pitch <= pitches[1] + 1e-9;
+      const moves = {
+        "dragged up": () => camera.orbit(0, 0.3), "dragged down": () => camera.orbit(0.1, -0.3),
+        "looked up": () => camera.look(0.1, 0.5), "looked down": () => camera.look(0, -0.5),
+        "zoomed out": () => camera.zoom(1.5), "zoomed in": () => camera.zoom(0.5),
+        "zoomed at a corner": () => camera.zoom(0.8, camera.ray(5, 5, 640, 480)),
+        "flown forward": () => camera.move(0, 0, camera.distance),
+        "flown back": () => camera.move(0, 0, -camera.distance),
+        "sunk": () => camera.rise(-camera.distance), "risen": () => camera.rise(camera.distance),
+        "sideways": () => camera.move(camera.distance, 0, 0)};
+      for (const [name, move] of Object.entries(moves)) {
+        camera.reset();
+        found[name] = inside();
+        for (let k = 0; k < 40; k++) { move(); found[name] = found[name] && inside(); }
+      }
+      camera.reset();
+      const pinhole = camera.pinhole(640, 480), ray = camera.ray(500, 100, 640, 480);
+      const along = camera.distance / ray.reduce((sum, x, k) => sum + x * camera.axes()[2][k], 0);
+      const place = camera.position.map((x, k) => x + along * ray[k]);
+      camera.zoom(0.7, ray);
+      const seen = place.map((x, k) => x - camera.position[k]);
+      const [right, down, ahead] = camera.axes().map(
+        (axis) => axis.reduce((sum, x, k) => sum + x * seen[k], 0));
+      found.pointer = Math.hypot(pinhole.focal[0] * right / ahead + pinhole.centre[0] - 500,
+                                 pinhole.focal[1] * down / ahead + pinhole.centre[1] - 100) < 1;
+      const help = page.document.getElementById("help"), shown = help.hidden;
+      page.dispatchEvent(new page.KeyboardEvent("keydown", {key: "?", code: "Minus"}));
+      found.help = help.hidden !== shown;
+      return JSON.stringify(found);"""
+    found = json.loads(answer_of(tmp_path, text, SHARP + steps))
+    assert len(found) == 14 and all(found.values()), found
+
+
+def test_export_of_a_run_without_its_scene_keeps_everything(tmp_path, city):
+    run = run_with(tmp_path / "run", colourful(city, 300))
+    run.write_options({**run.read_options(), "scene": str(tmp_path / "gone"), "extent": 10.0})
+    write_orientation(run.path, city.up, city.first_view)
+    result = clsplat_("export", run.path, "-o", tmp_path / "run.html")
+    assert result.exit_code == 0 and "its scene is not there" in result.output, result.output
+    assert re.search(r'"count": (29|300)', (tmp_path / "run.html").read_text("utf-8"))
+
+
+@pytest.mark.parametrize("words, message", [
+    (("-o", "model.ply", "--everything"), "is for pages"),
+    (("-o", "tiles", "--everything"), "is for pages"),
+    (("-o", "model.html", "--scene", "none"), "no such scene"),
+])
+def test_words_that_do_not_fit_a_page_are_refused(tmp_path, city, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    result = clsplat_("export", run_with(tmp_path / "run", colourful(city, 30)).path, *words)
+    assert result.exit_code == 2 and message in result.output, result.output
+
+
+def test_a_page_leaves_out_what_one_photo_shows(tmp_path, city):
+    model = colourful(city, 300)
+    model.opacity_logits[:] = 1
+    model.positions[:5] += 1e5
+    run = run_with(tmp_path / "run", model)
+    run.save_model(model, city.offset)
+    for words, count in (((), 295), (("--everything",), 300)):
+        result = clsplat_("export", run.path, "-o", tmp_path / "run.html", "--overwrite", *words)
+        assert result.exit_code == 0, result.output
+        assert f'"count": {count}' in (tmp_path / "run.html").read_text("utf-8"), result.output
 
 
 @pytest.mark.slow

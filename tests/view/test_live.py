@@ -223,7 +223,7 @@ def test_a_page_goes_on_after_a_frame_that_cannot_be_drawn(city, monkeypatch):
         raise MemoryError("too large")
     model = sampled(city, 9, 0)
     run = SimpleNamespace(model=model, options=options_of(near=1.0), first_view=city.first_view,
-                          up=city.up, path=Path("run"), record={})
+                          up=city.up, path=Path("run"), record={}, scene=lambda _: city)
     monkeypatch.setattr(live, "open_model", lambda *_: (None, None))
     monkeypatch.setattr(FrameRequest, "draw", no_memory)
     monkeypatch.setattr(live.FrameRequests, "next", next_one)

@@ -122,7 +122,8 @@ async function start() {
   canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
   canvas.addEventListener("webglcontextrestored", () => location.reload());
   try {
-    const unpacked = await unpack(read("gaussians"), model);
+    const unpacked = await unpack(read("gaussians"), model, (share) => say(
+      `Unpacking the model … ${Math.round(100 * share)} %`));
     document.getElementById("gaussians").remove(); // its memory
     globalThis.viewer = new Viewer(canvas, model, unpacked);
   } catch (error) {

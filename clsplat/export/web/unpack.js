@@ -10,13 +10,24 @@ function bytesOf(base64) {
   return bytes;
 }
 
-async function unpack(base64, model) {
+// The bytes of a stream, whose number is known; told(share) is called on the way.
+async function bytesFrom(stream, total, told) {
+  const bytes = new Uint8Array(total), reader = stream.getReader();
+  for (let at = 0; ;) {
+    const { done, value } = await reader.read();
+    if (done) return bytes;
+    bytes.set(value, at);
+    told((at += value.length) / total);
+  }
+}
+
+async function unpack(base64, model, told) {
   if (!globalThis.DecompressionStream)
     throw new Error(`this browser is too old to unpack it; ${RECENT}`);
   const stream = new Blob([bytesOf(base64)]).stream()
     .pipeThrough(new DecompressionStream("deflate-raw"));
-  const planes = new Uint8Array(await new Response(stream).arrayBuffer());
   const { count, degree } = model, harmonics = 3 * degree * (degree + 2);
+  const planes = await bytesFrom(stream, count * (20 + harmonics), told);
   const plane = (index) => planes.subarray(index * count, (index + 1) * count);
   const [middle, unit, low, size] = model.positions; // as _places of page.py
   const positions = new Float32Array(3 * count);

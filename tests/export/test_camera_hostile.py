@@ -1,0 +1,215 @@
+"""Cameras of films and pages over scenes of every kind: speed, turns, and where they look."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clsplat.camera import Camera
+from clsplat.export.camera_path import flight, interpolated
+from clsplat.export.overflight import auto
+from clsplat.export.page import title_of, view_record
+from clsplat.export.prune import in_original, supported
+from clsplat.gaussians import Gaussians
+from clsplat.scene import Scene, View
+from tests.data import ground_model as made
+
+UP = np.array([0, 0, 1.0])
+RNG = np.random.default_rng(3)
+FPS, SECONDS = 10, 20
+MOST_TURN, SPEED_SPREAD = 8.0, 0.1  # degrees a second, share of the median
+
+
+def ground(width, depth, count=400, centre=(0, 0, 0)):
+    return RNG.uniform(-1, 1, (count, 3)) * (width / 2, depth / 2, 0.5) + centre
+
+
+def nadir(width, depth, height=80.0, columns=6, rows=5, nose=True):
+    """The strips of a survey that look straight down, every second one flown backwards."""
+    cameras = []
+    for row, y in enumerate(np.linspace(-depth / 2, depth / 2, rows)):
+        for x in np.linspace(-width / 2, width / 2, columns)[::-1 if row % 2 else 1]:
+            up = (-1 if row % 2 and nose else 1, 0, 0)
+            cameras.append(Camera.looking_at((x, y, 0), (x, y, height), up=up))
+    return cameras
+
+
+def ring(count=24, radius=10.0, height=3.0, inwards=True, scale=1.0):
+    places = [np.array([radius * np.cos(a), radius * np.sin(a), height]) * scale
+              for a in np.linspace(0, 2 * np.pi, count, endpoint=False)]
+    return [Camera.looking_at((0, 0, scale) if inwards else 2 * place, place) for place in places]
+
+
+def facade(count=15):
+    return [Camera.looking_at((x, 0, 5), (x, -20, 5 + x % 3)) for x in np.linspace(-30, 30, count)]
+
+
+def scene_of(cameras, points, **more):
+    views = tuple(View(f"{i:04d}.jpg", camera, b"") for i, camera in enumerate(cameras))
+    return Scene("made", views, points, np.zeros((len(points), 3), np.uint8), given_up=UP, **more)
+
+
+CORRIDOR = [Camera.looking_at((x, 40 * np.sin(x / 400), 0), (x, 40 * np.sin(x / 400), 80),
+                              up=(1, 0, 0)) for x in np.linspace(-600, 600, 40)]
+BENT = np.array([[x, 40 * np.sin(x / 400) + y, 0] for x in np.linspace(-640, 640, 200)
+                 for y in (-30, -10, 10, 30)])
+
+SURVEYS = {
+    "square": scene_of(nadir(130, 130), ground(150, 150)),
+    "a nose that turns": scene_of(nadir(130, 130, nose=True), ground(150, 150)),
+    "corridor": scene_of(CORRIDOR, BENT),
+    "one strip": scene_of(nadir(400, 0, rows=1, columns=20), ground(420, 60)),
+    "two photos": scene_of(nadir(20, 0, rows=1, columns=2), ground(60, 60)),
+    "one photo": scene_of(nadir(0, 0, rows=1, columns=1), ground(60, 60)),
+    "one place": scene_of(nadir(0, 0, rows=3, columns=3), ground(60, 60)),
+    "far from the origin": scene_of(nadir(130, 130), ground(150, 150),
+                                    offset=np.array([5e5, 5.7e6, 300])),
+    "small unit": scene_of(nadir(130, 130), ground(150, 150), unit=1e-3),
+    "large unit": scene_of(nadir(130, 130), ground(150, 150), unit=1e6),
+    "stray points": scene_of(nadir(130, 130), np.concatenate([
+        ground(150, 150), ground(1e5, 1e5, 8), ground(50, 50, 4, (0, 0, -900))])),
+    "all points in a line": scene_of(nadir(130, 0, rows=1, columns=9), np.stack(
+        [np.linspace(-60, 60, 50), np.zeros(50), np.zeros(50)], axis=1)),
+    "all points in one place": scene_of(nadir(130, 130), np.zeros((9, 3))),
+    "tilted by 20 degrees": scene_of([Camera.looking_at((x + 29, y, 0), (x, y, 80))
+                                      for x in (-50, 0, 50) for y in (-50, 0, 50)],
+                                     ground(250, 250)),
+}
+OTHERS = {
+    "inward ring": scene_of(ring(), ground(10, 10)),
+    "outward ring": scene_of(ring(inwards=False), ground(40, 40)),
+    "facade": scene_of(facade(), ground(60, 1, centre=(0, 0, 5))),
+    "huge": scene_of(ring(scale=1e9), 1e9 * ground(10, 10)),
+    "tiny": scene_of(ring(scale=1e-9), 1e-9 * ground(10, 10)),
+    "turning on one spot": scene_of([Camera.looking_at((np.cos(a), np.sin(a), 0), (0, 0, 0))
+                                     for a in np.linspace(0, 2, 9)], ground(10, 10)),
+    "one camera": scene_of(facade(1), ground(60, 1, centre=(0, 0, 5))),
+    "one camera many times": scene_of(facade(1) * 7, ground(60, 1, centre=(0, 0, 5))),
+    "photos twice": scene_of([each for each in facade() for _ in (1, 2)], ground(60, 1)),
+    "nadir without points": scene_of(nadir(130, 130), np.zeros((0, 3))),
+    "to and fro": scene_of([*facade(), *facade()[::-1]], ground(60, 1)),
+}
+
+
+def film_of(scene, route=auto, seconds=SECONDS):
+    return interpolated(route(scene, seconds), np.linspace(0, 1, round(FPS * seconds)),
+                        (1280, 720), 60.0)
+
+
+def speeds(cameras):
+    """Of each step: the way, and the turn in degrees a second."""
+    places = np.array([camera.position for camera in cameras])
+    turns = [np.degrees(np.arccos(np.clip((np.trace(b.rotation @ a.rotation.T) - 1) / 2, -1, 1)))
+             for a, b in zip(cameras, cameras[1:])]
+    return np.linalg.norm(np.diff(places, axis=0), axis=1), FPS * np.array(turns)
+
+
+def check_survey(scene, seconds=SECONDS):
+    """A film over a survey is steady, oblique and looks at the site."""
+    cameras = film_of(scene, seconds=seconds)
+    ways, turns = speeds(cameras)
+    assert turns.max() <= MOST_TURN and turns.std() < 1 + turns.mean()
+    assert abs(ways / np.median(ways) - 1).max() < SPEED_SPREAD
+    slopes = np.array([camera.rotation[2] @ UP for camera in cameras])
+    assert abs(np.degrees(np.arcsin(slopes)) + 45).max() < 1
+    assert min(-camera.rotation[1] @ UP for camera in cameras) > 0.5  # upright
+
+
+@pytest.mark.one_in(4)
+@pytest.mark.parametrize("name", SURVEYS)
+def test_a_film_over_a_survey_can_be_watched(name):
+    check_survey(SURVEYS[name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [2, 6, 60, 300])
+def test_a_film_of_any_length_can_be_watched(seconds):
+    check_survey(SURVEYS["square"], seconds)
+    check_survey(SURVEYS["corridor"], seconds)
+
+
+@pytest.mark.parametrize("name", ["square", "corridor", "one strip", "stray points"])
+def test_the_middle_of_the_picture_is_ground_that_photos_show(name):
+    scene = SURVEYS[name]
+    for camera in film_of(scene)[::20]:
+        ahead = camera.rotation[2]
+        place = camera.position - ahead * camera.position[2] / ahead[2]
+        shown = sum(view.sees(place[None])[0] for view in scene.views)
+        assert shown >= 2, place
+
+
+def test_the_same_survey_along_its_photos_spins():
+    """The path that was the default: the drone's nose turns it around."""
+    assert speeds(film_of(SURVEYS["a nose that turns"], flight))[1].max() > MOST_TURN
+
+
+@pytest.mark.one_in(4)
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_flight_along_photos_has_a_constant_speed(name):
+    cameras = film_of(OTHERS[name])
+    assert np.isfinite([camera.position for camera in cameras]).all()
+    ways, turns = speeds(cameras)
+    moves = ways.max() > 1e-6 * abs(np.array([camera.position for camera in cameras])).max() / FPS
+    # a path that turns back on itself stands still for a moment
+    assert not moves or np.mean(abs(ways / np.median(ways) - 1) < SPEED_SPREAD) > 0.98
+    assert np.abs(np.diff(turns)).max(initial=0) < 20  # no jerk
+
+
+def model_at(positions):
+    count = len(positions)
+    rows = {"positions": np.asarray(positions, np.float32),
+            "quaternions": np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+            "log_scales": np.zeros((count, 3), np.float32),
+            "opacity_logits": np.zeros(count, np.float32),
+            "sh_constant": np.zeros((count, 3), np.float32),
+            "sh_rest": np.zeros((count, 0, 3), np.float32)}
+    return Gaussians(rows, 0)
+
+
+@pytest.mark.parametrize("positions, kept", [
+    ([[0, 0, 0], [300, 0, 0], [0, 0, 500]], [True, False, False]),
+    ([[300, 0, 0], [0, 300, 0]], [True, True]),  # none is supported: a film of nothing helps nobody
+    ([[0, 0, 0], [np.nan, 0, 0], [1e30, 0, 0]], [True, False, False]), ([], []),
+])
+@pytest.mark.parametrize("offset, unit", [((0, 0, 0), 1.0), ((5e5, 5.7e6, 300), 2.0)])
+def test_what_fewer_than_two_photos_show_is_left_out(positions, kept, offset, unit):
+    scene = scene_of(nadir(130, 130), ground(150, 150), offset=np.array(offset, float), unit=unit)
+    model = model_at(unit * np.reshape(positions, (-1, 3)))
+    model = Gaussians(model.rows, 0, np.array(offset, float))
+    assert supported(model, in_original(scene)).tolist() == kept
+    assert supported(model, []).all()  # a scene that is not there
+
+
+@pytest.mark.parametrize("cameras, first, low, high", [
+    (nadir(130, 130), -50, -90, -30), (facade(), 0, -27, 20), (ring(), -11, -31, 9),
+    ([], -50, -70, -30),
+], ids=["survey", "facade", "ring", "no scene"])
+def test_the_reader_looks_where_photos_looked(cameras, first, low, high):
+    angle = np.radians(first)
+    camera = Camera.looking_at((0, 0, 0), -100 * np.array([np.cos(angle), 0, np.sin(angle)]))
+    points = ground(100, 100)
+    record = view_record(camera, UP, points, cameras)
+    assert np.allclose(np.degrees(record["pitches"]), (low, high), atol=2.1)
+    assert record["reach"] == 4 * record["distance"]
+    assert np.allclose(record["middle"], camera.position + record["distance"] * camera.rotation[2])
+    assert record["ground"] <= camera.position[2]
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((2, 3), np.nan), np.zeros((1, 3)),
+                                    np.float32([[3e38, 3e38, 3e38]])],
+                         ids=["none", "not finite", "one", "largest"])
+def test_limits_are_finite_for_every_model(points):
+    record = view_record(Camera.looking_at((0, 0, 0), (0, -10, 5)), UP, points)
+    assert np.isfinite([record["ground"], record["reach"], *record["pitches"],
+                        *record["middle"]]).all()
+
+
+@pytest.mark.parametrize("scene, run, title", [
+    ("../photos/dunes", "run", "dunes: run"), ("../run_scene", "run", "run"),
+    ("city.npz", "out/city_run", "city_run"), ("", "run", "run")])
+def test_a_title_names_the_scene(tmp_path, scene, run, title):
+    assert title_of(SimpleNamespace(path=tmp_path / run, record={"scene": scene})) == title
+
+
+def test_the_made_scene_is_flown_over():
+    check_survey(made.scene(None))
