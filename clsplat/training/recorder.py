@@ -24,13 +24,15 @@ class Recorder:
     Attributes
     ----------
     progress : the progress line.
-    stop : whether a callback has raised StopTraining.
+    stop : whether a callback has raised an exception, after which the step is finished and saved.
+    failure : the first exception of a callback that is not StopTraining, to be raised then.
     """
 
     def __init__(self, session: Session, clock: Clock, run: RunFolder, progress: SilentProgress,
                  callbacks: Iterable[Callback] = ()) -> None:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
         self._callbacks, self.stop = tuple(callbacks), False
+        self.failure: BaseException | None = None
 
     def _place(self) -> dict[str, Any]:
         """The keys of every record, which tell where the training is."""
@@ -70,6 +72,13 @@ class Recorder:
                 function(record)
             except StopTraining:
                 self.stop = True
+            except BaseException as error:  # noqa: BLE001  (raised again by `raise_failure`)
+                self.stop, self.failure = True, self.failure or error
+
+    def raise_failure(self) -> None:
+        """Raise the exception of a callback, if there was one."""
+        if self.failure is not None:
+            raise self.failure
 
     def _report(self, values: dict[str, float], frequency: dict[str, float] | None) -> None:
         session = self.session
