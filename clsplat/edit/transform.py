@@ -36,8 +36,9 @@ def transformed(gaussians: Gaussians, scale: float = 1.0, rotation: ArrayLike | 
             & (np.abs(gaussians.log_scales) <= LARGEST_LOG)).any()
     if lost or not (far < SINGLE.max).all():
         raise InputError(f"{result.count:,} gaussians: after this --scale, --rotate and "
-                         f"--translate coordinates or sizes are beyond {SINGLE.tiny:.0e} to {SINGLE.max:.0e}, "
-                         "which single precision holds; give numbers nearer to 1")
+                         f"--translate coordinates or sizes are beyond {SINGLE.tiny:.0e} to "
+                         f"{SINGLE.max:.0e}, which single precision holds; give numbers nearer to 1"
+                         )
     return result
 
 
