@@ -8,11 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
+
+MOST_PIXELS = 1 << 16  # of a side
+LEAST_FOCAL, MOST_FOCAL = 1e-6, 1e9  # pixels, or pixels a world unit; squares fit float32
+SHOWN = 80  # characters of a value in a message
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +47,25 @@ class Camera:
     whole: tuple[float, float, float, float] | None = None
     offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     orthographic: bool = False
+
+    def check(self) -> None:
+        """Raise a ClsplatError if no picture can be drawn with these numbers."""
+        for name in ("width", "height"):
+            side = getattr(self, name)
+            if not (isinstance(side, (int, np.integer)) and 0 < side <= MOST_PIXELS):
+                raise InputError(f"{name} {side!r}: expects a whole number of pixels from 1 to "
+                                 f"{MOST_PIXELS:,}")
+        for name, shape in (("focal", (2,)), ("centre", (2,)), ("rotation", (3, 3)),
+                            ("translation", (3,)), ("offset", (3,))):
+            numbers(name, getattr(self, name), shape)
+        if not all(LEAST_FOCAL <= each <= MOST_FOCAL for each in self.focal):
+            raise InputError(f"focal {self.focal}: expects pixels from {LEAST_FOCAL:g} to "
+                             f"{MOST_FOCAL:g}")
+        if not np.allclose(self.rotation @ np.transpose(self.rotation), np.eye(3), atol=1e-3):
+            raise InputError("rotation: its rows are not orthogonal unit vectors; give a rotation")
+        if np.linalg.det(self.rotation) < 0:
+            raise InputError("rotation: is a mirror image (its determinant is -1); turn one of its "
+                             "axes, so that they are right, down and forward")
 
     @classmethod
     def looking_at(cls, target: ArrayLike, position: ArrayLike, *, up: ArrayLike = (0, 0, 1),
@@ -188,6 +212,25 @@ class Camera:
         inside: NDArray[np.bool_] = ((x > -beyond) & (x < self.width + beyond)
                                      & (y > -beyond) & (y < self.height + beyond))
         return inside
+
+
+def numbers(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Finite real numbers of a shape; InputError, which begins with `name`, for anything else."""
+    try:
+        if np.iscomplexobj(values):
+            raise ValueError
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name} {shown(values)}: expects numbers") from None
+    if array.shape != shape or not np.isfinite(array).all():
+        size = " x ".join(map(str, shape)) + " finite numbers" if shape else "a finite number"
+        raise InputError(f"{name} {shown(values)}: expects {size}")
+    return array
+
+
+def shown(value: object) -> str:
+    """A value of the user in a message: the beginning of its text, in one line."""
+    return " ".join(str(value).split())[:SHOWN]
 
 
 def turned(rotation: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float64]:

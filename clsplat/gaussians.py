@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,6 +85,20 @@ class Gaussians:
     rows: dict[str, NDArray[np.float32]]
     sh_degree: int
     offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        """InputError unless every field is there and fits the others, as kernels take for granted.
+        """
+        if not (isinstance(self.sh_degree, (int, np.integer)) and 0 <= self.sh_degree <= 3):
+            raise InputError(f"sh_degree {self.sh_degree!r}: expects 0, 1, 2 or 3")
+        if not isinstance(self.rows, dict):
+            raise InputError(f"rows: expects a dict of arrays, got {type(self.rows).__name__}")
+        count = next(iter(np.shape(self.rows.get("positions", 0.0))), 0)
+        for known in FIELDS:
+            if known in LEARNED or known.name in self.rows:
+                check_field(known, self.rows.get(known.name), count, self.sh_degree)
+        if np.shape(self.offset) != (3,) or not np.isfinite(self.offset).all():
+            raise InputError(f"offset {self.offset!r}: expects three finite numbers")
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Gaussians:
@@ -224,6 +239,19 @@ class Gaussians:
         from clsplat.export.notebook import model_frame
 
         return model_frame(self)
+
+
+def check_field(known: Field, values: Any, count: int, sh_degree: int) -> None:
+    """InputError unless `values` are a field's numbers for so many gaussians."""
+    if not isinstance(values, np.ndarray):
+        got = "nothing" if values is None else type(values).__name__
+        raise InputError(f"{known.name}: is {got}; give a numpy array")
+    if values.dtype.kind not in "fiu":
+        raise InputError(f"{known.name}: holds {values.dtype}; give real numbers")
+    shape = (count, *known.row_shape(sh_degree))
+    if values.shape != shape:
+        of = f", which {count:,} gaussians of SH degree {sh_degree} have"
+        raise InputError(f"{known.name}: has shape {values.shape}, not {shape}{of}")
 
 
 def neighbour_distance(points: NDArray[np.floating], neighbours: int = 3

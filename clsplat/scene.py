@@ -184,7 +184,7 @@ class Scene:
         """
         from clsplat.io.scenes import read_scene
 
-        return read_scene(path, images)
+        return read_scene(Path(path).absolute(), images)  # also if the current folder changes
 
     @cached_property
     def up(self) -> NDArray[np.float64]:

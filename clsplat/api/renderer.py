@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.api.device import opened_device
-from clsplat.camera import Camera
+from clsplat.camera import Camera, numbers, shown
 from clsplat.constants import NO_ROW
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
-from clsplat.gaussians import LEARNED, Gaussians
+from clsplat.gaussians import LEARNED, Gaussians, check_field
 from clsplat.io.images import encode_image
 from clsplat.rendering import pipeline
 from clsplat.rendering.slabs import gaussian_limit, open_model
@@ -46,8 +46,8 @@ def render(model: Gaussians, camera: Camera, *, device: OpenedDevice | None = No
     ------
     clsplat.ClsplatError : if no device works, or the frame does not fit its memory.
     """
-    opened, rows = open_model(opened_device(device), model, _near(model, near), antialiased,
-                              background)
+    background, near = _checked(model, background, near)
+    opened, rows = open_model(opened_device(device), model, near, antialiased, background)
     moved = _in_frame_of(model, camera)
     frame = opened.render(rows, opened.pack(moved), camera.width, camera.height,
                           model.sh_degree, with_depth=depth)
@@ -87,7 +87,7 @@ class Renderer:
 
     Parameters
     ----------
-    device : an open device.
+    device : an open device; None: the best one that works.
     model : the initial gaussians; they must fit the device's memory.
     background, near, antialiased : as for `clsplat.render`.
 
@@ -96,16 +96,17 @@ class Renderer:
     clsplat.ClsplatError : if the model does not fit the device.
     """
 
-    def __init__(self, device: OpenedDevice, model: Gaussians, *,
+    def __init__(self, device: OpenedDevice | None, model: Gaussians, *,
                  background: tuple[float, float, float] = (0.0, 0.0, 0.0),
                  near: float | None = None, antialiased: bool = False) -> None:
-        self.device = opened_device(device)
+        background, near = _checked(model, background, near)
+        self.device = device = opened_device(device)
         limit = gaussian_limit(device, model.sh_degree)
         if model.count > limit:
             raise InputError(f"{model.count:,} gaussians: the device has memory for {limit:,}; "
                              "use clsplat.render, which renders larger models in slabs")
         self.model = model
-        self._pipeline = pipeline.Renderer(device, model.sh_degree, _near(model, near), antialiased,
+        self._pipeline = pipeline.Renderer(device, model.sh_degree, near, antialiased,
                                            background)
         self._rows = {f.name: device.upload(model.rows[f.name]) for f in LEARNED}
 
@@ -123,14 +124,13 @@ class Renderer:
         ------
         clsplat.ClsplatError : for an unknown field, or one of another shape.
         """
+        known, arrays = {field.name: field for field in LEARNED}, {}
         for name, values in fields.items():
-            if name not in self._rows:
-                raise InputError(f"{name}: not a field of gaussians; these are "
-                                 f"{', '.join(self._rows)}")
-            array = _as_numpy(values)
-            shape = self._rows[name].shape
-            if array.shape != shape:
-                raise InputError(f"{name}: has shape {array.shape}, not {shape}")
+            if name not in known:
+                raise InputError(f"{name}: not a field of gaussians; these are {', '.join(known)}")
+            arrays[name] = _as_numpy(values, name)
+            check_field(known[name], arrays[name], self.model.count, self.model.sh_degree)
+        for name, array in arrays.items():
             self._rows[name].write(array)
 
     def download(self) -> Gaussians:
@@ -196,7 +196,7 @@ class Renderer:
         return dense
 
     def _gradient(self, values: Any, name: str, shape: tuple[int, ...]) -> Any:
-        array = _as_numpy(values)
+        array = _as_numpy(values, name)
         if array.shape != shape:
             raise InputError(f"{name}: has shape {array.shape}, not {shape}")
         if array.ndim == 3:
@@ -204,11 +204,21 @@ class Renderer:
         return self.device.upload(np.ascontiguousarray(array, self.device.real))
 
 
-def _near(model: Gaussians, near: float | None) -> float:
+def _checked(model: Gaussians, background: Any, near: float | None
+             ) -> tuple[tuple[float, float, float], float]:
+    """The background and the depth of the near plane; InputError for what is no such thing."""
+    if not isinstance(model, Gaussians):
+        raise InputError(f"model {shown(model)}: not gaussians; give clsplat.Gaussians, such "
+                         "as Gaussians.load(path)")
+    if near is not None and numbers("near", near, ()) <= 0:
+        raise InputError(f"near {near}: expects a depth above 0, or None")
+    red, green, blue = numbers("background", background, (3,)).tolist()
+    return (red, green, blue), _near(model) if near is None else float(near)
+
+
+def _near(model: Gaussians) -> float:
     """Depth of the near plane, world units, from the gaussians' median distance from their median
     position."""
-    if near is not None:
-        return near
     if not model.count:
         return NEAR_SHARE
     positions = model.rows["positions"].astype(np.float64)
@@ -217,7 +227,11 @@ def _near(model: Gaussians, near: float | None) -> float:
 
 
 def _in_frame_of(model: Gaussians, camera: Camera) -> Camera:
-    """The camera in the model's local coordinates."""
+    """The camera in the model's local coordinates; InputError if it can draw nothing."""
+    if not isinstance(camera, Camera):
+        raise InputError(f"camera {shown(camera)}: not a camera; give clsplat.Camera, such "
+                         "as a view's")
+    camera.check()
     away = np.asarray(model.offset, np.float64) - camera.offset
     return camera.shifted(away) if away.any() else camera
 
@@ -231,8 +245,15 @@ def _mean_depth(depth: NDArray[Any], transmittance: NDArray[Any]) -> NDArray[np.
     return np.where(opaque > 1e-6, depth / np.maximum(opaque, 1e-6), 0).astype(np.float32)
 
 
-def _as_numpy(values: Any) -> NDArray[np.float32]:
-    """A numpy array of an object with `__dlpack__` or `__array__`, or of nested numbers."""
+def _as_numpy(values: Any, name: str) -> NDArray[np.float32]:
+    """A numpy array of an object with `__dlpack__` or `__array__`, or of nested numbers; InputError
+    for anything else, such as complex numbers, whose imaginary part would be lost."""
     if not hasattr(values, "__array__") and hasattr(values, "__dlpack__"):
         values = np.from_dlpack(values)
-    return np.asarray(values, np.float32)
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "biuf":
+            return array.astype(np.float32, copy=False)
+    except ValueError:  # rows of different lengths
+        pass
+    raise InputError(f"{name}: expects real numbers, got {shown(values)}")

@@ -47,7 +47,8 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
     chosen = resolve({}, options)
     data = scene if isinstance(scene, Scene) else Scene.read(scene, chosen.images)
     opened = opened_device(device) if device else choose_device("auto", form=chosen.form)
-    folder = Path(output if output is not None else tempfile.mkdtemp(prefix="clsplat-run-"))
+    # absolute, as a callback may change the current folder
+    folder = Path(output or tempfile.mkdtemp(prefix="clsplat-run-")).absolute()
     with RunFolder(folder).locked():
         run = RunFolder.create(folder, overwrite=overwrite)
         try:

@@ -68,6 +68,16 @@ def options_of(kind: type) -> list[Option]:
     return options
 
 
+def origin_of(options: Any, name: str) -> str:
+    """The flag by which an option has its value: another one that sets it, such as --preset paper,
+    or its own."""
+    for known in options_of(type(options)):
+        chosen = getattr(options, known.name)
+        if known.metadata["sets"].get(chosen, {}).get(name) == getattr(options, name) is not None:
+            return f"{flag_name(known.name)} {chosen}"
+    return flag_name(name)
+
+
 def is_auto(value: object) -> bool:
     """Whether the value of an option is the word AUTO, which its type may not name."""
     return value == AUTO

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import signal
 import socket
@@ -24,6 +25,7 @@ from clsplat.distribute.task import (
     INTERRUPTED,
     LOG,
     LOST,
+    QUIET_SECONDS,
     REFUSED,
     TERMINATED,
     Result,
@@ -133,8 +135,8 @@ class Child:
 
     def _code(self, stopping: Callable[[], bool], folder: Path) -> int:
         """Wait for a task; HUNG if the process did nothing in its folder for too long, and was
-        killed."""
-        change, changed = latest_change(folder), time.monotonic()
+        killed. Until then a warning names the folder now and then."""
+        change, changed, notes = latest_change(folder), time.monotonic(), 0
         while True:
             try:
                 return self._codes.get(timeout=POLL_SECONDS)
@@ -142,12 +144,20 @@ class Child:
                 if stopping():
                     self.end()
                     return self._end_code(GRACE_SECONDS + 10)  # it ends itself before, or hangs
-            if time.monotonic() - changed > HANG_SECONDS:
+            idle = time.monotonic() - changed
+            if idle > min(QUIET_SECONDS * (notes + 1), HANG_SECONDS):
                 latest = latest_change(folder)
-                if latest == change:  # it could neither save its state nor end itself
+                if latest != change:
+                    change, changed, notes = latest, time.monotonic(), 0
+                elif idle > HANG_SECONDS:  # it could neither save its state nor end itself
                     self._end_code(0)
                     return HUNG
-                change, changed = latest, time.monotonic()
+                else:
+                    notes += 1
+                    logging.getLogger(__name__).warning(
+                        "%s: process %d has reported nothing for %.3g min; it may be stopped, or "
+                        "its disk may hang; it is ended after %.3g min", folder,
+                        self._process.pid if self._process else 0, idle / 60, HANG_SECONDS / 60)
 
     def _end_code(self, seconds: float) -> int:
         """Wait for a process that was told to end; after so many seconds it is killed."""

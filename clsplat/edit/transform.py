@@ -5,8 +5,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from clsplat.edit.harmonics import rotated
+from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.quantise import unit
+
+SINGLE = np.finfo(np.float32)
+LARGEST_LOG = 87.0  # of a scale that single precision holds, and of its inverse
 
 
 def transformed(gaussians: Gaussians, scale: float = 1.0, rotation: ArrayLike | None = None,
@@ -19,7 +23,27 @@ def transformed(gaussians: Gaussians, scale: float = 1.0, rotation: ArrayLike | 
     scale : more than 0.
     rotation : float[3, 3]; None: no rotation. The spherical harmonics are rotated with it.
     translation : float[3], original coordinates.
+
+    Raises
+    ------
+    InputError : single precision does not hold the result.
     """
+    with np.errstate(over="ignore", invalid="ignore"):
+        result = _moved(gaussians, scale, rotation, translation)
+        far = np.abs(result.positions.astype(np.float64)).max(axis=0, initial=0.0) + np.abs(
+            result.offset)
+    lost = ((np.abs(result.log_scales) > LARGEST_LOG)
+            & (np.abs(gaussians.log_scales) <= LARGEST_LOG)).any()
+    if lost or not (far < SINGLE.max).all():
+        raise InputError(f"{result.count:,} gaussians: after this --scale, --rotate and "
+                         f"--translate coordinates or sizes are beyond {SINGLE.tiny:.0e} to "
+                         f"{SINGLE.max:.0e}, which single precision holds; give numbers nearer to 1"
+                         )
+    return result
+
+
+def _moved(gaussians: Gaussians, scale: float, rotation: ArrayLike | None,
+           translation: ArrayLike) -> Gaussians:
     matrix = np.eye(3) if rotation is None else np.asarray(rotation, np.float64)
     moved = gaussians.without_spheres()
     if scale != 1:

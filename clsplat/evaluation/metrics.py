@@ -47,7 +47,8 @@ def ssim(image: ArrayLike, photo: ArrayLike, valid: NDArray[np.bool_] | None = N
     if min(height, width) < SSIM_WINDOW:
         raise InputError(
             f"an image of {width}x{height} pixels is smaller than the {SSIM_WINDOW}x{SSIM_WINDOW} "
-            "window of SSIM; use a smaller --downscale")
+            "window of SSIM; use larger photos, by a smaller --downscale or a larger "
+            "--max-resolution")
     mean, of_pixels = structural_similarity(
         _float64(image), _float64(photo), gaussian_weights=True, sigma=1.5,
         use_sample_covariance=False, data_range=1.0, channel_axis=-1, full=True)

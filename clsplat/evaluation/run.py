@@ -94,6 +94,8 @@ class Run:
     """
 
     def __init__(self, folder: RunFolder) -> None:
+        if not isinstance(folder, RunFolder):
+            raise InputError(f"{folder}: a Run is made by clsplat.Run.open(path)")
         self.folder = folder
         self.path: Path = folder.path
 

@@ -237,7 +237,8 @@ def evaluate_run(run: Run, device: Device, save_images: bool, scene_path: Path |
     options, scene = run.options, run.scene(scene_path)
     train, views = scene.split(options.test_every, options.test_offset)
     if not views:
-        raise InputError(f"{run.path}: no held-out views (--test-every {options.test_every}); "
+        raise InputError(f"{run.path}: no held-out views (--test-every "
+                         f"{options.test_every or 'none'}); "
                          "nothing to compare with")
     gaussians = gaussians or run.finished_model
     model = run.opened(device, scene, gaussians)

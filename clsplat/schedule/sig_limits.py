@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from clsplat.config.option import origin_of
 from clsplat.errors import InputError
 from clsplat.schedule.plan import SceneFacts
 
@@ -86,9 +87,10 @@ def chosen_levels(options: "TrainOptions", size: tuple[int, int],
     if levels:
         if int(side / levels[0]) < TILE and levels[0] > 1:
             raise InputError(
-                f"--levels {levels[0]:g}: would train on images of {int(size[0] / levels[0])} x "
-                f"{int(size[1] / levels[0])} pixels, less than a tile of {TILE}; use smaller "
-                "factors, or a smaller --downscale")
+                f"{origin_of(options, 'levels')}: level {levels[0]:g} would train on images of "
+                f"{int(size[0] / levels[0])} x {int(size[1] / levels[0])} pixels, less than a tile "
+                f"of {TILE}; give smaller --levels, or larger photos by a smaller --downscale or a "
+                "larger --max-resolution")
         return levels
     levels = tuple(level for level in candidates if level == 1 or side / level >= least)
     while (shares := level_shares(levels, options.level_share)) and (

@@ -5,6 +5,7 @@ and a resumed run ends in the same bytes as one that was never stopped.
 """
 
 import dataclasses
+import logging
 import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -108,6 +109,8 @@ def resume(scene: Scene, options: TrainOptions, device: Device, run: RunFolder,
                          f"{record.get('scene_absolute', record.get('scene'))}; give that one, or "
                          "another --output")
     if not (run.has_checkpoint or run.has_model):  # it was killed before its first checkpoint
+        (progress.message if progress else logging.getLogger(__name__).warning)(
+            f"{run.path}: has no checkpoint, so the training begins again at step 1")
         run.rewind(-1)
         train(scene, options, device, run, progress, callbacks, watcher, on_save)
         return
@@ -219,6 +222,7 @@ class Training:
                     if is_part:
                         self.recorder.log("end")  # a block has no evaluation that tells its steps
                         self.checkpoint.remove()
+        self.recorder.raise_failure()
         if not self.finished() or is_part and interrupted():  # else the city would go on
             raise self.stopped()
         if not is_part:
@@ -226,6 +230,7 @@ class Training:
                 self.evaluator.evaluate(final=True)
             self.progress.phase("writing the report")
             draw_report(self.run, self.session, self._scene, self.evaluator.per_view)
+        self.recorder.raise_failure()
 
     @contextmanager
     def resumable(self) -> Iterator[None]:
@@ -244,9 +249,14 @@ class Training:
             self.session.photos.close()
 
     def stopped(self) -> Interrupted:
-        """The Interrupted of a run that can be resumed."""
-        return Interrupted(f"stopped after step {self.session.iteration}; go on with: clsplat "
-                           f"train --resume -o {shlex.quote(str(self.run.path))}", self.stops())
+        """The Interrupted of a run that can be resumed, from the checkpoint that there is."""
+        step, saved = self.session.iteration, self.run.checkpoint_iteration()
+        kept = ("; go on with" if saved == step else
+                f", and saved at step {saved}; go on with" if saved else
+                ", before its first checkpoint; to begin again")
+        return Interrupted(f"stopped after step {step}{kept}: clsplat train --resume -o "
+                           f"{shlex.quote(str(self.run.path))}",
+                           self.stops() and self.recorder.failure is None)
 
     def finished(self) -> bool:
         """Whether all steps are taken, or the time is over."""

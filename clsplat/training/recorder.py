@@ -25,7 +25,8 @@ class Recorder:
     Attributes
     ----------
     progress : the progress line.
-    stop : whether a callback has raised StopTraining.
+    stop : whether a callback has raised an exception, after which the step is finished and saved.
+    failure : the first exception of a callback that is not StopTraining, to be raised then.
     upheavals : event -> step of its latest record, of those that lower the scores for a while.
     """
 
@@ -33,6 +34,7 @@ class Recorder:
                  callbacks: Iterable[Callback] = ()) -> None:
         self.session, self.clock, self.run, self.progress = session, clock, run, progress
         self._callbacks, self.stop = tuple(callbacks), False
+        self.failure: BaseException | None = None
         self.upheavals: dict[str, int] = {}
 
     def _place(self) -> dict[str, Any]:
@@ -75,6 +77,13 @@ class Recorder:
                 function(record)
             except StopTraining:
                 self.stop = True
+            except BaseException as error:  # noqa: BLE001  (raised again by `raise_failure`)
+                self.stop, self.failure = True, self.failure or error
+
+    def raise_failure(self) -> None:
+        """Raise the exception of a callback, if there was one."""
+        if self.failure is not None:
+            raise self.failure
 
     def _report(self, values: dict[str, float], frequency: dict[str, float] | None) -> None:
         session = self.session

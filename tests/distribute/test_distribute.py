@@ -234,7 +234,7 @@ def test_a_folder_at_work_is_waited_for(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="a process cannot be stopped here")
-def test_a_child_that_hangs_is_ended_and_tried_again(tmp_path, monkeypatch):
+def test_a_child_that_hangs_is_ended_and_tried_again(tmp_path, monkeypatch, caplog):
     def latest_change(folder):
         if starts(task) == 1:
             with suppress(ProcessLookupError):  # the next one may start slowly
@@ -251,6 +251,11 @@ def test_a_child_that_hangs_is_ended_and_tried_again(tmp_path, monkeypatch):
     [task] = stub_tasks(tmp_path / "again", 1, "--fail", 1, "--code", -int(signal.SIGSTOP))
     [outcome] = run([task], retries=0, program=PROGRAM)
     assert not outcome.ok and "it did nothing for 0.3 s, and was ended" in outcome.message
+    [task] = stub_tasks(tmp_path / "quiet", 1, "--fail", 1, "--code", -int(signal.SIGSTOP))
+    monkeypatch.setattr(child, "QUIET_SECONDS", 0.1)
+    monkeypatch.setattr(child, "HANG_SECONDS", 1.5)
+    run([task], retries=0, program=PROGRAM)
+    assert f"{task.folder}: process " in caplog.text and "has reported nothing for" in caplog.text
 
 
 def test_a_folder_that_was_removed_is_no_traceback(tmp_path):

@@ -5,6 +5,8 @@ from scipy.spatial.transform import Rotation
 from clsplat.api.renderer import render
 from clsplat.camera import Camera
 from clsplat.edit.transform import transformed, turn
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
 from tests.data.cloud import cloud
 
 
@@ -45,3 +47,15 @@ def test_turns():
     assert np.allclose(turn((0, 0, 90)) @ x, y) and np.allclose(turn((90, 0, 0)) @ y, z)
     assert np.allclose(turn((0, 90, 0)) @ z, x)
     assert np.allclose(turn((90, 0, 90)) @ y, z), "about x first"
+
+
+@pytest.mark.parametrize("scale, translation", [
+    (1e38, (0, 0, 0)), (1e300, (0, 0, 0)), (1e-300, (0, 0, 0)), (1e-45, (0, 0, 0)),
+    (1.0, (1e300, 0, 0)), (1.0, (0, -1e39, 0)), (2.0, (0, 3.5e38, 3.4e38)), (1e200, (1e300, 0, 0))])
+@pytest.mark.filterwarnings("error")
+def test_what_single_precision_does_not_hold_is_refused(scale, translation):
+    points = np.random.default_rng(0).normal(size=(50, 3)) * 9
+    model = Gaussians.from_points(points, np.zeros((50, 3), np.uint8), 1)
+    with pytest.raises(InputError, match="beyond 1e-38 to 3e.38|finite"):
+        transformed(model, scale, np.eye(3), translation)
+    assert np.isfinite(transformed(model, 1e9, None, (1e12, 0, 0)).positions).all()
