@@ -1,4 +1,4 @@
-"""What mkdocs.yml cannot say: folder and version, the commands, no assets of others, our docstrings.
+"""What mkdocs.yml cannot say: folder, version, commands, no assets of others, our docstrings.
 
 mkdocs calls the functions, and griffe, which reads the docstrings, the class.
 """
@@ -32,7 +32,7 @@ def on_config(config):
 def on_page_markdown(markdown, page, config, files):
     """The guide comes before the notebook in a search; one page has the commands."""
     if page.file.src_uri.startswith("notebook/"):
-        page.meta["search"] = {"boost": 0.5}
+        page.meta["search"] = {"boost": 0.1}
     return markdown.replace(COMMANDS, commands()) if COMMANDS in markdown else markdown
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import clsplat
+from clsplat.cli.main import main
 from tests.data.tiny_training import CITY
 from tests.test_layout import ROOT
 from tests.test_sentences import package_text
@@ -24,18 +25,34 @@ def test_every_page_is_in_the_navigation():
     listed = re.findall(r"(?m)^ +- [^:\n]+: (\S+\.md)$", SETTINGS.partition("\nnav:\n")[2])
     there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     assert len(listed) == len(set(listed)) and set(listed) == there
+    linked = re.findall(r"\(((?:guide|notebook)/[^)#]+)\)", (DOCS / "index.md").read_text("utf-8"))
+    assert sorted(linked) == sorted(there - {"index.md"})
 
 
 def test_every_page_of_the_guide_says_what_the_reader_can_do_after_it():
     for path in (DOCS / "guide").glob("*.md"):
         assert re.match(r"# .+\n\nAfter this page you ", path.read_text("utf-8")), path
-        assert f"(guide/{path.name})" in (DOCS / "index.md").read_text("utf-8"), path
 
 
-def test_every_picture_is_shown():
-    for path in DOCS.rglob("*.png"):
-        pages = "".join(page.read_text("utf-8") for page in path.parent.glob("*.md"))
-        assert f"]({path.name})" in pages, path
+def pictures(folder):
+    return [path for path in folder.rglob("*") if path.suffix in (".png", ".jpg", ".gif", ".webp")]
+
+
+def test_every_picture_is_small_and_shown_with_words():
+    shown = {(path.parent / name).resolve() for path in (ROOT / "README.md", *DOCS.rglob("*.md"))
+             for name in re.findall(r"!\[[^\]]{10,}\]\(([^)]+)\)", path.read_text("utf-8"))}
+    assert shown == set(pictures(DOCS))
+    guide = [path.stat().st_size for path in pictures(DOCS / "guide")]
+    assert max(guide) <= 150_000 and sum(guide) <= 1_200_000
+    assert sum(path.stat().st_size for path in pictures(DOCS)) <= 5_000_000
+
+
+def test_readme_begins_with_one_line_for_each_of_its_two_jobs_and_has_no_placeholder():
+    text = (ROOT / "README.md").read_text("utf-8")
+    blocks = re.findall(r"(?ms)^```\w*\n(.*?)^```", text)
+    assert [line.split("#")[0].strip() for line in blocks[0].splitlines()] == [
+        "tools/quickstart", "tools/test"]
+    assert not re.search(r"\b[A-Z]{3,}\b", "".join(blocks)), "a word to be replaced"
 
 
 def test_the_reference_is_of_the_public_names():
@@ -69,12 +86,27 @@ def test_files_md_names_every_key_of_the_metrics(item_device, tmp_path):
         assert re.search(rf'(log\(|"event": )"{event}"', package_text()), event
 
 
-def test_hooks():
-    """What they change of docstrings, and that assets of others are noticed."""
+def loaded_hooks():
     pytest.importorskip("griffe", reason="setup.cfg's extra docs is not installed")
     spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
     hooks = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(hooks)
+    return hooks
+
+
+def test_the_page_of_commands_has_every_option():
+    hooks = loaded_hooks()
+    text = hooks.commands()
+    assert hooks.COMMANDS in page("commands.md")
+    for name, command in main.commands.items():
+        part = text.partition(f"### clsplat {name}\n")[2].partition("\n### ")[0]
+        flags = [flag for param in command.params for flag in param.opts if flag.startswith("-")]
+        assert flags and not [flag for flag in flags if not re.search(rf"`[^`]*{flag}\b", part)]
+
+
+def test_hooks():
+    """What they change of docstrings, and that assets of others are noticed."""
+    hooks = loaded_hooks()
     assert hooks.numpydoc("One.\n\nParameters\n----------\na, b : what\n    it is.\n\n"
                           "Returns\n-------\nfloat32[N],\nlong.\n") == (
         "One.\n\nParameters\n----------\na, b\n    what\n    it is.\n\n"

@@ -22,9 +22,8 @@ from clsplat.io.georeference.control_points import (
 )
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
-from clsplat.io.georeference.reconstruction import place_reconstruction
-from clsplat.io.levels import common_levels, is_deep, levels_note
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
+from clsplat.io.levels import common_levels, is_deep, levels_note
 from clsplat.io.lock import HOLDER, LOCK, exclusive
 from clsplat.io.mask_files import MASKS
 from clsplat.io.reason import reason
