@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import numpy as np
+
 from clsplat.export.map_grid import ground_resolution
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.crs import vertical_part
 from clsplat.scene import Scene
 
+MOST_RESIDUAL = 0.03  # of the flight
 AXES = ("east", "north", "up")
 ROLES = ("check", "control")  # points that were left out of the adjustment say more
 
@@ -27,7 +30,21 @@ def stated(scene: Scene, crs: str | None, place: Georeference | None) -> dict[st
         place.crs) or "unknown",
             "georeference": {"source": place.source, "residual": place.residual,
                              "residuals_rms": {role: axes for role, axes in errors.items() if axes},
-                             "warnings": list(getattr(place, "warnings", ()))}}
+                             "warnings": _warnings(scene, place)}}
+
+
+def _warnings(scene: Scene, place: Georeference) -> list[str]:
+    """Those of the georeference; a file of an older version, without a size, is judged by the
+    flight."""
+    warnings = list(getattr(place, "warnings", ()))
+    if warnings or getattr(place, "size", None) or not scene.views:
+        return warnings
+    flight = scene.unit * float(np.linalg.norm(np.ptp(
+        [view.camera.position for view in scene.views], axis=0)))
+    if place.residual <= MOST_RESIDUAL * flight:
+        return []
+    return [f"the residual of the georeference, {place.residual:.2f} m, is large for a flight of "
+            f"{flight:.3g} m; check its source before distances and places are trusted"]
 
 
 def tags_of(statement: dict[str, Any]) -> dict[str, str]:
