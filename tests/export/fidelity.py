@@ -17,7 +17,6 @@ from clsplat.export.page import write_run_page
 from tests.export.browser import answer_of, picture_of
 
 MOST_VIEWS = 4
-# an 8-bit canvas alone is this many decibels away: what it cannot hold is rounded
 PICTURES = """
   await until(() => page.viewer && page.viewer.sharp);
   const { viewer } = page, pictures = [];
