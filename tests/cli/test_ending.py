@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from clsplat.training.interrupt import handled_interrupts, signals_held
 from tests.cli.test_cli import python, raising
+from tests.test_layout import ROOT
 
 
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -205,3 +206,13 @@ def test_a_held_signal_arrives_after_the_block():
         time.sleep(60)
     assert done == ["held"] and handler.count == 1 and handler.number == signal.SIGTERM
     assert vars(ExtensionFileLoader) == imports
+
+
+@pytest.mark.slow
+def test_the_owner_can_read_what_is_written(tmp_path):
+    """Also with a umask that takes the rights from the owner himself."""
+    line = f"umask 777; exec {sys.executable} -m clsplat synth -o out --views 2 --size 48x32"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, check=True)
+    written = [tmp_path / "out", *(tmp_path / "out").rglob("*")]
+    assert len(written) > 3 and all(path.stat().st_mode & 0o400 for path in written)
