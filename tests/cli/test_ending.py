@@ -211,7 +211,8 @@ def test_a_held_signal_arrives_after_the_block():
 @pytest.mark.slow
 def test_the_owner_can_read_what_is_written(tmp_path):
     """Also with a umask that takes the rights from the owner himself."""
-    line = f"umask 777; exec {sys.executable} -m clsplat synth -o out --views 2 --size 48x32"
+    words = "synth -o out --blocks 1x1 --views 12 --size 96x64"
+    line = f"umask 777; exec {sys.executable} -m clsplat {words}"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, check=True)
     written = [tmp_path / "out", *(tmp_path / "out").rglob("*")]
