@@ -3,6 +3,7 @@
 import atexit
 import os
 import signal
+import stat
 import sys
 import warnings
 
@@ -21,6 +22,7 @@ def run() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+    os.umask(os.umask(0) & ~stat.S_IRWXU)  # else its owner could not read what is written
     # products here have few columns: threads of BLAS only wait for the next one, busily
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # what a build of kernels says; `catch_warnings` there does not hold while other threads use it

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
 
+from clsplat.errors import DeviceError
+
 if TYPE_CHECKING:
     from clsplat.device.find import ListedDevice
-
-NO_DEVICE = ("no OpenCL device; install one: `pip install intel-opencl-rt intel-cmplr-lib-rt` "
-        "(Linux, any x86-64 CPU), `apt-get install pocl-opencl-icd`, or your GPU vendor's driver")
 
 
 @click.command()
@@ -23,11 +21,16 @@ def devices(check: bool) -> None:
     The exit code is 2 if no device works or a check fails.
     """
     from clsplat.device import list_devices
+    from clsplat.device.find import NO_DEVICE
     listed = list_devices()
-    click.echo(table(listed) if listed else NO_DEVICE)
+    if listed:
+        click.echo(table(listed))
     working = [entry for entry in listed if entry.works]
-    passed = [_passes(entry) for entry in working] if check else []
-    sys.exit(0 if working and all(passed) else 2)
+    if not working:
+        raise DeviceError(NO_DEVICE)
+    failed = [entry.name for entry in working if check and not _passes(entry)]
+    if failed:
+        raise DeviceError(f"the self-test failed on {', '.join(failed)}; update its driver")
 
 
 def table(listed: Sequence[ListedDevice]) -> str:

@@ -21,6 +21,7 @@ from clsplat.errors import InputError
 from clsplat.io.run import RunFolder
 from clsplat.training.interrupt import handled_interrupts, signals_held
 from tests.cli.test_cli import python, raising
+from tests.test_layout import ROOT
 
 
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -256,3 +257,14 @@ def test_too_many_open_files_are_named_as_the_cause(number, told):
     except (OSError, InputError) as error:
         message, code = verdict(error)
     assert code == 2 and "raise the limit (`ulimit -n`)" in message and "path" not in message
+
+
+@pytest.mark.slow
+def test_the_owner_can_read_what_is_written(tmp_path):
+    """Also with a umask that takes the rights from the owner himself."""
+    words = "synth -o out --blocks 1x1 --views 12 --size 96x64"
+    line = f"umask 777; exec {sys.executable} -m clsplat {words}"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run(["bash", "-c", line], cwd=tmp_path, env=environment, check=True)
+    written = [tmp_path / "out", *(tmp_path / "out").rglob("*")]
+    assert len(written) > 3 and all(path.stat().st_mode & 0o400 for path in written)
