@@ -55,6 +55,13 @@ def test_readme_begins_with_one_line_for_each_of_its_two_jobs_and_has_no_placeho
     assert not re.search(r"\b[A-Z]{3,}\b", "".join(blocks)), "a word to be replaced"
 
 
+def test_the_search_works_from_a_disk_without_the_network():
+    """The plugin `offline` takes a shim of this name in place of one from the network."""
+    assert re.search(r"(?m)^  - offline\b", SETTINGS)
+    shim, = re.findall(r"polyfills: \[(\S*iframe-worker\S*)\]", SETTINGS)
+    assert "window.Worker=" in (DOCS / shim).read_text("utf-8")
+
+
 def test_the_reference_is_of_the_public_names():
     named = re.findall(r"(?m)^::: clsplat\.(\w+)$", page("api.md"))
     assert sorted(named) == sorted(clsplat.__all__)
