@@ -47,8 +47,7 @@ class View:
     quarter_turns : how many clockwise quarter turns show the photo upright, by its EXIF.
     weighed : whether a training may leave out pixels of the photo (training/robust.py).
     visits : how often a training visits it, in proportion to others.
-    levels : the samples of 16 bits that become black and white (io/levels.py); None: the least and
-        the greatest.
+    levels : the 16-bit samples that become black and white (io/levels.py); None: 0 and 65535.
     """
 
     name: str
@@ -183,7 +182,6 @@ class Scene:
         clsplat.ClsplatError : if it is not a scene, or is damaged; one line with the cure.
         """
         from clsplat.io.scenes import read_scene
-
         return read_scene(Path(path).absolute(), images)  # also if the current folder changes
 
     @cached_property
