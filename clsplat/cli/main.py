@@ -79,7 +79,6 @@ class Reporting(SectionedGroup):
             except SystemExit as end:  # click exits with 1 for a pipe that its reader closed
                 return 128 + SIGPIPE if end.code == 1 else end.code
 
-
     def _keeps(self, arguments: list[str]) -> bool:
         """Whether the command that the arguments name goes on from what it saved."""
         named = (self.commands[word] for word in arguments if word in self.commands)
