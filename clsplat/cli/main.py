@@ -126,7 +126,7 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
 
 
 def no_files_left(error: BaseException | None) -> bool:
-    """Whether an exception came of one that says that no further file can be opened."""
+    """Whether an exception came of one for which no further file can be opened."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
             return True

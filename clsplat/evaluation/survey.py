@@ -70,7 +70,7 @@ class Survey:
     ground : float64[M, 2], a part of the points on the map.
     record : sfm.json, {} if the scene was not made by `clsplat sfm`.
     georeference : of the scene; None: its units are unknown.
-    overlap : None where the photos were not taken from above.
+    overlap : None if the photos were not taken from above.
     pixel : map units on the ground, the size of a pixel of the photos, median; None: unknown.
     height : map units, the median distance of the points from the photos that show them.
     """
@@ -212,7 +212,7 @@ def spreads(residuals: Sequence[Residual]) -> dict[str, AxisError]:
 
 
 def missing_photos(record: Mapping[str, Any]) -> dict[str, str]:
-    """Names of the photos that sfm.json says were not registered, and why."""
+    """Names of the photos that were not registered, by sfm.json, and why."""
     missing = record.get("not_registered")
     return {str(name): str(why) for name, why in missing.items()} if isinstance(
         missing, dict) else {}

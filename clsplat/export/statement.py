@@ -1,4 +1,4 @@
-"""What a map says of its own exactness, in its record, the tags of its files and its last lines."""
+"""How exact a map is, in its record, the tags of its files and its last lines."""
 
 from __future__ import annotations
 

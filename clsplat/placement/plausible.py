@@ -27,7 +27,7 @@ LINE = 0.03  # of the size: positions that are all nearer to a line fit their mi
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """What positions may be instead of what they say.
+    """What positions may be instead.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Guess:
 
 
 class Implausible(ValueError):
-    """Positions that place a reconstruction nowhere, or as it cannot be; says why."""
+    """Positions that place a reconstruction nowhere, or as it cannot be; its text is the reason."""
 
 
 def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,

@@ -136,8 +136,8 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     target = np.array([0.0, -1.0, 0.0])
     rotation = rotation_to(_vertical(*_content(reconstruction), metadata, None).up, target)
     reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
-    said = (f"not georeferenced: {why}",)
-    return Placed(None, target, said, () if why.expected else said)
+    notes = (f"not georeferenced: {why}",)
+    return Placed(None, target, notes, () if why.expected else notes)
 
 
 def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArray[np.float64]]:
