@@ -98,7 +98,7 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     reconstruction.transform(pycolmap.Sim3d(
         similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation))
     level = ([] if result.levelled_by_heights else
-             ["heights do not tell which way is up; the "
+             ["heights do not show which way is up; the "
               f"{'cameras' if known_up.degrees == CAMERA_DEGREES else 'gimbals'} do"])
     if control:
         used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
@@ -193,7 +193,7 @@ def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
                      f"{_control_residuals(parts[CHECK])}")
     elif adjusted:
         notes.append("no check points: the residual of points to which the scene was adjusted does "
-                     "not tell its error; leave some out with --check-point NAME")
+                     "not show its error; leave some out with --check-point NAME")
     judged = parts[CHECK] or parts[CONTROL]
     ground = _rms([(each.east, each.north) for each in judged])
     return source, ground, notes, residual_doubts(
