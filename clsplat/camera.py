@@ -52,7 +52,8 @@ class Camera:
         """Raise a ClsplatError if no picture can be drawn with these numbers."""
         for name in ("width", "height"):
             side = getattr(self, name)
-            if not (isinstance(side, (int, np.integer)) and 0 < side <= MOST_PIXELS):
+            if isinstance(side, bool) or not (
+                    isinstance(side, (int, np.integer)) and 0 < side <= MOST_PIXELS):
                 raise InputError(f"{name} {side!r}: expects a whole number of pixels from 1 to "
                                  f"{MOST_PIXELS:,}")
         for name, shape in (("focal", (2,)), ("centre", (2,)), ("rotation", (3, 3)),

@@ -37,12 +37,13 @@ class Residual:
 
 @dataclass(frozen=True)
 class AxisError:
-    """Residuals along one axis, metres: their mean, the standard deviation about it, and the root
-    mean square."""
+    """Residuals along one direction, metres: their mean, the standard deviation about it, the root
+    mean square, and the distance within which 90 % of them are; two are None along the ground."""
 
-    mean: float
-    sigma: float
+    mean: float | None
+    sigma: float | None
     rms: float
+    most: float
 
 
 @dataclass(frozen=True)
@@ -109,5 +110,6 @@ def axis_errors(residuals: Iterable[Residual]) -> dict[str, AxisError]:
                            if (value := getattr(each, axis)) is not None], np.float64)
         if len(values):
             result[axis] = AxisError(*(round(float(number), 4) for number in (
-                values.mean(), values.std(), np.sqrt(np.mean(values**2)))))
+                values.mean(), values.std(), np.sqrt(np.mean(values**2)),
+                np.quantile(np.abs(values), 0.9))))
     return result

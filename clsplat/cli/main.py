@@ -79,7 +79,6 @@ class Reporting(SectionedGroup):
             except SystemExit as end:  # click exits with 1 for a pipe that its reader closed
                 return 128 + SIGPIPE if end.code == 1 else end.code
 
-
     def _keeps(self, arguments: list[str]) -> bool:
         """Whether the command that the arguments name goes on from what it saved."""
         named = (self.commands[word] for word in arguments if word in self.commands)
@@ -127,7 +126,7 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
 
 
 def no_files_left(error: BaseException | None) -> bool:
-    """Whether an exception came of one that says that no further file can be opened."""
+    """Whether an exception came of one for which no further file can be opened."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
             return True

@@ -1,5 +1,5 @@
 """The progress line of a command: its current phase, its progress, and the time that is left, or
-that has passed where nothing foretells the end."""
+that has passed if the end is unknown."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Progress(SilentProgress):
         self._rate = 0.0
         self._phase = self._what = ""  # as it is shown, and without numbers
         self._began = 0.0  # when the phase began
-        self._ends: float | None = None  # when it will end; None: nobody knows
+        self._ends: float | None = None  # when it will end; None: unknown
         self._numbers: list[tuple[int, str]] = []
         self._lock = threading.RLock()  # of all above
         self._ended = threading.Event()
@@ -154,7 +154,7 @@ class Progress(SilentProgress):
         return [(0, self._titled()), *before, *([(2, passed)] if passed else []), *after]
 
     def _time(self) -> str:
-        """The time that is left or, where nothing foretells it or it is over, that has passed."""
+        """The time that is left or, if that is unknown or over, that has passed."""
         now = time.monotonic()
         if self._ends is not None and now < self._ends + TICK_SECONDS:
             return f"{clock(self._ends - now)} left"

@@ -100,7 +100,7 @@ def ending(output: Path) -> list[str]:
     """The last lines of a training: warnings of its place, and what can be done with the result."""
     from clsplat.io.run import REPORT, RunFolder
     known = RunFolder(output).georeference()
-    warnings = [f"warning: {text}" for text in getattr(known, "warnings", ())]
+    warnings = [f"warning: {text}" for text in known.warnings] if known else []
     report = [f"report:  {output / REPORT}"] if (output / REPORT).is_file() else []
     page = output.parent / f"{output.resolve().name}.html"
     folder, page_file = (shlex.quote(str(path)) for path in (output, page))

@@ -16,7 +16,7 @@ LOST = "lost"  # the worker has disappeared, or was stopped
 
 # exit codes of children
 INPUT, LOCKED, INTERRUPTED, TERMINATED = 2, 75, 130, 143
-QUIET_SECONDS = 600  # after which a warning says so, and then as often again
+QUIET_SECONDS = 600  # until a warning, and between two
 HANG_SECONDS = 3600  # without a change in its folder, after which a child is ended
 LOG = "log.txt"  # in the task's folder: the output of all tries in child processes
 GRACE_SECONDS = 120  # for an interrupted child to save its state

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt
 
-from clsplat.georeference import Georeference
+from clsplat.georeference import AxisError, Georeference, Residual, axis_errors
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
 from clsplat.partition.region import map_axes
@@ -70,7 +70,7 @@ class Survey:
     ground : float64[M, 2], a part of the points on the map.
     record : sfm.json, {} if the scene was not made by `clsplat sfm`.
     georeference : of the scene; None: its units are unknown.
-    overlap : None where the photos were not taken from above.
+    overlap : None if the photos were not taken from above.
     pixel : map units on the ground, the size of a pixel of the photos, median; None: unknown.
     height : map units, the median distance of the points from the photos that show them.
     """
@@ -93,14 +93,14 @@ class Survey:
     def size(self) -> float:
         """How far the measured places or, if that is not recorded, the cameras extend, map units;
         0: unknown."""
-        recorded: float = getattr(self.georeference, "size", 0.0)
         extent = float(np.linalg.norm(np.ptp(self.cameras, axis=0)))
-        return recorded or (extent if np.isfinite(extent) else 0.0)
+        return (self.georeference and self.georeference.size) or (
+            extent if np.isfinite(extent) else 0.0)
 
     @property
-    def residuals(self) -> tuple[Any, ...]:
-        """The residual of each measured place, see `Georeference`; () of an older scene."""
-        return tuple(getattr(self.georeference, "residuals", ()))
+    def residuals(self) -> tuple[Residual, ...]:
+        """The residual of each measured place, if they are recorded."""
+        return self.georeference.residuals if self.georeference else ()
 
     @property
     def camera_residuals(self) -> NDArray[np.float64]:
@@ -127,7 +127,7 @@ def survey_of(scene: Scene) -> Survey:
     points = points[np.isfinite(points).all(axis=1)]
     cameras = placed(np.array([view.camera.position for view in scene.views]))
     ground = placed(points)
-    distances, pixels = _sizes(scene, points)
+    distances, pixels = ground_samples(scene, points)
     above = len(points) and np.median(cameras[:, 2]) > np.quantile(ground[:, 2], ABOVE)
     return Survey(
         tuple(view.name for view in scene.views), cameras[:, :2], ground[:, :2],
@@ -145,9 +145,14 @@ def _read_record(folder: Path) -> dict[str, Any]:
         return {}
 
 
-def _sizes(scene: Scene, points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
-    """The median depth of the points in each photo, and the size of its pixel there, local
-    units."""
+def ground_samples(scene: Scene, points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+    """The median depth of some points in each of at most MOST_MEASURED or twice as many photos that
+    show any, and the size of a pixel there, local units.
+
+    Parameters
+    ----------
+    points : float64[N, 3], local coordinates.
+    """
     depths, pixels = [], []
     for view in scene.views[::max(1, len(scene.views) // MOST_MEASURED)]:
         seen = points[view.sees(points)]
@@ -191,42 +196,23 @@ def _overlap(scene: Scene, ground: NDArray[np.float64], axes: NDArray[np.float64
     return Overlap(counts, (west, west + size * columns, south, south + size * rows), size**2)
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Residuals along one direction: mean, standard deviation, root mean square (RMS), and the
-    distance within which 90 % of them are, metres."""
-
-    mean: float | None
-    sigma: float | None
-    rms: float
-    most: float
-
-
-def spreads(residuals: Sequence[Any]) -> dict[str, Spread]:
-    """The residuals by axis ("east", "north", "up") and "along the ground"; what is not known of
-    any place is missing.
+def spreads(residuals: Sequence[Residual]) -> dict[str, AxisError]:
+    """As `axis_errors`, and "along the ground".
 
     Parameters
     ----------
-    residuals : of measured places, see `Georeference`.
+    residuals : of measured places.
     """
-    result: dict[str, Spread] = {}
-    for axis in ("east", "north", "up"):
-        values = np.array([value for each in residuals
-                           if (value := getattr(each, axis)) is not None], np.float64)
-        if len(values):
-            result[axis] = Spread(float(values.mean()), float(values.std()),
-                                  float(np.sqrt(np.mean(values**2))),
-                                  float(np.quantile(np.abs(values), 0.9)))
+    result = axis_errors(residuals)
     if result:
         along = np.array([np.hypot(each.east, each.north) for each in residuals])
-        result["along the ground"] = Spread(None, None, float(np.sqrt(np.mean(along**2))),
-                                            float(np.quantile(along, 0.9)))
+        result["along the ground"] = AxisError(None, None, float(np.sqrt(np.mean(along**2))),
+                                               float(np.quantile(along, 0.9)))
     return result
 
 
 def missing_photos(record: Mapping[str, Any]) -> dict[str, str]:
-    """Names of the photos that sfm.json says were not registered, and why."""
+    """Names of the photos that were not registered, by sfm.json, and why."""
     missing = record.get("not_registered")
     return {str(name): str(why) for name, why in missing.items()} if isinstance(
         missing, dict) else {}

@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
+from clsplat.evaluation.survey import ground_samples
 from clsplat.export.reprojection import Reprojection
 from clsplat.partition.frame import ground_axes
 from clsplat.partition.region import map_axes as horizontal_axes
-from clsplat.scene import Scene, View
+from clsplat.scene import Scene
 
 TILE = 512  # pixels of a side, both of GeoTIFF's tiles and of a frame
 LARGEST_SIDE = 1 << 17  # pixels of a map
@@ -183,16 +184,7 @@ def map_axes(scene: Scene) -> NDArray[np.float64]:
 def ground_resolution(scene: Scene) -> float:
     """The size of a photo's pixel at the points that it shows, map units, to two digits: the
     median over views."""
-    sizes = [_pixel_size(view, scene.points) for view in scene.views]
-    known = [size for size in sizes if size > 0]
-    if not known:
+    _, sizes = ground_samples(scene, scene.points)
+    if not sizes:
         raise InputError(f"{scene.name}: no photo shows a point; give --resolution")
-    return float(f"{scene.unit * np.median(known):.2g}")
-
-
-def _pixel_size(view: View, points: NDArray[np.float64]) -> float:
-    seen = view.sees(points)
-    if not seen.any():
-        return 0.0
-    depths = view.camera.project(points[seen])[1]
-    return float(np.median(depths)) / view.camera.focal[0]
+    return float(f"{scene.unit * np.median(sizes):.2g}")

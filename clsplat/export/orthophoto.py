@@ -53,7 +53,7 @@ class MapPainter:
     device : an open device.
     run : finished.
     grid : of the map.
-    scene : its cameras say which places the photos show.
+    scene : its cameras show which places the photos cover.
     """
 
     def __init__(self, device: Device, run: Run, grid: MapGrid, scene: Scene) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clsplat.errors import InputError
-from clsplat.io.georeference.crs import SHOWN, map_crs, on_ground, vertical_part
+from clsplat.io.georeference.crs import SHOWN, heights_of, map_crs, on_ground
 from clsplat.io.reason import clean
 
 
@@ -42,7 +42,7 @@ def reprojection_of(own: str, wanted: str) -> Reprojection | None:
         another vertical part than the scene's, as heights are not converted.
     """
     crs = map_crs(wanted)
-    vertical, known = vertical_part(crs), vertical_part(own)
+    vertical, known = heights_of(crs).name, heights_of(own).name
     if vertical and vertical != known:
         raise InputError(f"--crs {clean(wanted)[:SHOWN]}: its heights count from {vertical}, those "
                          f"of the scene from {known or 'what its georeference does not name'}, and "

@@ -1,4 +1,4 @@
-"""What a map says of its own exactness, in its record, the tags of its files and its last lines."""
+"""How exact a map is, in its record, the tags of its files and its last lines."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from clsplat.export.map_grid import ground_resolution
-from clsplat.georeference import Georeference
-from clsplat.io.georeference.crs import vertical_part
+from clsplat.georeference import AXES, CHECK, CONTROL, Georeference
+from clsplat.io.georeference.crs import heights_of
+from clsplat.partition.region import map_axes
+from clsplat.placement.plausible import recorded_doubts
 from clsplat.scene import Scene
 
-MOST_RESIDUAL = 0.03  # of the flight
-AXES = ("east", "north", "up")
-ROLES = ("check", "control")  # points that were left out of the adjustment say more
+ROLES = (CHECK, CONTROL)
 
 
 def stated(scene: Scene, crs: str | None, place: Georeference | None) -> dict[str, Any]:
@@ -23,28 +23,15 @@ def stated(scene: Scene, crs: str | None, place: Georeference | None) -> dict[st
     result: dict[str, Any] = {"ground_sampling_distance": ground_resolution(scene)}
     if place is None or crs is None:
         return result
-    # files of older versions lack most of these
     errors = {role: {axis: error.rms for axis, error in place.errors(role).items()}
-              for role in ROLES} if hasattr(place, "errors") else {}
-    return {**result, "vertical_reference": getattr(place, "vertical", "") or vertical_part(
-        place.crs) or "unknown",
+              for role in ROLES}
+    flight = scene.unit * float(np.linalg.norm(np.ptp(
+        [view.camera.position @ map_axes(scene.up).T for view in scene.views], axis=0)))
+    return {**result,
+            "vertical_reference": place.vertical or heights_of(place.crs).name or "unknown",
             "georeference": {"source": place.source, "residual": place.residual,
                              "residuals_rms": {role: axes for role, axes in errors.items() if axes},
-                             "warnings": _warnings(scene, place)}}
-
-
-def _warnings(scene: Scene, place: Georeference) -> list[str]:
-    """Those of the georeference; a file of an older version, without a size, is judged by the
-    flight."""
-    warnings = list(getattr(place, "warnings", ()))
-    if warnings or getattr(place, "size", None) or not scene.views:
-        return warnings
-    flight = scene.unit * float(np.linalg.norm(np.ptp(
-        [view.camera.position for view in scene.views], axis=0)))
-    if place.residual <= MOST_RESIDUAL * flight:
-        return []
-    return [f"the residual of the georeference, {place.residual:.2f} m, is large for a flight of "
-            f"{flight:.3g} m; check its source before distances and places are trusted"]
+                             "warnings": list(recorded_doubts(place, flight))}}
 
 
 def tags_of(statement: dict[str, Any]) -> dict[str, str]:

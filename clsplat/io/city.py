@@ -279,9 +279,9 @@ class BlockFolder:
         return digest_of(self.initial)
 
     def check_own(self, model: Path) -> None:
-        """InputError for a PLY of another block's training; one of an earlier version does not
-        record whose it is."""
-        if (start := start_of(model)) and start != self.start():
+        """InputError for a PLY of another block's training. One of an earlier version does not
+        record whose it is, and without `initial` there is nothing to compare with."""
+        if (start := start_of(model)) and self.start() not in ("", start):
             raise InputError(f"{model}: is of another block, partition or city than {self.path}, "
                              f"as its training did not begin at {self.initial}; put the block's "
                              f"own there, or remove {self.run}, and run `clsplat city` again")

@@ -9,14 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.colmap_binary import read_binary
-from clsplat.io.colmap_format import (
-    PARTS,
-    PINHOLES,
-    Camera,
-    Image,
-    Points,
-    places_within,
-)
+from clsplat.io.colmap_format import PARTS, PINHOLES, Camera, Image, Points, places_within
 from clsplat.io.colmap_text import read_text
 from clsplat.io.lenses import undistorted_model
 

@@ -88,7 +88,7 @@ def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | N
 
     Parameters
     ----------
-    crs : to which the points are converted, if the file says that it has another; None: its own.
+    crs : to which the points are converted, if the file names another; None: its own.
     """
     laspy = laspy_for(path)
     with reading(path, "a LAS or LAZ file"), open_regular(path) as file:

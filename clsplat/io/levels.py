@@ -46,7 +46,7 @@ def is_deep(source: Path) -> bool:
 
 
 def levels_note(levels: Sequence[Levels | None]) -> str:
-    """What a user is told of photos that are stretched; "" if none is."""
+    """A line for the user on photos that are stretched; "" if none is."""
     known = [each for each in levels if each]
     if not known:
         return ""

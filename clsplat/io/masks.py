@@ -24,7 +24,7 @@ LEAST_BRIGHT = 128  # of 255, of pixels that count
 
 
 def with_masks(scene: Scene, folder: Path) -> Scene:
-    """The scene with the masks that its folder has for its photos, and a note that says so."""
+    """The scene with the masks that its folder has for its photos, and a note."""
     folders = mask_folders(folder)
     files = MaskFiles(folders)
     views = tuple(view if view.mask is not None else replace(view, mask=files.of(

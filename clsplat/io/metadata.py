@@ -52,7 +52,7 @@ class PhotoMetadata:
     calibration : by the maker, for photos whose distortion is not corrected.
     latitude, longitude : degrees, WGS 84, positive to the north and east; both or neither.
     altitude : metres above sea level; often wrong by tens of metres, or above something else.
-    above_ellipsoid : whether the file says that the altitude is above the ellipsoid.
+    above_ellipsoid : whether the altitude is above the ellipsoid, by the file.
     void : whether the receiver marked the position as void.
     gps_std : standard deviations to the east, to the north and up, metres (RTK of DJI, or Pix4D's
         tags, which other makers use).

@@ -28,7 +28,7 @@ class Format:
     Attributes
     ----------
     what : what it is, in a few words.
-    read : called with the path and the offset of `read_model`, and where it has map coordinates
+    read : called with the path and the offset of `read_model`, and if it has map coordinates
         with the CRS of the scene.
     write : called with the path, the gaussians and the notes of `write_model`.
     harmonics : whether it holds spherical harmonics above the constant.

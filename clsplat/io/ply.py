@@ -166,7 +166,7 @@ def gaussians_of(path: str | Path, element: plyfile.PlyElement, comments: Iterab
 
 
 def start_comment(digest: str) -> tuple[str, ...]:
-    """The comment that names the file from which a training began; none where there is no file."""
+    """The comment that names the file from which a training began; none without a file."""
     return (f"{START} {digest}",) if digest else ()
 
 

@@ -15,7 +15,7 @@ from clsplat.io.unpack import Bounded
 
 HEADER_BYTES, TABLE_AT = 32, struct.Struct("<16xI")
 ENTRY, EXTENSION = struct.Struct("<QQ"), struct.Struct("<II")  # sizes; kind and length
-# an extension of Adobe that says that the gaussians have other axes than the format's
+# an extension of Adobe for gaussians with other axes than the format's
 OTHER_AXES = 0xADBE0003
 CURE = "`pip install zstandard`"
 
@@ -55,7 +55,7 @@ def streams(data: bytes, number: int, sizes: Sequence[int], extended: bool) -> l
 
 
 def check_extensions(data: bytes) -> None:
-    """ValueError if extensions are damaged, or say that the gaussians have other axes."""
+    """ValueError if extensions are damaged, or stand for other axes."""
     while data:
         if len(data) < EXTENSION.size:
             raise ValueError("its extensions are cut short")

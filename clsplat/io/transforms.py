@@ -91,7 +91,7 @@ def _posed_photos(path: Path, table: Mapping[str, Any], held_out: bool) -> list[
 def _own(table: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, Any]:
     """The values of a frame, and those of the table that these leave open.
 
-    A focal length and an angle of view say the same, as do the two ways to name a fisheye: where
+    A focal length and an angle of view mean the same, as do the two ways to name a fisheye: if
     the frame has one, the table's other one does not count. The table's y belongs to its x, and its
     coefficients to its camera model.
     """

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsplat.georeference import MOST_RESIDUAL
+from clsplat.georeference import MOST_RESIDUAL, Georeference
 from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, LEAST_POSITIONS, Alignment, aligned
 from clsplat.placement.up import Vertical
 
@@ -27,7 +27,7 @@ LINE = 0.03  # of the size: positions that are all nearer to a line fit their mi
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """What positions may be instead of what they say.
+    """What positions may be instead.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Guess:
 
 
 class Implausible(ValueError):
-    """Positions that place a reconstruction nowhere, or as it cannot be; says why."""
+    """Positions that place a reconstruction nowhere, or as it cannot be; its text is the reason."""
 
 
 def believed(places: ArrayLike, positions: ArrayLike, vertical: Vertical,
@@ -133,6 +133,14 @@ def residual_doubts(horizontal: float, vertical: float, size: float, size_of: st
                 (horizontal, "along the ground", "place, scale and directions are uncertain"),
                 (vertical, "in height", "do not rely on heights"))
             if np.isfinite(value) and value > MOST_RESIDUAL * size]
+
+
+def recorded_doubts(known: Georeference, flight: float) -> tuple[str, ...]:
+    """The warnings of a georeference. An older one has no size, and is judged by that of the
+    flight, metres."""
+    if known.size or not flight:
+        return known.warnings
+    return (*known.warnings, *residual_doubts(known.residual, 0.0, flight, "the flight"))
 
 
 def _miss(result: Alignment, heights_count: bool) -> float:

@@ -12,16 +12,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from clsplat.evaluation.survey import Survey, missing_photos, spreads, survey_of
+from clsplat.georeference import CHECK, CONTROL, LEFT_OUT
+from clsplat.placement.plausible import recorded_doubts
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import COLOURS, NARROW, WIDE
 from clsplat.report.page import Table, folded, headed, warning
 from clsplat.scene import Scene
 
 HEIGHTS = (3.0, 7.0)  # inches, of a map
-MOST_RESIDUAL = 0.03  # of the size of the flight; beyond it there is a warning
 MOST_ROWS = 60  # of a table; more points than these are named by no one
 SHOWN = 5  # names in a sentence
-ROLES = {"control": "which decided the place", "check": "which took no part"}
+ROLES = {CONTROL: "which decided the place", CHECK: "which took no part"}
 NOTE = ("From the measured place to that in the scene. 90 % within: along the ground it is called "
         "CE90, and up LE90.")
 LENGTHS = ((0.01, "mm", 1e3), (1.0, "cm", 1e2), (np.inf, "m", 1.0))  # below so many metres
@@ -51,18 +52,11 @@ def _section(survey: Survey) -> str:
 
 
 def warnings(survey: Survey) -> tuple[str, ...]:
-    """Sentences that the reader must not miss: those of the georeference and of `clsplat sfm`, or
-    what follows from the residual where an older version wrote it."""
+    """Sentences that the reader must not miss: those of the georeference and of `clsplat sfm`."""
     known, recorded = survey.georeference, survey.record.get("warnings")
-    said = (*getattr(known, "warnings", ()), *(recorded if isinstance(recorded, list) else ()))
-    found = tuple(dict.fromkeys(map(str, said)))
-    if found or known is None or not 0 < MOST_RESIDUAL * survey.size < known.residual:
-        return found
-    share = f"{100 * known.residual / survey.size:.0f} %"
-    return (f"the places of the scene and those that were measured differ by "
-            f"{length(known.residual)} along the ground (RMS), which is {share} of the size of the "
-            "flight: positions may be wrong by as much, and lengths and areas by this share. "
-            "Ground control points (`clsplat sfm --gcp`) help.",)
+    doubts = recorded_doubts(known, survey.size) if known else ()
+    return tuple(dict.fromkeys(map(str, (
+        *doubts, *(recorded if isinstance(recorded, list) else ())))))
 
 
 def facts_table(survey: Survey) -> Table:
@@ -77,10 +71,10 @@ def _facts(survey: Survey) -> Iterator[tuple[str, str]]:
     yield "photos used", f"{used:,} of {given:,}" if isinstance(given, int) else f"{used:,}"
     if known is not None:
         yield "georeference", f"{known.crs[:60]}, by the {known.source or 'files of the scene'}"
-        if vertical := getattr(known, "vertical", ""):
-            yield "heights", str(vertical)
+        if known.vertical:
+            yield "heights", known.vertical
         yield "residual", _residual(survey)
-        if left_out := [str(each.name) for each in survey.residuals if each.role == "left out"]:
+        if left_out := [each.name for each in survey.residuals if each.role == LEFT_OUT]:
             rest = f" and {len(left_out) - SHOWN} more" if len(left_out) > SHOWN else ""
             yield "left out", f"{', '.join(left_out[:SHOWN])}{rest}, which contradict the others"
         if survey.pixel:
@@ -127,7 +121,7 @@ def residuals_html(survey: Survey) -> str:
     if points:
         html += "<h3>Ground control points</h3>\n" + Table(
             "", ("name", "role", "east, m", "north, m", "up, m", "pixels"),
-            [(str(each.name), str(each.role), *map(_metres, (each.east, each.north, each.up)),
+            [(each.name, each.role, *map(_metres, (each.east, each.north, each.up)),
               f"{each.pixels:.1f}") for each in points[:MOST_ROWS]], range(2, 6),
             _more(len(points), "points", "georeference.json")).html()
     return html
@@ -208,7 +202,7 @@ def _draw_cameras(figure: Figure, axes: Axes, survey: Survey) -> None:
     axes.set_title("cameras, by their residual" if len(known) else "cameras")
     if len(known):
         figure.colorbar(dots, ax=axes, label="distance from the GPS, m", shrink=0.8)
-    left_out = {each.name for each in survey.residuals if each.role == "left out"}
+    left_out = {each.name for each in survey.residuals if each.role == LEFT_OUT}
     crossed = np.array([name in left_out for name in survey.names])
     if crossed.any():
         axes.plot(*survey.cameras[crossed].T, "x", color=COLOURS[1], markersize=8,

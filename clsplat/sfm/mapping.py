@@ -66,7 +66,7 @@ def map_photos(database: Path, cameras: Sequence[SourceCamera], photos: int, pro
         registered = itertools.count(3)  # the first call follows the first pair and one more
 
         def show() -> None:
-            number = next(registered)  # more than all where a second attempt follows
+            number = next(registered)  # more than all if a second attempt follows
             if number < photos:
                 progress.count("incremental mapping, photo", number, photos)
             else:

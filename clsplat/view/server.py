@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.camera import Camera
+from clsplat.camera import Camera, numbers
 from clsplat.errors import InputError
 from clsplat.io.images import encode_jpeg
 from clsplat.io.records import plain
@@ -244,20 +244,15 @@ def camera_of(text: bytes) -> Camera:
         record = json.loads(text)
         width, height = record["width"], record["height"]
         rotation, position, focal, centre = (
-            np.array(record[name], np.float64)
-            for name in ("rotation", "position", "focal", "centre"))
-    except (KeyError, TypeError, OverflowError, RecursionError) as error:
+            numbers(name, record[name], shape) for name, shape in (
+                ("rotation", (3, 3)), ("position", (3,)), ("focal", (2,)), ("centre", (2,))))
+        camera = Camera(width, height, (float(focal[0]), float(focal[1])),
+                        (float(centre[0]), float(centre[1])), rotation, -rotation @ position)
+        camera.check()
+    except (InputError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{error}") from None
-    if not all(type(side) is int and 0 < side <= LARGEST_SIDE for side in (width, height)) or (
-            width * height > LARGEST_FRAME):
+    if max(width, height) > LARGEST_SIDE or width * height > LARGEST_FRAME:
         raise ValueError("width and height are no size of a frame")
-    shapes = [array.shape for array in (rotation, position, focal, centre)]
-    numbers = np.concatenate([array.reshape(-1) for array in (rotation, position, focal, centre)])
-    if shapes != [(3, 3), (3,), (2,), (2,)] or not (np.abs(numbers) < FURTHEST).all():
-        raise ValueError("its numbers are too few, too many or too large")
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
-        raise ValueError("its rotation is none, or mirrors")
-    if not (focal >= LEAST_FOCAL).all():
-        raise ValueError("its focal length is none")
-    return Camera(width, height, (float(focal[0]), float(focal[1])),
-                  (float(centre[0]), float(centre[1])), rotation, -rotation @ position)
+    if focal.min() < LEAST_FOCAL or np.abs((*position, *centre, *focal)).max() >= FURTHEST:
+        raise ValueError("its numbers are too large or too small")
+    return camera

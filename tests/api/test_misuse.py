@@ -52,6 +52,7 @@ def test_other_real_numbers_and_no_gaussians_are_a_model():
 
 @pytest.mark.parametrize("changes, words", [
     ({"width": -5}, "width -5"), ({"width": 64.5}, "width 64.5"), ({"height": 0}, "height 0"),
+    ({"width": True}, "width True"),
     ({"width": 10**9}, "from 1 to 65,536"), ({"height": "a"}, "height 'a'"),
     ({"focal": (0.0, 0.0)}, "focal"), ({"focal": (NAN, 9.0)}, "focal"),
     ({"focal": (9.0, 1e-300)}, "focal"), ({"focal": 9.0}, "focal 9.0: expects 2 finite numbers"),

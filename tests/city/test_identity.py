@@ -122,6 +122,11 @@ def test_a_block_that_fits_another_partition_too_is_taken(city, scene, tmp_path)
     merge(city, scene).check()
 
 
+def test_a_model_is_taken_without_the_points_at_which_it_began(city, scene):
+    city.block(0).initial.unlink()
+    merge(city, scene).check()
+
+
 def test_surroundings_of_another_block_are_refused(city, scene):
     first, second = city.blocks()
     write_ply(second.around, Gaussians.from_points(scene.points, scene.colours, 0), scene.offset,

@@ -8,8 +8,8 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.io.scenes import read_scene
-from tests.cases import CASES, needs_cases
 from tests.data.survey import CRS, Survey
+from tests.io.shared_cases import CASES, needs_cases
 
 
 def georeference(*words):

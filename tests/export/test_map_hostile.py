@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
 from clsplat.export.statement import stated
+from clsplat.georeference import Residual
 from tests.data import ground_model as made
 from tests.export.test_map import run_of
 
@@ -120,15 +121,11 @@ def test_a_scene_with_a_vertical_part(mapped, wanted):
 
 @pytest.mark.slow
 def test_a_georeference_with_residuals_by_axis_and_a_warning(mapped):
-    class Known(type(made.UTM)):
-        vertical = "EGM96 height (EPSG:5773)"
-        warnings = ["the residual is 9 % of the flight's size: check the GPS"]
-
-        def errors(self, role):
-            axis = type("AxisError", (), {"rms": 0.25})
-            return {"east": axis, "north": axis} if role == "check" else {}
-    folder, result = mapped(["--resolution", "0.5", "--no-points"],
-                            Known(**dataclasses.asdict(made.UTM)))
+    known = dataclasses.replace(
+        made.UTM, vertical="EGM96 height (EPSG:5773)",
+        warnings=("the residual is 9 % of the flight's size: check the GPS",),
+        residuals=tuple(Residual(str(sign), "check", sign * 0.25, 0.25, None) for sign in (-1, 1)))
+    folder, result = mapped(["--resolution", "0.5", "--no-points"], known)
     assert "check RMS: east 0.25 m, north 0.25 m" in result.output, result.output
     assert "warning: the residual is 9 %" in result.output
     assert json.loads((folder / "map.json").read_text())["georeference"]["residuals_rms"] == {
@@ -140,4 +137,4 @@ def test_a_large_residual_of_an_older_georeference_is_a_warning(residual, warned
     """The flight is 17 m long."""
     place = dataclasses.replace(made.UTM, residual=residual)
     found = stated(made.scene(place), place.crs, place)["georeference"]
-    assert any("large for a flight of 17 m" in text for text in found["warnings"]) == warned
+    assert any("of the size of the flight, 17 m" in text for text in found["warnings"]) == warned

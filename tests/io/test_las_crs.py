@@ -1,6 +1,7 @@
 """Points of laser scanners come into the scene from whatever CRS their file names."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ laspy = pytest.importorskip("laspy", reason="laspy is an extra: pip install 'cls
 pyproj = pytest.importorskip("pyproj", reason="pyproj is an extra: pip install 'clsplat[geo]'")
 PLACE = Georeference("EPSG:32755", (686696.0, 6090238.0, 100.0), "GPS", 0.1)
 POINTS = np.random.default_rng(0).uniform(0, 50, (40, 3))  # original coordinates
+COMPOUND = "EPSG:32755+5773"
 FOOT = 1200 / 3937
 
 
@@ -64,11 +66,12 @@ def test_files_of_another_crs_are_converted(tmp_path, crs, scale, suffix, caplog
     assert ("its points are converted from" in caplog.text) == (crs != "EPSG:32755+5773")
 
 
-@pytest.mark.parametrize("crs", ["EPSG:32755", None])
-@pytest.mark.parametrize("version", ["1.2", "1.4"])
-def test_files_of_the_scenes_crs_or_of_none_stay(tmp_path, crs, version, caplog):
+@pytest.mark.parametrize("version, crs, own", [
+    ("1.2", "EPSG:32755", PLACE.crs), ("1.2", None, PLACE.crs), ("1.4", "EPSG:32755", PLACE.crs),
+    ("1.4", None, PLACE.crs), ("1.4", "EPSG:32755", COMPOUND), ("1.4", COMPOUND, COMPOUND)])
+def test_files_of_the_scenes_crs_or_of_none_stay(tmp_path, version, crs, own, caplog):
     path = write(tmp_path / "a.las", POINTS + PLACE.offset, crs, version)
-    found = read_model(path, georeference=PLACE)
+    found = read_model(path, georeference=replace(PLACE, crs=own))
     assert np.abs(found.positions + found.offset - POINTS).max() < 0.01 and not caplog.records
     alone = read_model(write(tmp_path / "b.las", in_crs("EPSG:4326"), "EPSG:4326"))
     assert abs((alone.positions + alone.offset)[0, 0] - 149) < 1  # without a scene, its own

@@ -21,7 +21,6 @@ from tests.io.test_ply import UTM, equal, random_gaussians
 from tests.reference.project import harmonics
 
 POINTS = (".las", ".laz")
-EXACT = (".ply", ".glb")
 # largest errors of positions (share of the extent), log scales, rotations (radians), colours,
 # opacities and harmonics; a further entry: positions have steps of 0.2 median standard deviations
 BOUNDS = {

@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.evaluation import survey as survey_module
 from clsplat.evaluation.survey import spreads, survey_of
-from clsplat.georeference import Georeference
+from clsplat.georeference import Georeference, Residual
 from clsplat.report.run import renew_report, write_report
 from clsplat.report.survey import area, facts_table, length, survey_figure, survey_html, warnings
 from clsplat.scene import Scene, View
@@ -39,15 +38,14 @@ def flight(count=12, height=50.0, spacing=20.0, side=100.0, scale=1.0, names="{}
 
 
 def residual(name, role="control", pixels=None, east=0.3, north=0.4, up=1.2):
-    return SimpleNamespace(name=name, role=role, east=east, north=north, up=up, pixels=pixels)
+    return Residual(name, role, east, north, up, pixels)
 
 
 def measured(scene, residuals=(), said=(), size=0.0, vertical=""):
     """The scene with the fields that newer georeferences have."""
-    known = scene.georeference
-    return replace(scene, georeference=SimpleNamespace(
-        crs=known.crs, offset=known.offset, source=known.source, residual=known.residual,
-        residuals=tuple(residuals), warnings=tuple(said), size=size, vertical=vertical))
+    return replace(scene, georeference=replace(
+        scene.georeference, residuals=tuple(residuals), warnings=tuple(said), size=size,
+        vertical=vertical))
 
 
 def stored(scene, folder, record):
@@ -109,7 +107,8 @@ SCENES = {
     "older georeference": (flight, ("50 cm along the ground", "extends over 220 m"),
                            ("Warning", "Residuals:", "heights")),
     "large residual, older": (lambda: replace(flight(), georeference=replace(
-        flight().georeference, residual=17.0)), ("Warning: the places", "8 % of the size"), ()),
+        flight().georeference, residual=17.0)),
+        ("Warning: the residual of 17.00 m", "8 % of the size"), ()),
     "warnings": (lambda: measured(flight(), said=("x and y <exchanged>?",)),
                  ("Warning: x and y &lt;exchanged&gt;?",), ()),
     "residual not recorded": (lambda: replace(flight(), georeference=replace(

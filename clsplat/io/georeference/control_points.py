@@ -197,6 +197,6 @@ def _in_metres(path: Path, places: np.ndarray, own: str, crs: str | None
     if crs is None and not has_metres(own, str(path)):
         degrees = on_ground(flat, WGS84, metres)
         return *map_positions(degrees[:, 1], degrees[:, 0], degrees[:, 2]), heights.name, (*notes,)
-    # compound only where heights are in that unit
+    # compound only if heights are in that unit
     target = crs or (own if heights.metres == 1 else flat)
     return on_ground(flat, horizontal(target), metres), target, heights.name, (*notes,)

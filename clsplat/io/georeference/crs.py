@@ -106,15 +106,6 @@ def scene_crs(text: str) -> str:
     return crs
 
 
-def vertical_part(crs: str) -> str:
-    """The name of what heights of a CRS, as `normal_crs` returns it, count from; "": it has none.
-    """
-    if UTM_EPSG.fullmatch(crs) or crs == WGS84:
-        return ""
-    system = pyproj_crs(crs, "--crs")
-    return str(system.sub_crs_list[1].name) if system.is_compound else ""
-
-
 def project_crs(definition: str, north_first: bool = False) -> str:
     """The horizontal CRS of another program's project, as `normal_crs` returns it, if its first two
     coordinates are metres to the east and north; "" if it is another, or none that pyproj knows.
@@ -219,8 +210,7 @@ def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Pa
                  ) -> NDArray[np.float64] | None:
     """Points of a file in the CRS of a scene; None if they are in it already.
 
-    Heights become metres, above whatever they were measured from. They are in the unit of east and
-    north where the file's CRS has none for them, and in metres beside degrees.
+    Heights become metres, above whatever they were measured from.
 
     Parameters
     ----------
@@ -233,14 +223,14 @@ def cloud_on_map(system: Any, target: str, points: NDArray[np.float64], path: Pa
     ------
     InputError : a point has no coordinates in the target.
     """
-    axes = system.axis_info
-    flat = system.sub_crs_list[0] if system.is_compound else system.to_2d()
-    height = axes[2] if len(axes) > 2 else axes[0] if flat.is_projected else None
-    unit = height.unit_conversion_factor if height else 1.0
-    if unit == 1 and flat.equals(pyproj_crs(target, "the scene"), ignore_axis_order=True):
+    flat, unit = _flat(system), _heights(system).metres
+    own = _flat(pyproj_crs(target, "the scene"))
+    if unit == 1 and flat.equals(own, ignore_axis_order=True):
         return None
     convert = conversion(flat.to_wkt(), target, f"{path}: CRS")
     return np.column_stack([convert(points[:, :2]), unit * points[:, 2]])
+
+
 def outside(crs: str, points: ArrayLike) -> str:
     """Where the middle of map coordinates lies, if it is outside the area in which a CRS is used;
     "" if it is inside, or if the CRS has no such area.
@@ -276,8 +266,12 @@ def horizontal(crs: str) -> str:
     if UTM_EPSG.fullmatch(crs) or crs == WGS84:
         return crs
     system = pyproj_crs(crs, "CRS")
-    flat = system.sub_crs_list[0] if system.is_compound else system.to_2d()
+    flat = _flat(system)
     return normal_crs(flat.to_wkt()) if flat != system else crs
+
+
+def _flat(system: Any) -> Any:
+    return system.sub_crs_list[0] if system.is_compound else system.to_2d()
 
 
 @dataclass(frozen=True)
@@ -301,7 +295,10 @@ def heights_of(crs: str) -> Heights:
     """What the third coordinates of a CRS are, as `normal_crs` returns it."""
     if UTM_EPSG.fullmatch(crs) or crs == WGS84:
         return Heights("", 1.0, "metre")
-    system = pyproj_crs(crs, "CRS")
+    return _heights(pyproj_crs(crs, "CRS"))
+
+
+def _heights(system: Any) -> Heights:
     axes = system.axis_info
     if len(axes) > 2:
         name = (system.sub_crs_list[1].name if system.is_compound else

@@ -173,8 +173,9 @@ def require_near_gps(result: Alignment, images: Sequence[Any],
     degrees = np.array([(photo.latitude, photo.longitude) for _, photo in known], np.float64)
     gps, _ = map_positions(degrees[:, 0], degrees[:, 1], np.zeros(len(known)), horizontal(crs))
     away = result.similarity(np.array([image.projection_center() for image, _ in known])) - gps
-    distance = float(np.median(np.linalg.norm(away[:, :2], axis=1)))
-    if not distance <= FARTHEST:
+    # what the CRS cannot represent is on the other side of the earth
+    distance = float(np.median(np.nan_to_num(np.linalg.norm(away[:, :2], axis=1), nan=2e7)))
+    if distance > FARTHEST:
         raise NotGeoreferenced(
             f"--gcp: the ground control points place the photos {distance / 1000:.0f} km from "
             "their GPS: is it the right CRS, and are x and y exchanged?")

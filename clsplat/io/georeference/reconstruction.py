@@ -98,18 +98,17 @@ def place_reconstruction(reconstruction: pycolmap.Reconstruction,
     reconstruction.transform(pycolmap.Sim3d(
         similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation))
     level = ([] if result.levelled_by_heights else
-             ["heights do not tell which way is up; the "
+             ["heights do not show which way is up; the "
               f"{'cameras' if known_up.degrees == CAMERA_DEGREES else 'gimbals'} do"])
     if control:
         used = (adjust(reconstruction, used, offset, keep_focal) if adjusts else
                 [item for item, right in zip(used, result.used & result.used_heights) if right])
         found = residuals(reconstruction, located, used, offset)
-        source, residual, notes = _by_residuals(found, lost, adjusts)
-        warnings = [*_control_doubts(found, result.size),
-                    *position_doubts(result, measured.positions, known_up, True)]
+        source, residual, notes, warnings = _by_residuals(found, lost, adjusts, result.size)
+        warnings += position_doubts(result, measured.positions, known_up, True)
     else:
-        source, found, residual = _gps_source(measured, result), _missed(measured, result), \
-            result.horizontal
+        source, residual = _gps_source(measured, result), result.horizontal
+        found = _missed(measured, result)
         notes = [f"georeferenced by the {source}: {_residuals(result)}"]
         warnings = doubts(result, measured.positions, known_up, "the flight")
         if ground[2] < LOWEST_GROUND:
@@ -136,8 +135,8 @@ def turned(reconstruction: pycolmap.Reconstruction, metadata: Mapping[str, Photo
     target = np.array([0.0, -1.0, 0.0])
     rotation = rotation_to(_vertical(*_content(reconstruction), metadata, None).up, target)
     reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
-    said = (f"not georeferenced: {why}",)
-    return Placed(None, target, said, () if why.expected else said)
+    notes = (f"not georeferenced: {why}",)
+    return Placed(None, target, notes, () if why.expected else notes)
 
 
 def _content(reconstruction: pycolmap.Reconstruction) -> tuple[list[Any], NDArray[np.float64]]:
@@ -176,35 +175,29 @@ def _missed(measured: Measured, result: Alignment) -> tuple[Residual, ...]:
         if np.isfinite(east))
 
 
-def _control_doubts(found: Sequence[Residual], size: float) -> list[str]:
-    """Sentences on residuals of check points or, without any, of ground control points."""
-    judged = [each for each in found if each.role == CHECK] or [
-        each for each in found if each.role == CONTROL]
-    return residual_doubts(_rms([(each.east, each.north) for each in judged]),
-                           _rms([(each.up,) for each in judged]), size, "the surveyed area")
-
-
-def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool
-                  ) -> tuple[str, float, list[str]]:
+def _by_residuals(found: Sequence[Residual], lost: Sequence[str], adjusted: bool, size: float
+                  ) -> tuple[str, float, list[str], list[str]]:
     """The source of a georeference by ground control points, its residual, which is that of the
-    check points if there are any, and notes."""
+    check points if there are any, notes, and sentences on this residual."""
     parts = {role: [each for each in found if each.role == role]
              for role in (CONTROL, CHECK, LEFT_OUT)}
-    source = f"{len(parts['control'])} ground control points"
-    wrong = [each.name for each in parts["left out"]]
+    source = f"{len(parts[CONTROL])} ground control points"
+    wrong = [each.name for each in parts[LEFT_OUT]]
     for names, why in ((lost, "cannot be located in the photos"), (wrong, "contradict the others")):
         if names:
             source += f", without {listed(names)}, which {why}"
     notes = [f"{'adjusted to' if adjusted else 'georeferenced by'} {source}: "
-             f"{_control_residuals(parts['control'])}"]
-    if parts["check"]:
-        notes.append(f"{len(parts['check'])} check points, which took no part: "
-                     f"{_control_residuals(parts['check'])}")
+             f"{_control_residuals(parts[CONTROL])}"]
+    if parts[CHECK]:
+        notes.append(f"{len(parts[CHECK])} check points, which took no part: "
+                     f"{_control_residuals(parts[CHECK])}")
     elif adjusted:
         notes.append("no check points: the residual of points to which the scene was adjusted does "
-                     "not tell its error; leave some out with --check-point NAME")
-    judged = parts["check"] or parts["control"]
-    return source, _rms([(each.east, each.north) for each in judged]), notes
+                     "not show its error; leave some out with --check-point NAME")
+    judged = parts[CHECK] or parts[CONTROL]
+    ground = _rms([(each.east, each.north) for each in judged])
+    return source, ground, notes, residual_doubts(
+        ground, _rms([(each.up,) for each in judged]), size, "the surveyed area")
 
 
 def _control_residuals(items: Sequence[Residual]) -> str:
