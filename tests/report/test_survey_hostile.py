@@ -12,6 +12,7 @@ from clsplat.camera import Camera
 from clsplat.evaluation import survey as survey_module
 from clsplat.evaluation.survey import spreads, survey_of
 from clsplat.georeference import Georeference, Residual
+from clsplat.report import survey as section_module
 from clsplat.report.run import renew_report, write_report
 from clsplat.report.survey import area, facts_table, length, survey_figure, survey_html, warnings
 from clsplat.scene import Scene, View
@@ -153,9 +154,18 @@ SCENES = {
 }
 
 
+@pytest.fixture
+def sketched(monkeypatch):
+    """Figures are made, but not written, which takes most of the time of a section."""
+    def drawn(_, draw, *arguments):
+        return "<picture></picture>" if draw(*arguments) and draw(*arguments, narrow=True) else ""
+
+    monkeypatch.setattr(section_module, "drawn", drawn)
+
+
 @pytest.mark.one_in(6)
 @pytest.mark.parametrize("name", SCENES)
-def test_a_section_of_what_is_known(name):
+def test_a_section_of_what_is_known(name, sketched):
     make, words, lacking = SCENES[name]
     html = words_of(survey_html(make()))
     assert (html == "") is (words is None)
@@ -187,14 +197,13 @@ RECORDS = {  # sfm.json -> (words, words that are lacking)
 
 @pytest.mark.one_in(5)
 @pytest.mark.parametrize("name", RECORDS)
-def test_a_record_of_sfm_that_is_damaged_costs_no_page(name, tmp_path):
+def test_a_record_of_sfm_that_is_damaged_costs_no_page(name, tmp_path, sketched):
     record, words, lacking = RECORDS[name]
     html = words_of(survey_html(stored(flight(), tmp_path, record)))
     assert all(word in html for word in words) and not any(word in html for word in lacking)
 
 
-@pytest.mark.slow
-def test_a_record_that_is_a_folder_or_a_file_within_a_file(tmp_path):
+def test_a_record_that_is_a_folder_or_a_file_within_a_file(tmp_path, sketched):
     (tmp_path / "sfm.json").mkdir()
     packed = tmp_path / "scene.npz"
     packed.touch()
@@ -232,7 +241,7 @@ def test_areas_for_people(square, words):
     assert area(square) == words
 
 
-def test_a_survey_stands_between_pictures_and_scores(tmp_path):
+def test_a_survey_stands_between_pictures_and_scores(tmp_path, sketched):
     run = bare_run(tmp_path / "run")
     run.log({"event": "eval", "iteration": 9, "psnr": 21.0})
     html = write_report(run, pictures=pictures(), scene=flight()).read_text()
