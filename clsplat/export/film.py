@@ -41,7 +41,7 @@ SUFFIXES = (".mp4", ".mov", ".mkv", GIF)
 # that does not flicker have half the bytes of 256
 PALETTE = (("split", ""), ("palettegen", "stats_mode=single:max_colors=64"),
            ("paletteuse", "new=1:dither=bayer:bayer_scale=5"))
-QUALITY = "18"  # constant rate factor of H.264: hardly to be told from the frames
+QUALITY = "18"  # constant rate factor of H.264: hardly different from the frames
 LIMITED_RANGE = BT709 = 1  # numbers of ITU-T H.273, by which players find the colours
 Pixels = NDArray[np.uint8]  # [H, W, 3]
 
@@ -60,7 +60,7 @@ def frames(run: Run, scene: Scene, cameras: Iterable[Camera], device: Device,
     Parameters
     ----------
     run : the run.
-    scene : of the run; tells where the near plane is.
+    scene : of the run; from which the near plane follows.
     cameras : in original coordinates.
     device : an open device.
     streaming : draw the tree of the run in this way, which always draws all; None: its model.

@@ -83,7 +83,7 @@ def write_map(run: Run, scene: Scene, grid: MapGrid, crs: str | None, device: De
     """
     to_wgs84 = None if crs is None else Reprojection(crs, WGS84)
     if to_wgs84 and (points or interval != 0):
-        to_wgs84.to_map(np.empty((0, 3)))  # that pyproj is missing is told before the work
+        to_wgs84.to_map(np.empty((0, 3)))  # a missing pyproj is an error before the work
     if crs is not None:
         check_crs(crs)
     make_folder(folder)

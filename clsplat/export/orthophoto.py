@@ -20,7 +20,7 @@ from clsplat.scene import Scene
 
 MEDIAN, FIRST = 50, 90  # per cent of the light that still passes, at the depths that are drawn
 HOLE = 0.5  # of the light passes: the map has a hole there
-LEAST_VIEWS = 2  # photos that must show a place: one alone knows no height
+LEAST_VIEWS = 2  # photos that must show a place: one alone gives no height
 STEP = 16  # pixels between the places that are looked for in the photos
 SPECK = 3  # pixels: a median over so many squared removes single wrong heights
 FINENESS = 64  # heights are multiples of less than this part of a pixel, so that they compress well

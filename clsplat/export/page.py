@@ -26,6 +26,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.model_values import colours_of, opacities
 from clsplat.io.quantise import morton_order, smallest_three
+from clsplat.report.groups import full_name
 from clsplat.scene import NEAR_SHARE
 
 POSITION_STEPS = 2**24 - 1  # three bytes
@@ -60,15 +61,8 @@ def write_run_page(path: str | Path, run: Run, gaussians: Gaussians,
     """
     options = run.options
     write_page(path, gaussians, run.first_view, run.up, near=near_of(run),
-               title=title_of(run), antialiased=options.antialiased,
+               title=full_name(run.path, run.record), antialiased=options.antialiased,
                background=options.background, photos=photos)
-
-
-def title_of(run: Run) -> str:
-    """The title of a page: the name of the run's folder, and of the scene unless that is part of
-    it, since many folders are called run."""
-    name, scene = run.path.resolve().name, Path(str(run.record.get("scene", ""))).stem
-    return name if scene in name or name in scene else f"{scene}: {name}"
 
 
 def near_of(run: Run) -> float:

@@ -85,6 +85,19 @@ def scene_name(options: Mapping[str, Any]) -> str:
     return Path(options.get("scene_absolute") or options.get("scene") or "?").stem or "?"
 
 
+def full_name(run: Path, options: Mapping[str, Any]) -> str:
+    """The name of a run's folder after that of its scene, since many folders are called run; alone
+    if one is part of the other.
+
+    Parameters
+    ----------
+    run : the folder.
+    options : of its options.json.
+    """
+    name, scene = run.resolve().name, scene_name(options)
+    return name if scene in name or name in scene or scene == "?" else f"{scene}: {name}"
+
+
 def differing(runs: Sequence[Trained]) -> list[str]:
     """Those of KEYS in which the runs differ that use them."""
     return [key for key in KEYS if len({_plain(run, key) for run in runs if run.uses(key)}) > 1]

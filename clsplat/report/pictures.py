@@ -44,8 +44,8 @@ def _section(pictures: Pictures | None) -> str:
         which = "Photos that the training did not use, beside renders of the same views."
     else:
         title = "Training views"
-        which = ("No view is held out, so these photos were trained on, and say less about the "
-                 f"model than others would. They were chosen from {pictures.count}.")
+        which = ("No view is held out, so these photos were trained on, and are a weaker "
+                 f"test than others would be. They were chosen from {pictures.count}.")
     colours = ", ".join(f"rgb{colour}" for colour in COLOURS)
     return (f"<h2>{title}</h2>\n<p>{which} PSNR measures how similar the two are after the colour "
             f"fit. {EXPLAINED}</p>\n"

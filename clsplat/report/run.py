@@ -11,7 +11,7 @@ from clsplat.options import TrainOptions
 from clsplat.report.curves import Record
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import frequency_figure, score_figure, step_figure
-from clsplat.report.groups import scene_name
+from clsplat.report.groups import full_name
 from clsplat.report.page import Table, folded, headed, html_of, page
 from clsplat.report.pictures import pictures_html, with_pictures
 from clsplat.report.scores import main_psnr, number, score_table, with_quality
@@ -55,13 +55,8 @@ def write_report(run: RunFolder, *more: Table | str | None, pictures: Pictures |
         plan_table(records), level_table(records),
         folded("Options", option_table(options).html()),
         frequency and folded("Scene frequency", FREQUENCY + frequency))
-    return run.write_report(page(heading(scene_name(options), run.path.resolve().name),
-                                 lead(options, records), html_of(*parts), made=options))
-
-
-def heading(scene: str, run: str) -> str:
-    """The names of a scene and of its run, once if the second follows from the first."""
-    return run if scene in (run, f"{run}_scene", "?") else f"{scene}: {run}"
+    return run.write_report(page(full_name(run.path, options), lead(options, records),
+                                 html_of(*parts), made=options))
 
 
 def renew_report(run: RunFolder, pictures: Pictures,

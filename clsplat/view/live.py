@@ -11,11 +11,12 @@ from typing import Any, NoReturn
 from clsplat.device import Device
 from clsplat.evaluation.run import Run, shown
 from clsplat.evaluation.streamed import Streaming, open_tree
-from clsplat.export.page import filled, near_of, script_json, title_of, view_record
+from clsplat.export.page import filled, near_of, script_json, view_record
 from clsplat.export.prune import photos_of
 from clsplat.gaussians import Gaussians
 from clsplat.io.tree import Tree
 from clsplat.rendering.slabs import ModelRenderer, open_model
+from clsplat.report.groups import full_name
 from clsplat.scene import Scene
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
@@ -59,7 +60,8 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
         renderer, rows = open_model(device, model, near_of(run), options.antialiased,
                                     options.background)
     view = run.first_view.shifted(model.offset - run.first_view.offset)
-    page = live_page(title_of(run), view_record(view, run.up, positions, photos_of(run)))
+    page = live_page(full_name(run.path, run.record),
+                     view_record(view, run.up, positions, photos_of(run)))
     requests = FrameRequests()
     with ViewServer(page, requests, lambda: {"gaussians": model.count}, port) as server:
         opened(server.address)

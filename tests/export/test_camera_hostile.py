@@ -1,6 +1,5 @@
 """Cameras of films and pages over scenes of every kind: speed, turns, and where they look."""
 
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +7,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.export.camera_path import flight, interpolated
 from clsplat.export.overflight import auto
-from clsplat.export.page import title_of, view_record
+from clsplat.export.page import view_record
 from clsplat.export.prune import in_original, supported
 from clsplat.gaussians import Gaussians
 from clsplat.scene import Scene, View
@@ -202,13 +201,6 @@ def test_limits_are_finite_for_every_model(points):
     record = view_record(Camera.looking_at((0, 0, 0), (0, -10, 5)), UP, points)
     assert np.isfinite([record["ground"], record["reach"], *record["pitches"],
                         *record["middle"]]).all()
-
-
-@pytest.mark.parametrize("scene, run, title", [
-    ("../photos/dunes", "run", "dunes: run"), ("../run_scene", "run", "run"),
-    ("city.npz", "out/city_run", "city_run"), ("", "run", "run")])
-def test_a_title_names_the_scene(tmp_path, scene, run, title):
-    assert title_of(SimpleNamespace(path=tmp_path / run, record={"scene": scene})) == title
 
 
 def test_the_made_scene_is_flown_over():

@@ -26,8 +26,9 @@ from clsplat.report.curves import (
 )
 from clsplat.report.drawing import drawn, own_settings
 from clsplat.report.figures import score_figure, step_figure
+from clsplat.report.groups import full_name
 from clsplat.report.page import Table, page
-from clsplat.report.run import heading, lead, level_table, write_report
+from clsplat.report.run import lead, level_table, write_report
 from clsplat.report.scores import falls, score_table, with_quality
 from tests.data.made_runs import made_records, made_run
 
@@ -298,10 +299,10 @@ def test_a_number_and_a_word(psnr, shown):
 
 
 @pytest.mark.parametrize("scene, run, title", [
-    ("run", "run", "run"), ("cal_scene", "cal", "cal"), ("city", "cityrun", "city: cityrun"),
-    ("?", "cal", "cal")])
-def test_a_report_is_called_by_scene_and_run_but_not_twice(scene, run, title):
-    assert heading(scene, run) == title
+    ("run", "run", "run"), ("cal_scene", "cal", "cal"), ("", "cal", "cal"), (None, "cal", "cal"),
+    ("../photos/dunes", "run", "dunes: run"), ("city.npz", "out/city_run", "city_run")])
+def test_a_run_is_called_by_scene_and_run_but_not_twice(scene, run, title, tmp_path):
+    assert full_name(tmp_path / run, {"scene": scene}) == title
 
 
 @pytest.mark.parametrize("made, line", [
