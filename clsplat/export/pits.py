@@ -1,8 +1,8 @@
 """Heights that the light does not support, and small holes that are filled.
 
 Where the ground is thin, half of the light passes it and ends at stray gaussians far below, so that
-the median depth has a pit there. What distinguishes a pit from a true hole or a street between houses is
-where the first tenth of the light is held back: above a pit, on the ground; in a true hole, at its
+the median depth has a pit there. A pit differs from a true hole or a street between houses in where
+the first tenth of the light is held back: above a pit, on the ground; in a true hole, at its
 bottom.
 """
 
