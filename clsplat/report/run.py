@@ -98,8 +98,11 @@ def lead(options: Mapping[str, Any], records: Sequence[Record]) -> str:
     if scores:
         views, weight = scores[-1].get("views"), scores[-1].get("exposure_weight")
         tested = "held-out views" if views is None else f"{views} held-out view{'s' * (views != 1)}"
-        text += (f" PSNR on {tested}{'' if weight is None else ', after the colour fit'}: "
-                 f"{with_quality(main_psnr(scores[-1]))}.")
+        main, fitted = main_psnr(scores[-1]), scores[-1].get("psnr_cc")
+        text += f" PSNR on {tested}{'' if weight is None else ', after the colour fit'}: "
+        # of the fit are the scores beside the pictures, which are higher
+        text += with_quality(main) + ("." if fitted in (None, main) else
+                                      f", after the colour fit {fitted:.2f} dB.")
         if weight is not None:
             text += f" {PREDICTED.format(weight)}"
     return f"{text} Schedule {options.get('schedule', '?')}, seed {options.get('seed', '?')}."

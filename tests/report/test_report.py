@@ -179,7 +179,7 @@ def test_the_lead_says_what_was_trained():
                 "psnr_cc": 24.5, "psnr": 23.25, "views": 1}]
     assert lead(options, records) == (
         "A model of 12,345 gaussians, trained in 3 min 20 s (900 steps) on H100. PSNR on 1 "
-        "held-out view: 23.25 dB (fair). Schedule dash, seed 3.")
+        "held-out view: 23.25 dB (fair), after the colour fit 24.50 dB. Schedule dash, seed 3.")
     records[0]["exposure_weight"] = 0.25
     assert ("PSNR on 1 held-out view, after the colour fit: 24.50 dB (fair). Held-out views have "
             "an exposure") in lead(options, records)
