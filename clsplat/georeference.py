@@ -43,7 +43,7 @@ class AxisError:
     mean: float | None
     sigma: float | None
     rms: float
-    most: float
+    within_90: float
 
 
 @dataclass(frozen=True)

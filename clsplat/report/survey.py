@@ -109,7 +109,7 @@ def residuals_html(survey: Survey) -> str:
     html, note = "", [NOTE]
     for role, meaning in ROLES.items():
         group = [each for each in survey.residuals if each.role == role]
-        rows = [(axis, *(_metres(value) for value in (of.mean, of.sigma, of.rms, of.most)))
+        rows = [(axis, *(_metres(value) for value in (of.mean, of.sigma, of.rms, of.within_90)))
                 for axis, of in spreads(group).items()]
         if rows:
             kind = "GPS of photos" if group[0].pixels is None else "ground control points"

@@ -97,7 +97,7 @@ def test_residuals_by_axis():
     assert (found["east"].mean, found["east"].sigma, found["east"].rms) == (0, 3, 3)
     assert found["north"].mean == 4 and found["north"].sigma == 0
     assert found["up"].mean == found["up"].rms == 2  # of the one that is known
-    assert found["along the ground"].rms == found["along the ground"].most == 5
+    assert found["along the ground"].rms == found["along the ground"].within_90 == 5
     assert spreads([]) == {} and "up" not in spreads([residual("a", up=None)])
 
 
