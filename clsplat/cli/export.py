@@ -51,8 +51,6 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
     bits, and degrees of spherical harmonics that are zero everywhere are left out; of a page also
     gaussians at places that fewer than two photos show.
     """
-    import numpy as np
-
     from clsplat.cli.progress import Progress
     from clsplat.edit.harmonics import used_sh_degree
     from clsplat.edit.select import selected

@@ -46,7 +46,8 @@ def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool
     if shown.any() or not gaussians.count:
         return shown
     if shifted:
-        log.warning("no two photos show any of the %s gaussians, so all are kept", f"{len(shown):,}")
+        log.warning("no two photos show any of the %s gaussians, so all are kept",
+                    f"{gaussians.count:,}")
     return np.ones(gaussians.count, bool)
 
 

@@ -74,6 +74,10 @@ SURVEYS = {
     "tilted by 20 degrees": scene_of([Camera.looking_at((x + 29, y, 0), (x, y, 80))
                                       for x in (-50, 0, 50) for y in (-50, 0, 50)],
                                      ground(250, 250)),
+    "tilted by 40 degrees to every side": scene_of(
+        [Camera.looking_at((x - 67 * dx, y - 67 * dy, 0), (x, y, 80)) for x in (-60, 0, 60)
+         for y in (-60, 0, 60) for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1))],
+        ground(250, 250)),
 }
 OTHERS = {
     "inward ring": scene_of(ring(), ground(10, 10)),
