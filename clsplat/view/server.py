@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from clsplat.camera import Camera
+from clsplat.camera import Camera, numbers
 from clsplat.errors import InputError
 from clsplat.io.images import encode_jpeg
 from clsplat.io.records import plain
@@ -41,7 +41,7 @@ MOST_CONNECTIONS, SHARE_OF_FILES = 32, 0.25  # at once; or that share of the lim
 IDLE_SECONDS = 15  # without a byte of a request
 LONGEST_BODY = 4096  # bytes of a request
 LARGEST_SIDE, LARGEST_FRAME = 4096, 2560 * 1600  # pixels
-FURTHEST, LEAST_FOCAL = 1e9, 1e-3  # beyond these, a number in a request is a mistake
+FURTHEST = 1e9  # beyond it, a number in a request is a mistake
 HEADERS = {
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY",
@@ -185,7 +185,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             request = FrameRequest(camera_of(body), name == "depth")
-        except ValueError as error:
+        except (ValueError, InputError) as error:
             self._refuse(400, f"not a camera: {error}")
             return
         self.view.requests.add(request)
@@ -238,26 +238,22 @@ def camera_of(text: bytes) -> Camera:
 
     Raises
     ------
-    ValueError : for anything else, and for a frame that is too large.
+    ValueError, InputError : for anything else, and for a frame that is too large.
     """
     try:
         record = json.loads(text)
         width, height = record["width"], record["height"]
         rotation, position, focal, centre = (
-            np.array(record[name], np.float64)
-            for name in ("rotation", "position", "focal", "centre"))
-    except (KeyError, TypeError, OverflowError, RecursionError) as error:
+            numbers(name, record[name], shape) for name, shape in (
+                ("rotation", (3, 3)), ("position", (3,)), ("focal", (2,)), ("centre", (2,))))
+    except (KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{error}") from None
     if not all(type(side) is int and 0 < side <= LARGEST_SIDE for side in (width, height)) or (
             width * height > LARGEST_FRAME):
         raise ValueError("width and height are no size of a frame")
-    shapes = [array.shape for array in (rotation, position, focal, centre)]
-    numbers = np.concatenate([array.reshape(-1) for array in (rotation, position, focal, centre)])
-    if shapes != [(3, 3), (3,), (2,), (2,)] or not (np.abs(numbers) < FURTHEST).all():
-        raise ValueError("its numbers are too few, too many or too large")
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
-        raise ValueError("its rotation is none, or mirrors")
-    if not (focal >= LEAST_FOCAL).all():
-        raise ValueError("its focal length is none")
-    return Camera(width, height, (float(focal[0]), float(focal[1])),
-                  (float(centre[0]), float(centre[1])), rotation, -rotation @ position)
+    if max(np.abs(position).max(), np.abs(centre).max()) >= FURTHEST:
+        raise ValueError("its numbers are too large")
+    camera = Camera(width, height, (float(focal[0]), float(focal[1])),
+                    (float(centre[0]), float(centre[1])), rotation, -rotation @ position)
+    camera.check()
+    return camera
