@@ -51,8 +51,6 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
     bits, and degrees of spherical harmonics that are zero everywhere are left out; of a page also
     gaussians at places that fewer than two photos show.
     """
-    import numpy as np
-
     from clsplat.cli.progress import Progress
     from clsplat.edit.harmonics import used_sh_degree
     from clsplat.edit.select import selected
@@ -84,11 +82,12 @@ def export(run: Path, output: Path, overwrite: bool, upright: bool, plain_tiles:
             raise InputError(f"{source}: {what}, so nothing is left to write; train longer, or see "
                              "the report of the run")
         photos = photos_of(opened, scene) if is_page else []
-        seen = supported(gaussians, photos) if photos and not everything else np.ones_like(keep)
         if is_page and not photos:
             progress.message(f"{run}: its scene is not there, so gaussians that fewer than two "
                              "photos support are kept too; name it with --scene")
-        visible, keep = int(keep.sum()), keep & seen if (keep & seen).any() else keep
+        visible = int(keep.sum())
+        if photos and not everything:
+            keep[keep] = supported(selected(gaussians, keep), photos)
         progress.phase(f"writing {output}")
         if _is_plain_ply(output) and not upright:
             _copy(source, output, keep, degree, gaussians.sh_degree)

@@ -13,7 +13,7 @@ from clsplat.export.camera_path import Keys, flight
 from clsplat.export.orthophoto import LEAST_VIEWS, shown_by
 from clsplat.scene import Scene
 
-LOOKS_DOWN = 25.0  # degrees from the vertical, median of the photos
+LOOKS_DOWN = 45.0  # degrees from the vertical, median of the photos
 ELEVATION = 45.0  # degrees below the horizon, to which the film looks
 DEGREES = 50.0  # horizontal angle of view: a wider one would show what lies beyond the photos
 UPPER = 17.0  # degrees above the middle of the picture, which must still show covered ground

@@ -1,6 +1,7 @@
 """Smaller finished models: without invisible and unsupported gaussians, and unneeded spherical
 harmonics."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,8 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.model_values import opacities
 from clsplat.scene import Scene
 
+log = logging.getLogger(__name__)
+
 
 def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
     """[N]: whether a gaussian is visible at all.
@@ -31,7 +34,7 @@ def alive(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool_]:
     """[N]: whether at least LEAST_VIEWS photos show the place of a gaussian, hidden there or not,
-    as on a map; all if that holds for none.
+    as on a map; all, with a warning, if that holds for none.
 
     Parameters
     ----------
@@ -40,7 +43,12 @@ def supported(gaussians: Gaussians, photos: Sequence[Camera]) -> NDArray[np.bool
     """
     shifted = [camera.shifted(gaussians.offset - camera.offset) for camera in photos]
     shown = shown_by(shifted, gaussians.positions.astype(np.float64)) >= LEAST_VIEWS
-    return shown if shown.any() else np.ones(gaussians.count, bool)
+    if shown.any() or not gaussians.count:
+        return shown
+    if shifted:
+        log.warning("no two photos show any of the %s gaussians, so all are kept",
+                    f"{gaussians.count:,}")
+    return np.ones(gaussians.count, bool)
 
 
 def photos_of(run: Run, scene_path: Path | None = None) -> list[Camera]:

@@ -41,7 +41,7 @@ MOST_CONNECTIONS, SHARE_OF_FILES = 32, 0.25  # at once; or that share of the lim
 IDLE_SECONDS = 15  # without a byte of a request
 LONGEST_BODY = 4096  # bytes of a request
 LARGEST_SIDE, LARGEST_FRAME = 4096, 2560 * 1600  # pixels
-FURTHEST, LEAST_FOCAL = 1e9, 1e-3  # beyond these, a number in a request is a mistake
+FURTHEST = 1e9  # beyond it, a number in a request is a mistake
 HEADERS = {
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY",
@@ -185,7 +185,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             request = FrameRequest(camera_of(body), name == "depth")
-        except ValueError as error:
+        except (ValueError, InputError) as error:
             self._refuse(400, f"not a camera: {error}")
             return
         self.view.requests.add(request)
@@ -238,7 +238,7 @@ def camera_of(text: bytes) -> Camera:
 
     Raises
     ------
-    ValueError : for anything else, and for a frame that is too large.
+    ValueError, InputError : for anything else, and for a frame that is too large.
     """
     try:
         record = json.loads(text)

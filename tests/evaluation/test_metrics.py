@@ -58,7 +58,7 @@ def test_ssim_is_that_of_wang_et_al(photo):
 
 
 def test_an_image_smaller_than_the_window_is_refused():
-    with pytest.raises(InputError, match="40x10 pixels.*11x11.*--downscale"):
+    with pytest.raises(InputError, match="40x10 pixels.*11x11.*--downscale.*--max-resol"):
         ssim(np.zeros((10, 40, 3)), np.zeros((10, 40, 3)))
 
 

@@ -54,6 +54,13 @@ def test_the_scene_is_as_it_was_trained_on(run, scene):
     assert run.scene(whole=True).views[0].camera.width == whole.width
 
 
+def test_without_held_out_views_the_word_none_is_named(run, scene):
+    run.folder.write_options({"scene": CITY, "fingerprint": fingerprint(scene),
+                              **dataclasses.asdict(resolve({}, {**OPTIONS, "test_every": 0}))})
+    with pytest.raises(InputError, match=r"no held-out views \(--test-every none\); nothing"):
+        evaluate_run(Run.open(run.path), None, save_images=False)
+
+
 @pytest.mark.slow
 def test_held_out_views_have_an_exposure_that_training_photos_tell(run, item_device):
     """And their lens's vignetting; a report and `eval` state it."""

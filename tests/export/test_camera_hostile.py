@@ -73,6 +73,10 @@ SURVEYS = {
     "tilted by 20 degrees": scene_of([Camera.looking_at((x + 29, y, 0), (x, y, 80))
                                       for x in (-50, 0, 50) for y in (-50, 0, 50)],
                                      ground(250, 250)),
+    "tilted by 40 degrees to every side": scene_of(
+        [Camera.looking_at((x - 67 * dx, y - 67 * dy, 0), (x, y, 80)) for x in (-60, 0, 60)
+         for y in (-60, 0, 60) for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1))],
+        ground(250, 250)),
 }
 OTHERS = {
     "inward ring": scene_of(ring(), ground(10, 10)),
@@ -171,12 +175,15 @@ def model_at(positions):
     ([[0, 0, 0], [np.nan, 0, 0], [1e30, 0, 0]], [True, False, False]), ([], []),
 ])
 @pytest.mark.parametrize("offset, unit", [((0, 0, 0), 1.0), ((5e5, 5.7e6, 300), 2.0)])
-def test_what_fewer_than_two_photos_show_is_left_out(positions, kept, offset, unit):
+def test_what_fewer_than_two_photos_show_is_left_out(positions, kept, offset, unit, caplog):
     scene = scene_of(nadir(130, 130), ground(150, 150), offset=np.array(offset, float), unit=unit)
     model = model_at(unit * np.reshape(positions, (-1, 3)))
     model = Gaussians(model.rows, 0, np.array(offset, float))
     assert supported(model, in_original(scene)).tolist() == kept
-    assert supported(model, []).all()  # a scene that is not there
+    warned = [line.getMessage() for line in caplog.records]
+    assert warned == ["no two photos show any of the 2 gaussians, so all are kept"] * (
+        kept == [True, True])
+    assert supported(model, []).all() and len(caplog.records) == len(warned)  # no scene is there
 
 
 @pytest.mark.parametrize("cameras, first, low, high", [

@@ -6,14 +6,15 @@ import json
 import numpy as np
 import pytest
 
-from clsplat.options import TrainOptions
+from clsplat.errors import InputError
+from clsplat.options import TrainOptions, resolve
 from clsplat.schedule import scaled_steps, schedule_of
 from clsplat.schedule.sig import (
     GROWS_SHARE,
     OBSERVE_STEPS,
     Sig,
 )
-from clsplat.schedule.sig_limits import LEVELS, ROUND_STEPS
+from clsplat.schedule.sig_limits import LEVELS, ROUND_STEPS, chosen_levels
 from tests.schedule.driven_sig import (
     FACTS,
     PRESETS,
@@ -40,6 +41,14 @@ def test_one_level_is_all_there_is():
     assert not decisions(taken) and {plan.level for _, plan, _ in taken} == {1.0}
     assert len(rounds(taken, 1.0)) == schedule.options.rounds
     assert schedule.last and schedule.latest is None
+
+
+@pytest.mark.parametrize("given, flag", [
+    ({"preset": "paper"}, "--preset paper"), ({"levels": (5.0, 1.0)}, "--levels"),
+    ({"preset": "paper", "levels": (5.0, 1.0)}, "--levels")])
+def test_levels_too_coarse_for_the_photos_are_called_by_the_flag_that_was_given(given, flag):
+    with pytest.raises(InputError, match=f"^{flag}: level 5 would train on images of 19 x 12 pix"):
+        chosen_levels(resolve({}, given), (96, 64))
 
 
 # --- when levels end

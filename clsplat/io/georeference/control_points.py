@@ -1,11 +1,10 @@
 """Reads ground control points: places with known coordinates that were marked in photos.
 
-Two formats. OpenDroneMap's gcp_list.txt: the coordinate reference system (CRS) in the first line,
-then in each line, separated by tabs or, in a line without any, by spaces, the coordinates X Y Z of
-a point, its pixel position in a photo, the photo's name and, if it has one, the point's name. And
-CSV with the header
-name,x,y,z,pixel_x,pixel_y,image, before which the CRS may stand in a line of its own. Lines that
-begin with # are ignored.
+The coordinate reference system (CRS) stands in the first line, unless it is given otherwise. Then
+each line holds the coordinates of a point, its pixel position in a photo, the photo's name and, if
+it has one, the point's name: in the order of OpenDroneMap's gcp_list.txt, or of a header with the
+names of COLUMNS or of WebODM. Tabs, semicolons, commas or spaces separate them; between semicolons
+numbers may have decimal commas. Lines that begin with # are ignored.
 """
 
 from __future__ import annotations
@@ -32,7 +31,11 @@ from clsplat.io.georeference.earth import map_positions
 from clsplat.io.reason import clean, reason
 from clsplat.io.regular import read_regular
 
-COLUMNS = ("name", "x", "y", "z", "pixel_x", "pixel_y", "image")
+NUMBERS = ("x", "y", "z", "pixel_x", "pixel_y")
+COLUMNS = (*NUMBERS, "image", "name")  # of a file without a header
+LONGEST_HEADER = 1000  # characters
+OF_WEBODM = {"geo_x": "x", "geo_y": "y", "geo_z": "z", "im_x": "pixel_x", "im_y": "pixel_y",
+             "image_name": "image", "gcp_name": "name"}
 CURE = "see docs/guide/georeference.md for the format"
 
 
@@ -98,8 +101,8 @@ def read_control_points(path: str | Path, crs: str | None = None, checks: Collec
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
              if line.strip() and not line.lstrip().startswith("#")]
     own = crs
-    if lines and not _is_header(lines[0][1]):
-        own = normal_crs(lines.pop(0)[1], str(path))
+    if lines and not _header(lines[0][1]):
+        own = normal_crs(lines.pop(0)[1].strip('";, \t'), str(path))
     if own is None:
         raise InputError(f"{path}: names no coordinate reference system; write one into the first "
                          "line, such as EPSG:32632, or give --crs")
@@ -146,35 +149,43 @@ def _check_names(path: Path, points: Sequence[tuple[str, float, float, float]]) 
 
 
 def _cells(line: str) -> list[str]:
-    """Of a line without a header: names with blanks need tabs."""
-    return [cell.strip() for cell in line.strip().split("\t")] if line.count("\t") >= 5 else (
-        line.split())
+    """Of a line, without quotes: names with blanks need another separator, or quotes."""
+    separator = _separator(line)
+    line = line.strip() if separator != " " else " ".join(line.split())
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator,
+                                                     skipinitialspace=True))]
 
 
-def _is_header(line: str) -> bool:
-    return [cell.strip().lower() for cell in line.split(",")][:len(COLUMNS)] == list(COLUMNS)
+def _separator(line: str) -> str:
+    return next((each for each in "\t;," if line.count(each) >= len(NUMBERS)), " ")
+
+
+def _header(line: str) -> list[str]:
+    """The columns that a line names; empty: it is no header."""
+    names = [OF_WEBODM.get(cell.lower(), cell.lower()) for cell in _cells(line[:LONGEST_HEADER])]
+    return names if set(COLUMNS[:-1]) <= set(names) else []
 
 
 def _rows(path: Path, lines: Sequence[tuple[int, str]]
           ) -> Iterator[tuple[str, float, float, float, float, float, str]]:
-    """The cells of each line in the order of COLUMNS."""
-    separated = bool(lines) and _is_header(lines[0][1])
-    for number, line in lines[separated:]:
+    """Of each line the name, the five numbers and the photo."""
+    header = _header(lines[0][1]) if lines else []
+    for number, line in lines[bool(header):]:
         try:
-            if separated:
-                name, x, y, z, pixel_x, pixel_y, image, *_ = next(csv.reader([line]))
-            else:
-                x, y, z, pixel_x, pixel_y, image, *rest = _cells(line)
-                name = rest[0] if rest else ""
-            values = [float(cell) for cell in (x, y, z, pixel_x, pixel_y)]
+            cells = dict(zip(header or COLUMNS, _cells(line)))
+            missing = [name for name in COLUMNS[:-1] if name not in cells]
+            if missing:
+                raise ValueError(f"it lacks {', '.join(missing)}")
+            comma = "." if _separator(line) == ";" else ","
+            values = [float(cells[name].replace(",", comma)) for name in NUMBERS]
             if not all(math.isfinite(value) and abs(value) < 1e9 for value in values):
                 raise ValueError("a number is not finite")
-            if not image.strip():
+            if not cells["image"]:
                 raise ValueError("it names no photo")
         except (ValueError, csv.Error) as error:
             raise InputError(f"{path}: line {number} is not a ground control point "
                              f"({reason(error)}); {CURE}") from None
-        yield (clean(name.strip()), *values, clean(image.strip()))  # type: ignore[misc]
+        yield clean(cells.get("name", "")), *values, clean(cells["image"])  # type: ignore[misc]
 
 
 def _in_metres(path: Path, places: np.ndarray, own: str, crs: str | None

@@ -31,6 +31,30 @@ def test_both_formats(tmp_path, text):
     assert other.name == "point 2" and other.marks == (("a.jpg", 5, 6),)
 
 
+ROW = "587000.5 3338000.25 300 10 20 a.jpg north"
+NAMES = "geo_x geo_y geo_z im_x im_y image_name gcp_name"
+
+
+@pytest.mark.parametrize("text", [
+    "EPSG:32614\n" + ROW.replace(" ", ";"), "EPSG:32614\n" + ROW.replace(" ", " ; "),
+    "EPSG:32614;;;;;;\n" + ROW.replace(" ", ";").replace(".5", ",5").replace(".25", ",25"),
+    "EPSG:32614\n" + ROW.replace(" ", ","), "EPSG:32614\n" + ROW.replace(" ", ", "),
+    '"EPSG:32614"\n' + ROW.replace("a.jpg", '"a.jpg"'), f"EPSG:32614\n{NAMES}\n{ROW}\n",
+    f"EPSG:32614\n{NAMES}\n{ROW} extra".replace(" ", "\t"), f"EPSG:32614\n  {ROW}   more \n",
+    f"EPSG:32614\n{NAMES.upper()}\n{ROW}\n".replace(" ", ";"),
+    "EPSG:32614\nname;x;y;z;pixel_x;pixel_y;image\nnorth;587000,5;3338000,25;300;10;20;a.jpg",
+    "EPSG:32614\nimage,pixel_x,pixel_y,name,x,y,z\na.jpg,10,20,north,587000.5,3338000.25,300",
+    'EPSG:32614\n"name","x","y","z","pixel_x","pixel_y","image"\n'
+    '"north",587000.5,3338000.25,300,10,20,"a.jpg"'])
+def test_any_separator_and_header(tmp_path, text):
+    path = tmp_path / "gcp.txt"
+    path.write_text(text)
+    read = read_control_points(path)
+    assert read.crs == "EPSG:32614"
+    assert [(point.name, point.position, point.marks) for point in read.points] == [
+        ("north", (587000.5, 3338000.25, 300), (("a.jpg", 10, 20),))]
+
+
 def test_check_points_are_those_that_are_named(tmp_path):
     path = tmp_path / "gcp.txt"
     path.write_text(ODM)
@@ -72,10 +96,14 @@ def test_the_crs_may_be_given_as_an_option(tmp_path):
 
 @pytest.mark.parametrize("text, complaint", [
     ("", "names no coordinate reference system"), ("EPSG:32614\n", "has no ground control points"),
-    ("EPSG:32614\n1 2 3 4\n", r"line 2 is not a ground control point \(not enough values"),
+    ("EPSG:32614\n1 2 3 4\n", r"line 2 is not a ground control point \(it lacks pixel_y, image\)"),
     ("EPSG:32614\n1 2 nan 4 5 a.jpg\n", "line 2 .*a number is not finite"),
     (CSV + "p,1,2,3\n", "line 6 is not a ground control point"),
-    (b"\xff\xfe\0", "cannot be read"),
+    (b"\xff\xfe\0", "cannot be read"), ("x" * 200_000, "is not a coordinate reference system"),
+    ("EPSG:32614\n" + ROW.replace(".5", ",5"), "line 2 .*could not convert string to float"),
+    ("EPSG:32614\n" + ROW.replace("300", "3,0,0,0").replace(" ", ";"), "line 2 .*could not conve"),
+    ("IMG_1.JPG,P1,100.5,200.5,1\n", "is not a coordinate reference system"),  # marks of Pix4D
+    ("EPSG:32614\nP1;587000.5;3338000.25;300;0.02;0.02\n", "line 2 .*to float: 'P1'"),
     (CSV + "north,587000.6,3338000.25,300,1,2,c.jpg\n",
      "point north has several coordinates, 587000.5 3338000.25 300 and 587000.6 3338000.25 300;"),
     ("EPSG:4326\n9.0 47.8 1 4 5 a.jpg\n9.0 478 1 4 5 a.jpg p\n",
@@ -88,6 +116,41 @@ def test_damaged_files(tmp_path, text, complaint):
         read_control_points(path)
     with pytest.raises(InputError, match="no such file"):
         read_control_points(tmp_path / "other.txt")
+
+
+FEET = "EPSG:2227+6360\n6000000 2000000 984.1053 10 20 a.jpg\n"  # NAVD88, US survey feet
+METRES = "EPSG:32632+5773\n500000 5200000 300 10 20 a.jpg\n"  # EGM96
+
+
+@pytest.mark.one_in(3)
+@pytest.mark.filterwarnings("ignore:Best transformation is not available")
+@pytest.mark.parametrize("text, crs, height, target, vertical", [
+    (FEET, "EPSG:26910+5703", 299.95590, "EPSG:26910+5703", "NAVD88 height"),
+    (FEET, "EPSG:26910", 299.95590, "EPSG:26910", "NAVD88 height (ftUS)"),
+    (FEET.replace("+6360", ""), "EPSG:26910+5703", 299.95590, "EPSG:26910", ""),
+    (METRES.replace("5773", "8228"), "EPSG:32632+5703", 91.44, "EPSG:32632+5703", "NAVD88 height"),
+    (METRES, "EPSG:32632+5773", 300, "EPSG:32632+5773", "EGM96 height"),
+    ("EPSG:4979\n9 47 300 10 20 a.jpg\n", "EPSG:32632", 300, "EPSG:32632",
+     "height above the ellipsoid of WGS 84"),
+    (METRES, "EPSG:25832+7837", None, "", "EGM96 height cannot be converted to DHHN2016 height"),
+    ("EPSG:4979\n9 47 300 10 20 a.jpg\n", "EPSG:32632+5773", None, "",
+     "height above the ellipsoid of WGS 84 cannot be converted to EGM96 height, since PROJ lacks"),
+])
+def test_heights_are_those_of_the_vertical_part(tmp_path, text, crs, height, target, vertical):
+    """As far as PROJ can convert them without the grid of a geoid."""
+    pyproj = pytest.importorskip("pyproj", reason="the extra [geo] is not installed")
+    path = tmp_path / "gcp.txt"
+    path.write_text(text)
+    if height is None:
+        if pyproj.transformer.TransformerGroup(text.split()[0], crs).best_available:
+            pytest.skip("this machine has the grid of the geoid")
+        with pytest.raises(InputError, match=vertical):
+            read_control_points(path, crs)
+        return
+    read = read_control_points(path, crs)
+    assert (read.crs, read.vertical) == (target, vertical)
+    assert read.points[0].position[2] == pytest.approx(height, abs=1e-4)
+    assert any("not labelled as" in note for note in read.notes) == (not vertical)
 
 
 def test_coordinates_that_are_not_on_the_earth(tmp_path):

@@ -12,6 +12,7 @@ from clsplat.errors import InputError
 from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.georeference.adjustment import NotGeoreferenced
 from clsplat.io.georeference.control_points import ControlPoint
+from clsplat.io.georeference.crs import normal_crs
 from clsplat.io.georeference.reconstruction import place_reconstruction, turned
 from clsplat.io.metadata import PhotoMetadata
 from clsplat.scene import View
@@ -54,6 +55,23 @@ def test_another_crs_moves_the_origin_only(survey):
     placed = place_reconstruction(reconstruction, survey.metadata(), crs="EPSG:6343")
     assert placed.georeference.crs == "EPSG:6343"  # NAD83(2011), UTM zone 14: equal to metres
     assert error(survey, reconstruction, placed.georeference) < 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("measured", [True, False])
+def test_altitudes_in_a_crs_that_has_heights(survey, measured):
+    """They are those above the ellipsoid only if the files state it."""
+    pyproj = pytest.importorskip("pyproj", reason="pyproj, of the extra [geo], is not installed")
+    metadata = {name: replace(known, above_ellipsoid=measured)
+                for name, known in survey.metadata().items()}
+    crs = normal_crs(pyproj.CRS(CRS).to_3d().to_wkt())
+    reconstruction = survey.reconstruction()
+    placed = place_reconstruction(reconstruction, metadata, crs=crs)
+    assert placed.georeference.crs == (crs if measured else CRS)
+    noted = "heights are not in height above the ellipsoid of WGS 84 / UTM zone 14N: they are"
+    assert any(note.startswith(noted) for note in placed.notes) != measured
+    assert ("height above the ellipsoid" in placed.georeference.vertical) == measured
+    assert error(survey, reconstruction, placed.georeference) < 0.02
 
 
 def test_a_bad_fix_is_named(survey):
