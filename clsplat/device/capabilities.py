@@ -76,8 +76,8 @@ def probe_wave(context: cl.Context, handle: cl.Device) -> int:
 
 
 def may_prefetch(handle: cl.Device) -> bool:
-    """Whether clang's prefetch may be tried: only a CPU's kernels use it, and Mesa's compiler, which
-    translates to SPIR-V, ends the process that tries it."""
+    """Whether clang's prefetch may be tried: only a CPU's kernels use it, and Mesa's compiler ends
+    the process that tries it."""
     return bool(handle.type & cl.device_type.CPU) and any(
         name in handle.platform.name for name in ("Intel", "Portable Computing"))
 
