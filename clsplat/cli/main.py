@@ -109,9 +109,8 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
         return f"error: {error.format_message()} See `{command} --help`.", 2
     if isinstance(error, click.ClickException):
         return f"error: {error.format_message()}", 2
-    if no_files_left(error):
-        return ("error: more files are open than the system allows at once; raise the limit "
-                "(`ulimit -n`)"), 2
+    if limit := limit_reached(error):
+        return f"error: {limit}", 2
     if isinstance(error, ClsplatError):
         return f"error: {error}", 2
     if isinstance(error, BrokenPipeError):
@@ -125,13 +124,18 @@ def verdict(error: BaseException, signalled: int = 0, keeps: bool = False) -> tu
     return "error: this is a bug in clsplat; please report it with the lines above", BUG
 
 
-def no_files_left(error: BaseException | None) -> bool:
-    """Whether an exception came of one for which no further file can be opened."""
+def limit_reached(error: BaseException | None) -> str:
+    """The limit of files or threads that an exception came of, and the cure; or ""."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
-            return True
+        number = error.errno if isinstance(error, OSError) else 0
+        if number in (errno.EMFILE, errno.ENFILE):
+            return ("more files are open than the system allows at once; raise the limit "
+                    "(`ulimit -n`)")
+        if isinstance(error, BlockingIOError) or str(error) == "can't start new thread":
+            return ("the system allows no further thread or process; end other programs, or raise "
+                    "the limit (`ulimit -u`, or `pids.max` of a container)")
         error = error.__cause__ or error.__context__
-    return False
+    return ""
 
 
 def say(text: str) -> None:

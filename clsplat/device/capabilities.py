@@ -75,15 +75,22 @@ def probe_wave(context: cl.Context, handle: cl.Device) -> int:
     return 64 if multiple == 64 else 32
 
 
+def may_prefetch(handle: cl.Device) -> bool:
+    """Whether clang's prefetch may be tried: only a CPU's kernels use it, and Mesa's compiler ends
+    the process that tries it."""
+    return bool(handle.type & cl.device_type.CPU) and any(
+        name in handle.platform.name for name in ("Intel", "Portable Computing"))
+
+
 def probe_capabilities(context: cl.Context, handle: cl.Device) -> dict[str, bool]:
     """The preprocessor names of optional features, and whether each one works."""
     lane = np.arange(32, dtype=np.float32)
     tests = {"HAVE_DOUBLE": (_DOUBLE, np.ones(32)),
              "HAVE_NATIVE_EXP": (_NATIVE_EXP, np.exp2(-0.26 * lane)),
              "HAVE_NATIVE_DIVIDE": (_NATIVE_DIVIDE, (lane - 7.3) / (0.03 * lane + 0.01)),
-             "HAVE_PREFETCH": (_PREFETCH, lane)}  # clang's, which not every runtime can run
+             "HAVE_PREFETCH": (_PREFETCH, lane)}
     works = {}
-    if handle.type & cl.device_type.GPU:  # whose kernels use none
+    if not may_prefetch(handle):
         del tests["HAVE_PREFETCH"]
         works["HAVE_PREFETCH"] = False
     for name, (source, expected) in tests.items():

@@ -23,6 +23,7 @@ TIMES_BETTER = 5.0  # so much smaller is the residual of what is probably meant
 MOST_LEFT_OUT = 0.2  # of the positions
 OF_UP = 3.0  # standard deviations of up by which a scene may be tilted
 LINE = 0.03  # of the size: positions that are all nearer to a line fit their mirror image
+LINE_MISSES = 3.0  # or nearer than so many residuals: the deviation from a line may be noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,7 @@ def position_doubts(result: Alignment, positions: ArrayLike, vertical: Vertical,
     flat = np.asarray(positions, np.float64)[result.used, :2]
     flat = flat - flat.mean(axis=0)
     across = flat @ np.linalg.svd(flat, full_matrices=False)[2][1]
-    if np.ptp(across) <= LINE * result.size:
+    if np.ptp(across) <= max(LINE * result.size, LINE_MISSES * result.horizontal):
         found.append("the positions lie on one line, so that the tilt across it is not measured, "
                      "and exchanged or mirrored coordinates would not be noticed")
     return found

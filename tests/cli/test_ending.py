@@ -259,6 +259,13 @@ def test_too_many_open_files_are_named_as_the_cause(number, told):
     assert code == 2 and "raise the limit (`ulimit -n`)" in message and "path" not in message
 
 
+@pytest.mark.parametrize("error", [
+    RuntimeError("can't start new thread"), BlockingIOError(errno.EAGAIN, "Resource unavailable")])
+def test_too_many_threads_are_named_as_the_cause(error):
+    message, code = verdict(error)
+    assert code == 2 and "no further thread or process" in message and "`ulimit -u`" in message
+
+
 @pytest.mark.slow
 def test_the_owner_can_read_what_is_written(tmp_path):
     """Also with a umask that takes the rights from the owner himself."""

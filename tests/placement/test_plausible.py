@@ -37,6 +37,11 @@ def test_no_mistake_is_believed_often(mistake):
         assert not found["refused", False] and found["believed", True] > SEEDS / 2
 
 
+def test_a_line_within_its_noise_is_a_line():
+    """Four mirrored positions, 3.3 m across, with residuals of 1.9 m."""
+    assert "lie on one line" in outcome("north mirrored", 42).said
+
+
 def grid(columns=6, rows=4, seed=0):
     """Camera centres of a nadir survey, metres, and their rotations."""
     x, y = np.meshgrid(np.arange(columns) * 20.0, np.arange(rows) * 26.0)

@@ -1,0 +1,31 @@
+"""Runtimes that would end the process are not asked for what they cannot do."""
+
+import threading
+from types import SimpleNamespace
+
+import pyopencl as cl
+import pytest
+
+from clsplat.device.capabilities import may_prefetch
+from clsplat.device.find import choose_handle, list_devices
+
+
+@pytest.mark.parametrize("find", [choose_handle, list_devices])
+def test_without_threads_no_runtime_is_opened(find, monkeypatch):
+    def start(thread):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    monkeypatch.setattr(cl, "get_platforms", lambda: pytest.fail("PoCL would abort"))
+    with pytest.raises(RuntimeError, match="new thread"):
+        find()
+
+
+@pytest.mark.parametrize("platform, kind, expected", [
+    ("rusticl", "CPU", False), ("Clover", "CPU", False), ("Oclgrind", "CPU", False),
+    ("Intel(R) OpenCL", "CPU", True), ("Portable Computing Language", "CPU", True),
+    ("Portable Computing Language", "GPU", False), ("NVIDIA CUDA", "GPU", False)])
+def test_only_known_runtimes_are_asked_to_prefetch(platform, kind, expected):
+    handle = SimpleNamespace(type=getattr(cl.device_type, kind),
+                             platform=SimpleNamespace(name=platform))
+    assert may_prefetch(handle) is expected
