@@ -171,7 +171,6 @@ def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussi
     ValueError : names an array that does not fit the others.
     """
     carried = [field for field in FIELDS if f"row.{field.name}" in arrays or field in LEARNED]
-    gaussians = Gaussians(_fields(arrays, "row", carried), sh_degree)
     count = arrays["statistics.seen_count" if moments else "row.opacity_logits"].size
     kinds = {"row": carried, **({"m": LEARNED, "v": LEARNED} if moments else {})}
     shapes = {f"{kind}.{field.name}": field.row_shape(sh_degree)
@@ -182,7 +181,7 @@ def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussi
         values = arrays[name]
         if values.dtype not in REALS or values.shape != (count, *shape) or not _is_finite(values):
             raise ValueError(f"{name} ({values.dtype}{list(values.shape)}, or not finite)")
-    return gaussians
+    return Gaussians(_fields(arrays, "row", carried), sh_degree)
 
 
 def _fields(arrays: Arrays, kind: str, fields: Iterable[Field]) -> Arrays:

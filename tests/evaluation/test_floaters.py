@@ -18,6 +18,7 @@ from clsplat.io.scenes import read_scene
 from clsplat.synth.cameras import looking, survey
 from clsplat.synth.geometry import City, distance, save
 from clsplat.synth.layout import city as lay_out
+from tests.data.gaussians_at import gaussians_at
 from tests.data.tiny_model import write_scene
 from tests.data.tiny_training import CITY, options_of
 
@@ -39,8 +40,7 @@ def down(x, height, width=200):
 
 def gaussians(positions, opacity=0.5):
     opacity = np.broadcast_to(np.asarray(opacity, float), len(positions))
-    return Gaussians({"positions": np.array(positions, np.float32).reshape(-1, 3),
-                      "opacity_logits": np.log(opacity / (1 - opacity)).astype(np.float32)}, 0)
+    return gaussians_at(positions, opacity_logits=np.log(opacity / (1 - opacity)))
 
 
 def shares(*arguments):

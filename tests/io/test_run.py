@@ -85,6 +85,7 @@ def test_options(run, tmp_path, monkeypatch):
     run.write_options({"scene": "town", "options": {"seed": np.int64(3), "init": Path("a.ply")},
                        "fingerprint": "f00", "device": "cpu"})
     record = RunFolder.open(run.path).read_options()
+    assert record.pop("date") and record.pop("command", None) is None
     assert record.pop("commit") is None or len(record) == 6
     assert record == {"scene": "../../town", "scene_absolute": str(tmp_path / "town"),
                       "options": {"seed": 3, "init": "a.ply"}, "fingerprint": "f00",

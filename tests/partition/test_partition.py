@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
 from clsplat.io.scenes import read_scene
 from clsplat.partition import make
 from clsplat.partition.grid import makespan
@@ -20,6 +19,7 @@ from clsplat.partition.outline import geojson
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from tests.data.fields import cut, field, moved, shuffled, world
+from tests.data.gaussians_at import gaussians_at
 from tests.data.tiny_training import CITY
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -81,7 +81,7 @@ def test_gaussians_that_are_not_finite_do_not_count(method):
     scene = field()
     positions = scene.points.astype(np.float32)
     lost = np.where(np.arange(len(positions))[:, None] % 3 == 0, np.nan, positions)
-    gone, kept = (cut(scene, method, gaussians=Gaussians({"positions": rows}, 0))
+    gone, kept = (cut(scene, method, gaussians=gaussians_at(rows))
                   for rows in (lost, positions[np.arange(len(positions)) % 3 > 0]))
     assert same(gone, kept) and gone.record() == kept.record()
 

@@ -13,6 +13,7 @@ from clsplat.partition.input import PartitionInput
 from clsplat.partition.region import Region, Space
 from clsplat.partition.vastgs import _box, _meet, _rays
 from tests.data.fields import SIDES, cut, field, moved, world
+from tests.data.gaussians_at import gaussians_at
 
 
 def test_a_view_spread_over_many_blocks_is_dropped_with_its_numbers():
@@ -122,7 +123,7 @@ def test_citygs_divides_a_uniform_field_evenly():
     scene = field()
     points = np.column_stack([rng.uniform(-1, 1, (8000, 2)) * SIDES, rng.uniform(0, 1, 8000)])
     scene = replace(scene, points=points, observations=None)
-    gaussians = Gaussians({"positions": points.astype(np.float32)}, 0)
+    gaussians = gaussians_at(points)
     for n in (2, 3, 4, 5, 6):
         partition = cut(scene, "citygs", (n, 1), gaussians=gaussians)
         content = np.bincount(partition.owner(points), minlength=n) / len(points)
@@ -135,7 +136,7 @@ def test_citygs_divides_a_uniform_field_evenly():
 def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(monkeypatch):
     monkeypatch.setattr(clusters, "SIZE", 1)  # nothing is compared by chance
     scene = field(tracks=False)
-    gaussians = Gaussians({"positions": scene.points.astype(np.float32)}, 0)
+    gaussians = gaussians_at(scene.points)
     calls = []
 
     def drop(tests):
@@ -168,7 +169,7 @@ def test_citygs_assigns_a_view_to_the_cell_of_its_camera_and_to_cells_it_shows(m
 
 def test_citygs_enlarges_cells_with_little_content_for_the_test_only():
     points = np.random.default_rng(0).normal(0, 1, (4000, 3)) * [*SIDES / 2, 0.3]
-    gaussians = Gaussians({"positions": points.astype(np.float32)}, 0)
+    gaussians = gaussians_at(points)
     scene, smallest = replace(field(), points=points, observations=None), []
 
     def drop(tests):
@@ -184,7 +185,7 @@ def test_citygs_enlarges_cells_with_little_content_for_the_test_only():
 def test_citygs_does_not_render_what_is_out_of_sight():
     scene, calls = field(cameras=20), {}
     for where in (scene, moved(scene, np.eye(3), 0.1, np.array([70.0, 0, 0]))):
-        gaussians = Gaussians({"positions": where.points.astype(np.float32)}, 0)
+        gaussians = gaussians_at(where.points)
         rendered = calls[where.unit] = []
         cut(where, "citygs", (5, 3), gaussians=gaussians,
             drop=lambda tests, rendered=rendered: [rendered.append(view) or 0 for view, _ in tests])

@@ -84,7 +84,8 @@ def test_given_levels_are_taken_as_they_are():
 
 
 def test_a_given_level_below_a_tile_is_refused():
-    with pytest.raises(InputError, match=r"^--levels 8: .* 80 x 15 pixels, .* tile of 16; use "):
+    words = r"^--levels: level 8 .* 80 x 15 pixels, .* tile of 16; give "
+    with pytest.raises(InputError, match=words):
         chosen_levels(options_of(levels=(8.0, 1.0)), (640, 8 * TILE - 1))
 
 

@@ -47,7 +47,8 @@ def test_a_georeference_states_its_errors_for_other_programs(tmp_path):
     write_georeference(tmp_path, HERE)
     record = json.loads((tmp_path / GEOREFERENCE).read_text())
     assert (record["control_count"], record["check_count"], record["left_out"]) == (2, 0, ["c.jpg"])
-    assert record["control_errors"]["east"] == {"mean": 2, "sigma": 1, "rms": 2.2361}
+    assert record["control_errors"]["east"] == {
+        "mean": 2, "sigma": 1, "rms": 2.2361, "within_90": 2.8}
     assert record["control_errors"]["up"]["rms"] == 0.5 and record["check_errors"] == {}
     old = {key: record[key] for key in ("crs", "offset", "source", "residual")}
     (tmp_path / GEOREFERENCE).write_text(json.dumps(old))
