@@ -131,7 +131,7 @@ def limit_reached(error: BaseException | None) -> str:
         if number in (errno.EMFILE, errno.ENFILE):
             return ("more files are open than the system allows at once; raise the limit "
                     "(`ulimit -n`)")
-        if isinstance(error, BlockingIOError) or str(error) == "can't start new thread":
+        if isinstance(error, BlockingIOError) or error.args == ("can't start new thread",):
             return ("the system allows no further thread or process; end other programs, or raise "
                     "the limit (`ulimit -u`, or `pids.max` of a container)")
         error = error.__cause__ or error.__context__

@@ -52,7 +52,7 @@ def test_train_and_view(tmp_path):
         with pytest.raises(URLError):  # the page ends with its training
             read(training.address)
     with Started("view", run) as view:
-        assert "<title>run" in read(view.address)
+        assert "<title>city: run" in read(view.address)
         assert json.loads(read(view.address + "status"))["gaussians"] > 1000
         view.process.send_signal(signal.SIGINT)
         out, err = view.process.communicate(timeout=300)

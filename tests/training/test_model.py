@@ -142,7 +142,8 @@ def test_engines_agree_over_five_steps(double_device, optimizer):
     for engine in ("device", "numpy"):
         renderer = Renderer(device, DEGREE, case["near"])
         given = Gaussians({k: v.astype(np.float32) for k, v in case["rows"].items()}, DEGREE)
-        given.rows.update(gaussians_of(given.count, fields=SPHERE).rows)
+        spheres = gaussians_of(given.count, fields=FIELDS).rows
+        given.rows.update({field.name: spheres[field.name] for field in SPHERE})
         model = Model(device, given, engine, optimizer == "dense")
         step = Step(renderer, model, 1.0, TrainOptions(iterations=100))
         for iteration in range(1, 6):
