@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -99,6 +100,18 @@ class Gaussians:
                 check_field(known, self.rows.get(known.name), count, self.sh_degree)
         if np.shape(self.offset) != (3,) or not np.isfinite(self.offset).all():
             raise InputError(f"offset {self.offset!r}: expects three finite numbers")
+
+    @classmethod
+    def padded(cls, rows: Mapping[str, NDArray[Any]]) -> Gaussians:
+        """Gaussians of degree 0 for which only some fields count: the others are zero.
+
+        Parameters
+        ----------
+        rows : fields by name, `positions` among them.
+        """
+        count = len(rows["positions"])
+        zeros = {each.name: np.zeros((count, *each.row_shape(0)), np.float32) for each in LEARNED}
+        return cls({**zeros, **rows}, 0)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Gaussians:

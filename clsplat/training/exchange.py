@@ -145,8 +145,9 @@ def exchange(block: BlockFolder, scene: Scene, others: Iterable[BlockFolder],
         """What the block holds of another one, and what it draws as layers."""
         part = Part(other, number, record)
         placed = _in_frame_of(scene, {name: part.rows[name] for name in PLACED}, part.frame)
-        start = block_start(_gaussians_at(placed), scene, region, scene.views,
-                            lambda _: LAYERS in record)
+        start = block_start(
+            Gaussians.padded({name.removeprefix("row."): rows for name, rows in placed.items()}),
+            scene, region, scene.views, lambda _: LAYERS in record)
         held, drawn = np.split(start.indices, [start.gaussians.count])
         taken = _in_frame_of(scene, part.arrays(held), part.frame)
         around = _in_frame_of(scene, {name: values[drawn] for name, values in part.rows.items()},
@@ -234,13 +235,6 @@ class Part:
 
     def _damaged(self, error: Exception) -> InputError:
         return InputError(f"{self._path}: {DAMAGED} ({error}); {self._cure}")
-
-
-def _gaussians_at(placed: Arrays) -> Gaussians:
-    """Gaussians of degree 0 of which only the PLACED arrays count; the others are zero."""
-    count = len(placed["row.positions"])
-    return Gaussians({field.name: placed.get(f"row.{field.name}", np.zeros(
-        (count, *field.row_shape(0)), np.float32)) for field in LEARNED}, 0)
 
 
 def _in_frame_of(scene: Scene, part: Arrays, frame: dict[str, Any]) -> Arrays:

@@ -89,8 +89,8 @@ def _near_surfaces(city, scene, count):
     away = rng.exponential(AROUND, (count, 1))
     away[:count // 20] = 3.0
     points += rng.normal(size=points.shape) * away
-    return Gaussians({"positions": (points - scene.offset).astype(np.float32),
-                      "opacity_logits": rng.normal(size=count).astype(np.float32)}, 0)
+    return Gaussians.padded({"positions": (points - scene.offset).astype(np.float32),
+                             "opacity_logits": rng.normal(size=count).astype(np.float32)})
 
 
 def _report(work, repeats, call, **facts):
