@@ -38,7 +38,7 @@ class Raster:
     Parameters
     ----------
     path : of the temporary file, created.
-    grid : says where the pixels lie.
+    grid : of the pixels of the map.
     crs : name or definition of the CRS; None: a local one.
     bands : name and unit of each band.
     colour : whether the bands are red, green, blue and alpha.

@@ -123,7 +123,7 @@ def unpacked_spz(data: bytes) -> dict[str, NDArray[np.float64]]:
 
 
 def spz_notes(path: Path) -> Notes:
-    """What a SPZ file says besides its gaussians; see `models.read_notes`."""
+    """What a SPZ file holds besides its gaussians; see `models.read_notes`."""
     with reading(path, "a SPZ file"):
         return Notes((MIP,) if _header(_begin(read_regular(path))).flags & ANTIALIASED else ())
 
