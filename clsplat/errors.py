@@ -9,11 +9,15 @@ class InputError(ClsplatError):
     """A file, scene or option that cannot be used; the message names it and says what to do."""
 
 
-TOO_LARGE = "does not fit the device"  # the beginning of a DeviceError about memory
+TOO_LARGE = "does not fit the device"  # in the message of an OutOfDeviceMemory
 
 
 class DeviceError(ClsplatError):
     """No working OpenCL device, a kernel that does not build, or too little memory."""
+
+
+class OutOfDeviceMemory(DeviceError):
+    """An array does not fit the device: memory was refused, or one buffer would be too large."""
 
 
 class ShapeError(ClsplatError):

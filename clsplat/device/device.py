@@ -25,7 +25,7 @@ from clsplat.device.graph import Graph
 from clsplat.device.kernel import DEVICE_SIZES, SCALARS, Contract, Kernel
 from clsplat.device.runtimes import ignore_file_limits
 from clsplat.device.source import define_options, kernel_source, words_of
-from clsplat.errors import TOO_LARGE, DeviceError
+from clsplat.errors import TOO_LARGE, DeviceError, OutOfDeviceMemory
 
 SMALLEST_BYTES = 64  # of a buffer
 
@@ -159,7 +159,7 @@ class Device:
                 return Array(self, memory.buffer, shape, dtype, memory)
             return Array(self, memory, shape, dtype)
         except (cl.MemoryError, cl.RuntimeError) as error:
-            raise DeviceError(
+            raise OutOfDeviceMemory(
                 f"{self.name}: {TOO_LARGE}: no memory for {size >> 20} MiB more "
                 f"({self.memory_bytes >> 20} MiB in use): use --max-gaussians or -r ({error})"
             ) from None
@@ -168,10 +168,10 @@ class Device:
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
     def check_size(self, size: int) -> None:
-        """Raise DeviceError for an array of `size` bytes, more than one buffer may have."""
+        """Raise OutOfDeviceMemory for an array of `size` bytes, more than one buffer may have."""
         limit = self.largest_buffer
         if size > limit:
-            raise DeviceError(
+            raise OutOfDeviceMemory(
                 f"{self.name}: {TOO_LARGE}: one buffer of {size >> 20} MiB is needed, the limit "
                 f"is {limit >> 20} MiB; use --max-gaussians or -r")
 

@@ -11,7 +11,7 @@ import pytest
 from clsplat.constants import FRAME_COUNTS
 from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
-from clsplat.errors import DeviceError
+from clsplat.errors import DeviceError, OutOfDeviceMemory
 from clsplat.io.scenes import read_scene
 from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.bin import PAIR_LIMIT, count_tiles, tile_grid
@@ -111,7 +111,7 @@ def test_pairs_that_do_not_fit_a_buffer_come_in_bands(device, monkeypatch):
     whole, expected = results(device, case)
     largest = {"item": 64, "group": 200}[device.form] * 256 * device.real.itemsize
     monkeypatch.setattr(device, "largest_buffer", largest)
-    with pytest.raises(DeviceError, match="one buffer"):
+    with pytest.raises(OutOfDeviceMemory, match="one buffer"):
         results(device, case, pair_limit=PAIR_LIMIT)
     frame, actual = results(device, case)
     assert len(frame.bands) > 2
@@ -184,6 +184,15 @@ def test_bands_hold_no_more_than_the_largest_of_them(device, monkeypatch):
     assert len(frame.bands) > 2
     size = FrameSize(400, len(frame.visible), 1300, *size_of(case))
     assert pool.most < 1.05 * max(live_bytes(frame_arrays(device, size, 1, True), device.real))
+
+
+def test_memory_that_is_refused_is_an_error_of_its_own(float_device, monkeypatch):
+    def refuse(size):
+        raise cl.MemoryError("clCreateBuffer failed: MEM_OBJECT_ALLOCATION_FAILURE")
+
+    monkeypatch.setattr(float_device, "_new_buffer", refuse)
+    with pytest.raises(OutOfDeviceMemory, match="no memory for 3 MiB more.*--max-gaussians"):
+        float_device.zeros((3 << 18,))
 
 
 # --- the choice
