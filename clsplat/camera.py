@@ -256,7 +256,7 @@ def turned(rotation: NDArray[np.float64], points: ArrayLike) -> NDArray[np.float
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """How the stored photo of a view differs from that of a pinhole camera (io/lenses.py).
+    """How the stored photo of a view differs from that of a pinhole camera (io/photos/lenses.py).
 
     Attributes
     ----------

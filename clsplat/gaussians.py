@@ -127,7 +127,7 @@ class Gaussians:
         ------
         clsplat.ClsplatError : if it is not such a file, or is damaged.
         """
-        from clsplat.io.models import read_model
+        from clsplat.io.models.formats import read_model
 
         return read_model(Path(path))
 
@@ -144,7 +144,7 @@ class Gaussians:
         ------
         clsplat.ClsplatError : if it cannot be written, or its suffix is another one.
         """
-        from clsplat.io.models import write_model
+        from clsplat.io.models.formats import write_model
 
         write_model(Path(path), self)
 

@@ -11,7 +11,7 @@ from clsplat.config import toml
 from clsplat.config.option import AUTO, MOST_STEPS, flag_name, option, options_of
 from clsplat.densify.options import GrowthOptions, SphereOptions
 from clsplat.errors import InputError
-from clsplat.io.options import SceneOptions
+from clsplat.io.scenes.options import SceneOptions
 from clsplat.loss.options import (
     DepthOptions,
     ExposureOptions,

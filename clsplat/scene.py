@@ -43,11 +43,11 @@ class View:
     mask : an image in which dark pixels mark those of the stored photo that do not count, as
         `source`; None: all count.
     transparent : whether transparent pixels of the photo do not count.
-    depth : the file of its depth map (io/depth.py); None: it has none.
+    depth : the file of its depth map (io/photos/depth.py); None: it has none.
     quarter_turns : how many clockwise quarter turns show the photo upright, by its EXIF.
     weighed : whether a training may leave out pixels of the photo (training/robust.py).
     visits : how often a training visits it, in proportion to others.
-    levels : the 16-bit samples that become black and white (io/levels.py); None: 0 and 65535.
+    levels : 16-bit samples that become black and white (io/photos/levels.py); None: 0 and 65535.
     """
 
     name: str
@@ -93,7 +93,7 @@ class View:
         ------
         clsplat.ClsplatError : if it does not exist, or is not an image that can be read.
         """
-        from clsplat.io.views import read_photo
+        from clsplat.io.photos.views import read_photo
 
         pixels: NDArray[np.uint8] = read_photo(self)
         return pixels
@@ -109,7 +109,7 @@ class View:
         ------
         clsplat.ClsplatError : if the mask is not an image that can be read, or does not fit.
         """
-        from clsplat.io.views import read_valid
+        from clsplat.io.photos.views import read_valid
 
         valid: NDArray[np.bool_] | None = read_valid(self)
         return valid
@@ -181,7 +181,7 @@ class Scene:
         ------
         clsplat.ClsplatError : if it is not a scene, or is damaged; one line with the cure.
         """
-        from clsplat.io.scenes import read_scene
+        from clsplat.io.scenes.read import read_scene
         return read_scene(Path(path).absolute(), images)  # also if the current folder changes
 
     @cached_property

@@ -71,7 +71,7 @@ def test_examples_shown_are_the_files_that_tests_run():
     blocks = re.findall(r"(?ms)^```python\n(.*?)^```", page("python.md") + page("photos.md"))
     shown = [found[1] for block in blocks if (found := SHOWN.fullmatch(block.strip()))]
     assert sorted(shown) == sorted(path.name for path in (DOCS / "examples").glob("*.py"))
-    tests = "".join(path.read_text("utf-8") for path in ROOT.glob("tests/*/test_*.py"))
+    tests = "".join(path.read_text("utf-8") for path in ROOT.glob("tests/**/test_*.py"))
     assert all(re.search(rf'["/]{name}"', tests) for name in shown)
 
 

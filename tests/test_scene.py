@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from clsplat.camera import Camera
-from clsplat.io.colmap_write import Tracks, write_colmap
-from clsplat.io.packed import write_packed
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.packed import write_packed
+from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from tests.data.tiny_training import CITY
-from tests.io.test_metadata import photo
+from tests.io.photos.test_metadata import photo
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from clsplat.constants import NO_ROW
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians, check_field
-from clsplat.io.images import encode_image
+from clsplat.io.photos.images import encode_image
 from clsplat.rendering import pipeline
 from clsplat.rendering.slabs import gaussian_limit, open_model
 from clsplat.scene import NEAR_SHARE

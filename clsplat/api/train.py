@@ -11,7 +11,7 @@ from clsplat.device import Device as OpenedDevice
 from clsplat.device import choose_device
 from clsplat.errors import Interrupted
 from clsplat.evaluation.run import Run
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.scene import Scene
 from clsplat.training import loop

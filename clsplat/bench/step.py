@@ -32,7 +32,7 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import TrialSteps, sampled
 from clsplat.gaussians import Gaussians
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions, resolve
 from clsplat.scene import Scene
 from clsplat.training.photos import Photos

@@ -9,7 +9,7 @@ from clsplat.densify.contribution import contribution
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.images import encode_jpeg
+from clsplat.io.photos.images import encode_jpeg
 from clsplat.rendering.pipeline import Gradients, Renderer
 from clsplat.scene import Scene, View
 

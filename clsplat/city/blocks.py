@@ -8,8 +8,8 @@ from clsplat.city.cut import cut_into_blocks
 from clsplat.city.split import split_blocks, too_large
 from clsplat.device import Device
 from clsplat.distribute import ONE_WORKER, Outcome, Task, Workers
-from clsplat.io.city import DENSE, BlockFolder, CityFolder
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.city import DENSE, BlockFolder, CityFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
 from clsplat.partition.input import world_of
 from clsplat.scene import Scene

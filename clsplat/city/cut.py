@@ -18,9 +18,9 @@ from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.atomic import replacing
-from clsplat.io.city import DENSE, EXCHANGES, LAYERS, OTHERS, PARTITION, CityFolder
-from clsplat.io.depth import with_depths
-from clsplat.io.undistort import undistorted
+from clsplat.io.photos.depth import with_depths
+from clsplat.io.photos.undistort import undistorted
+from clsplat.io.runs.city import DENSE, EXCHANGES, LAYERS, OTHERS, PARTITION, CityFolder
 from clsplat.options import TrainOptions
 from clsplat.partition.blocks import block_start, filled
 from clsplat.partition.input import world_of

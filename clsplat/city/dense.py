@@ -24,11 +24,11 @@ from clsplat.device import Device
 from clsplat.distribute import Children, Task
 from clsplat.distribute.task import DONE
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.depth import with_depths
 from clsplat.io.folders import make_folder
-from clsplat.io.ply import read_ply, write_ply
-from clsplat.io.undistort import undistorted
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.photos.depth import with_depths
+from clsplat.io.photos.undistort import undistorted
+from clsplat.io.runs.city import CityFolder
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
 from clsplat.training.block import device_of_tasks

@@ -29,11 +29,11 @@ from clsplat.evaluation.views import (
     training_pictures,
 )
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
 from clsplat.io.georeference.files import placement_comments
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.tree import TREE
+from clsplat.io.models.ply import read_ply
+from clsplat.io.models.tree import TREE
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
 from clsplat.report.city import seam_table, share_table
 from clsplat.report.page import embedded

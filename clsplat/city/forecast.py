@@ -11,8 +11,8 @@ from clsplat.estimate.measured import LEAST_STEPS, MeasuredSteps
 from clsplat.estimate.step_time import fitted, pixels
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import LEARNED
-from clsplat.io.city import DENSE, EXCHANGES, LAYERS, CityFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.city import DENSE, EXCHANGES, LAYERS, CityFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition.grid import makespan
 from clsplat.partition.options import BLOCK_STEPS, JOINT_STEPS, PartitionOptions

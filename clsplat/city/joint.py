@@ -21,13 +21,13 @@ from clsplat.city.merge import Merged
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import PARTITION, CityFolder
-from clsplat.io.depth import with_depths
-from clsplat.io.model_values import colours_of, to_bytes
-from clsplat.io.ply import start_of, write_ply
+from clsplat.io.models.ply import start_of, write_ply
+from clsplat.io.models.values import colours_of, to_bytes
+from clsplat.io.photos.depth import with_depths
+from clsplat.io.photos.undistort import undistorted
 from clsplat.io.records import digest_of
-from clsplat.io.run import RunFolder
-from clsplat.io.undistort import undistorted
+from clsplat.io.runs.city import PARTITION, CityFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.partition.input import world_of
 from clsplat.partition.partition import Partition

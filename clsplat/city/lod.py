@@ -27,9 +27,9 @@ from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ahead import called_ahead
-from clsplat.io.city import CityFolder
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
+from clsplat.io.models.ply import read_ply
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.scene import Scene
 
 # pixels that the mean sigma of a level may cover, by whether the renderer is antialiased (measured:

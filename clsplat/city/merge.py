@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.ahead import called_ahead
-from clsplat.io.city import BlockFolder, CityFolder
 from clsplat.io.lock import holder, is_locked
-from clsplat.io.ply import read_ply, start_of
-from clsplat.io.run import MODEL, RunFolder
-from clsplat.io.scenes import fingerprint
+from clsplat.io.models.ply import read_ply, start_of
+from clsplat.io.runs.city import BlockFolder, CityFolder
+from clsplat.io.runs.run import MODEL, RunFolder
+from clsplat.io.scenes.read import fingerprint
 from clsplat.partition.input import world_of
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene

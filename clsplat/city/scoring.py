@@ -25,10 +25,10 @@ from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views, final_metrics
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.city import CityFolder
 from clsplat.io.lock import note_work
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
+from clsplat.io.models.ply import read_ply
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene, View
 from clsplat.training.block import device_of_tasks

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from clsplat.distribute import Outcome
 from clsplat.errors import TOO_LARGE
-from clsplat.io.city import CityFolder
+from clsplat.io.runs.city import CityFolder
 from clsplat.partition.grid import best_cut
 from clsplat.partition.partition import Partition
 from clsplat.scene import Scene

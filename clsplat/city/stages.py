@@ -8,13 +8,13 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import final_metrics
-from clsplat.io.city import CityFolder
-from clsplat.io.depth import with_depths
 from clsplat.io.folders import make_folder
-from clsplat.io.run import CITY, RunFolder
-from clsplat.io.scene_path import recorded_scene, scene_record
-from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.io.undistort import undistorted
+from clsplat.io.photos.depth import with_depths
+from clsplat.io.photos.undistort import undistorted
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import CITY, RunFolder
+from clsplat.io.runs.scene_path import recorded_scene, scene_record
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
 from clsplat.schedule import chooses_steps, schedule_of, worthwhile_steps

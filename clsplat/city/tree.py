@@ -21,8 +21,8 @@ from clsplat.city.merge import Merged, merge
 from clsplat.edit.decimate import decimated
 from clsplat.edit.select import merged, selected
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.tree import TreeWriter, writing_tree
+from clsplat.io.models.tree import TreeWriter, writing_tree
+from clsplat.io.runs.city import CityFolder
 from clsplat.scene import Scene
 
 CELL = CELL_GAUSSIANS  # of a leaf at most
@@ -86,7 +86,7 @@ class TreeBuilder:
 
 
 def facts_of(content: Gaussians) -> dict[str, Any]:
-    """What the index of a tree says of the gaussians of a node, at least one (io/tree.py)."""
+    """The index entry of a tree's node, which has one gaussian at least (io/models/tree.py)."""
     positions = content.positions.astype(np.float64)
     usual = np.quantile(positions, (TAIL_SHARE, 1 - TAIL_SHARE), axis=0)
     return {"low": positions.min(axis=0), "high": positions.max(axis=0), "usual_low": usual[0],

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from clsplat.device import Array, Device
 from clsplat.gaussians import Gaussians
-from clsplat.io.model_values import to_bytes
+from clsplat.io.models.values import to_bytes
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.project import Rows

@@ -36,7 +36,7 @@ def block(folder: Path, device: str | None, stop_at: int | None, wait: float, al
     which another block has not come far enough; the same command then goes on.
     """
     from clsplat.cli.progress import Progress
-    from clsplat.io.city import BlockFolder
+    from clsplat.io.runs.city import BlockFolder
     from clsplat.training.block import block_options, train_block
     city_block = BlockFolder(folder)
     city_block.check()

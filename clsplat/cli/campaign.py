@@ -17,7 +17,7 @@ from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.options import TrainOptions, options_with, resolve, serves
 
 if TYPE_CHECKING:
-    from clsplat.io.run import RunFolder
+    from clsplat.io.runs.run import RunFolder
 
 NEW, STARTED, FINISHED = "from the start", "from its checkpoint", "finished before"
 
@@ -95,7 +95,7 @@ def run_campaign(train_one: Callable[[TrainOptions, Path, bool], object],
 
 def _state(folder: Path, options: TrainOptions, scene: Path) -> tuple[Path, str]:
     """The folder, and NEW, STARTED or FINISHED; InputError if it holds another run."""
-    from clsplat.io.run import OPTIONS, RunFolder
+    from clsplat.io.runs.run import OPTIONS, RunFolder
     if not (folder / OPTIONS).exists():
         with RunFolder(folder).locked():
             RunFolder.create(folder)
@@ -114,7 +114,7 @@ def _state(folder: Path, options: TrainOptions, scene: Path) -> tuple[Path, str]
 
 def _is_of(run: RunFolder, record: dict[str, Any], scene: Path) -> bool:
     """Whether a run was trained on this scene, which may have been moved since."""
-    from clsplat.io.scenes import fingerprint, read_scene
+    from clsplat.io.scenes.read import fingerprint, read_scene
     try:
         if os.path.samefile(run.scene_path(), scene):
             return True

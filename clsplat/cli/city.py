@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from clsplat.cli.progress import Progress
     from clsplat.device import Device
     from clsplat.distribute import Outcome, Workers
-    from clsplat.io.city import CityFolder
+    from clsplat.io.runs.city import CityFolder
     from clsplat.options import TrainOptions
     from clsplat.scene import Scene
 
@@ -109,9 +109,9 @@ def city(ctx: click.Context, /, scene: Path, output: Path | None, workers: int |
     from clsplat.city.forecast import block_table, one_block_note
     from clsplat.city.stages import begin, train_coarse
     from clsplat.device import choose_device
-    from clsplat.io.city import CityFolder
-    from clsplat.io.run import RunFolder
-    from clsplat.io.scenes import read_scene
+    from clsplat.io.runs.city import CityFolder
+    from clsplat.io.runs.run import RunFolder
+    from clsplat.io.scenes.read import read_scene
     from clsplat.training.photos import size_note
     against = _reference(against, tree)
     data = read_scene(scene, options.images)
@@ -191,8 +191,8 @@ def partition_command(ctx: click.Context, /, folder: Path, scene: Path | None, *
     from clsplat.city.forecast import block_table
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
-    from clsplat.io.city import CityFolder
-    from clsplat.io.run import RunFolder
+    from clsplat.io.runs.city import CityFolder
+    from clsplat.io.runs.run import RunFolder
     city = CityFolder(folder)
     city.check_there()
     ctx.with_resource(RunFolder(folder).locked())
@@ -230,8 +230,8 @@ def merge(ctx: click.Context, folder: Path, fill: bool, against: Path | None, tr
     from clsplat.city.stages import begin_from_coarse
     from clsplat.device import choose_device
     from clsplat.distribute import ONE_WORKER
-    from clsplat.io.city import CityFolder
-    from clsplat.io.run import RunFolder
+    from clsplat.io.runs.city import CityFolder
+    from clsplat.io.runs.run import RunFolder
     city = CityFolder(folder)
     city.check_there()
     against = _reference(against, tree)
@@ -264,7 +264,7 @@ def _finish(folder: CityFolder, data: Scene, options: TrainOptions, device: Devi
             joint: bool = True) -> None:
     from clsplat.city.finish import evaluate_city, merge_city_tree, merge_record, merged_city
     from clsplat.cli.evaluate import summary
-    from clsplat.io.tree import TREE
+    from clsplat.io.models.tree import TREE
     from clsplat.report.city import seam_table, share_table
     if tree:
         merged = merge_city_tree(folder, data, options, device, fill)

@@ -92,7 +92,7 @@ def edit(models: tuple[Path, ...], output: Path, overwrite: bool, scene: Path | 
     from clsplat.edit.harmonics import used_sh_degree
     from clsplat.edit.source import Source, joined
     from clsplat.edit.transform import turn
-    from clsplat.io.models import format_of, write_model
+    from clsplat.io.models.formats import format_of, write_model
     format_of(output)
     check_free(output, overwrite)
     if outside and not (box or polygon):

@@ -117,7 +117,7 @@ def _check_format(output: Path, is_other: bool, upright: bool, plain_tiles: bool
     ----------
     is_other : whether it is a page or a folder of tiles, which `io.models` does not know.
     """
-    from clsplat.io.models import format_of
+    from clsplat.io.models.formats import format_of
     if upright and is_other:
         raise InputError("--upright: pages and 3D Tiles are upright; leave it out")
     if plain_tiles and output.suffix:
@@ -140,7 +140,7 @@ def _is_plain_ply(output: Path) -> bool:
 def _copy(source: Path, output: Path, keep: NDArray[np.bool_], degree: int, highest: int) -> None:
     """Copy a run's PLY, without rounding, or the part of it that is wanted."""
     from clsplat.io.atomic import replacing
-    from clsplat.io.ply import write_part
+    from clsplat.io.models.ply import write_part
     if keep.all() and degree == highest:
         with open(source, "rb") as model, replacing(output) as copy:
             shutil.copyfileobj(model, copy)

@@ -77,7 +77,7 @@ def map_command(run: Path, output: Path, resolution: tuple[float, bool] | None, 
     from clsplat.export.map_grid import map_grid
     from clsplat.export.reprojection import reprojection_of
     from clsplat.export.statement import sentences
-    from clsplat.io.las import laspy_for
+    from clsplat.io.models.las import laspy_for
     for name in FILES:
         check_free(output / name, overwrite)
     opened = Run.open(run)

@@ -29,8 +29,8 @@ def pack(scene: Path, output: Path, downscale: float, images: str, overwrite: bo
     """
     from clsplat.evaluation.floaters import geometry_path
     from clsplat.io.atomic import replacing
-    from clsplat.io.packed import write_packed
-    from clsplat.io.scenes import read_scene
+    from clsplat.io.scenes.packed import write_packed
+    from clsplat.io.scenes.read import read_scene
     if output.suffix != ".npz":
         raise InputError(f"{output}: the suffix of a packed scene is .npz; change --output")
     truth, beside = geometry_path(scene), geometry_path(output)

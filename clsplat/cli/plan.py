@@ -58,7 +58,7 @@ def plan(ctx: click.Context, /, scene: Path, config: Path | None, photos: str, m
     from clsplat.estimate.forecast import Planned
     from clsplat.estimate.measured import MeasuredSteps
     from clsplat.estimate.step_time import load
-    from clsplat.io.scenes import read_scene
+    from clsplat.io.scenes.read import read_scene
     from clsplat.options import resolve
     from clsplat.partition.options import PartitionOptions
     from clsplat.training.photos import size_note

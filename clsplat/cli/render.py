@@ -37,7 +37,7 @@ def render(ctx: click.Context, /, model: Path, scene: Path | None, output: Path,
     from clsplat.evaluation.run import Run, scene_of_views, to_render
     from clsplat.evaluation.streamed import has_tree, open_tree, streaming_of
     from clsplat.evaluation.views import opened, render_view, render_views
-    from clsplat.io.models import is_model
+    from clsplat.io.models.formats import is_model
     check_streaming(ctx, lod)
     run = Run.open(model) if lod or not is_model(model) else None
     streaming = run and has_tree(run) and streaming_of(run, lod, lod_bias, host_memory)

@@ -68,10 +68,10 @@ def trained_scene(source: Path, output: Path, quiet: bool, overwrite: bool | Non
     if not is_video(source):
         if not has_photos(source):
             return source
-        from clsplat.io.scenes import is_scene
+        from clsplat.io.scenes.read import is_scene
         if is_scene(source):
             return source
-    from clsplat.io.run import RunFolder
+    from clsplat.io.runs.run import RunFolder
     from clsplat.sfm.reconstruct import SfmOptions, is_finished
     scene = output.with_name(f"{output.name}_scene")
     if is_finished(scene, source):

@@ -98,7 +98,7 @@ def train(ctx: click.Context, /, scene: Path | None, output: Path, config: Path 
 
 def ending(output: Path) -> list[str]:
     """The last lines of a training: warnings of its place, and what can be done with the result."""
-    from clsplat.io.run import REPORT, RunFolder
+    from clsplat.io.runs.run import REPORT, RunFolder
     known = RunFolder(output).georeference()
     warnings = [f"warning: {text}" for text in known.warnings] if known else []
     report = [f"report:  {output / REPORT}"] if (output / REPORT).is_file() else []
@@ -115,8 +115,8 @@ def _train(scene: Path | None, output: Path, options: TrainOptions | None, flags
     from clsplat.cli.progress import Progress
     from clsplat.cli.view import announce
     from clsplat.device import choose_device
-    from clsplat.io.run import RunFolder
-    from clsplat.io.scenes import read_scene
+    from clsplat.io.runs.run import RunFolder
+    from clsplat.io.scenes.read import read_scene
     from clsplat.training import loop
     resumes = options is None
     run = RunFolder.open(output) if resumes else RunFolder(output)

@@ -12,8 +12,8 @@ from clsplat.edit.select import in_polygons
 from clsplat.edit.source import Source
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
-from clsplat.io.geojson import DEGREES, read_polygons
 from clsplat.io.georeference.crs import conversion
+from clsplat.io.georeference.geojson import DEGREES, read_polygons
 from clsplat.partition.region import map_axes
 
 GEOJSON = (".geojson", ".json")

@@ -21,7 +21,7 @@ from scipy.special import logit
 from clsplat.constants import SH_C0
 from clsplat.edit.transform import half_axes
 from clsplat.gaussians import Gaussians
-from clsplat.io.model_values import opacities
+from clsplat.io.models.values import opacities
 
 NEIGHBOURS = 8  # with which a gaussian may be merged
 ROUND_SHARE = 0.2  # of the gaussians that a round removes at most, the cheapest pairs first

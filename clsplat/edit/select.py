@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.model_values import opacities
+from clsplat.io.models.values import opacities
 
 NEAR = 10.0  # times the median distance of a gaussian to the nearest other: who is a neighbour
 Polygon = Sequence[NDArray[np.float64]]  # its outline and its holes, [K, 2] each

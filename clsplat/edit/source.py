@@ -17,9 +17,9 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run, shown
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.model_values import MIP
-from clsplat.io.models import is_model, read_model, read_notes
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.formats import is_model, read_model, read_notes
+from clsplat.io.models.values import MIP
+from clsplat.io.scenes.read import read_scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from clsplat.edit.harmonics import rotated
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.quantise import unit
+from clsplat.io.models.quantise import unit
 
 SINGLE = np.finfo(np.float32)
 LARGEST_LOG = 87.0  # of a scale that single precision holds, and of its inverse

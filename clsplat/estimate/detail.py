@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from clsplat.io.resample import resample
+from clsplat.io.photos.resample import resample
 from clsplat.scene import View
 from clsplat.training.photos import decoded
 

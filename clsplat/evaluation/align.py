@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from clsplat.constants import TRANSFORM_REALS
 from clsplat.device import Array
 from clsplat.errors import InputError
-from clsplat.io.views import read_photo
+from clsplat.io.photos.views import read_photo
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.loss.options import ImageLossOptions

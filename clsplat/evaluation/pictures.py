@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.evaluation.error_map import error_map
-from clsplat.io.images import eight_bits
-from clsplat.io.resample import resample
+from clsplat.io.photos.images import eight_bits
+from clsplat.io.photos.resample import resample
 
 MOST_PIXELS = 640  # of the longer side of a picture in a page
 

@@ -18,12 +18,12 @@ from clsplat.evaluation.score import Score
 from clsplat.evaluation.views import evaluate_run, final_metrics, opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io.models import is_model, read_model, read_notes
-from clsplat.io.poses import read_poses
+from clsplat.io.models.formats import is_model, read_model, read_notes
+from clsplat.io.photos.undistort import undistorted
 from clsplat.io.reason import reason
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.io.undistort import undistorted
+from clsplat.io.runs.poses import read_poses
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, recorded
 from clsplat.rendering.slabs import ModelRenderer
 from clsplat.scene import Scene

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.io.tree import TREE, Tree
+from clsplat.io.models.tree import TREE, Tree
 from clsplat.rendering.tree import HOST_BYTES, TreeRenderer
 
 

@@ -29,9 +29,9 @@ from clsplat.evaluation.pictures import Pictures, ShownView, chosen_views, shown
 from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import make_folder
-from clsplat.io.images import write_image
+from clsplat.io.photos.images import write_image
+from clsplat.io.photos.views import read_photo
 from clsplat.io.regular import native
-from clsplat.io.views import read_photo
 from clsplat.options import TrainOptions
 from clsplat.placement.corrections import typical_depth
 from clsplat.rendering.slabs import ModelRenderer, open_model

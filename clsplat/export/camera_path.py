@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.posed import world_to_camera
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of
 from clsplat.io.regular import read_regular
+from clsplat.io.scenes.posed import world_to_camera
 from clsplat.scene import Scene
 
 # a film looks from where photos were taken, so the angle of view is at most theirs, and at least

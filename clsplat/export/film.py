@@ -23,8 +23,8 @@ from clsplat.export.prune import in_original, supported
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
-from clsplat.io.images import eight_bits, write_image
-from clsplat.io.tree import Tree
+from clsplat.io.models.tree import Tree
+from clsplat.io.photos.images import eight_bits, write_image
 from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.scene import Scene
 

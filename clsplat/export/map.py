@@ -32,7 +32,7 @@ from clsplat.export.statement import stated, tags_of
 from clsplat.export.surface import MOST_POINTS, write_surface
 from clsplat.io.folders import make_folder
 from clsplat.io.georeference.crs import WGS84
-from clsplat.io.images import write_image
+from clsplat.io.photos.images import write_image
 from clsplat.io.records import write_object
 from clsplat.scene import Scene
 

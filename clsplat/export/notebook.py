@@ -12,7 +12,7 @@ from clsplat.edit.select import selected
 from clsplat.export.page import write_page
 from clsplat.export.prune import alive
 from clsplat.gaussians import Gaussians
-from clsplat.io.model_values import opacities
+from clsplat.io.models.values import opacities
 from clsplat.placement.first_view import view_from_above
 from clsplat.scene import NEAR_SHARE
 

@@ -24,8 +24,8 @@ from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.model_values import colours_of, opacities
-from clsplat.io.quantise import morton_order, smallest_three
+from clsplat.io.models.quantise import morton_order, smallest_three
+from clsplat.io.models.values import colours_of, opacities
 from clsplat.report.groups import full_name
 from clsplat.scene import NEAR_SHARE
 

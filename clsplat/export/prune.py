@@ -17,7 +17,7 @@ from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_views
 from clsplat.export.orthophoto import LEAST_VIEWS, shown_by
 from clsplat.gaussians import Gaussians
-from clsplat.io.model_values import opacities
+from clsplat.io.models.values import opacities
 from clsplat.scene import Scene
 
 log = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat.export.contours import smoothed
 from clsplat.export.geotiff import Raster
-from clsplat.io.las import Part, write_points
+from clsplat.io.models.las import Part, write_points
 
 MOST_POINTS = 10_000_000  # of a LAZ file; a larger map gives a point to several pixels
 FINENESS = 100  # coordinates are stored as multiples of about this part of a pixel

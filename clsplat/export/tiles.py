@@ -31,10 +31,10 @@ from clsplat.georeference import Georeference
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import new_folder
 from clsplat.io.georeference.crs import conversion
-from clsplat.io.gltf import COMPRESSION, EXTENSION, write_glb
-from clsplat.io.gltf_spz import write_spz_glb
-from clsplat.io.model_values import Notes, mode_comment, opacities
-from clsplat.io.ply import read_ply
+from clsplat.io.models.gltf import COMPRESSION, EXTENSION, write_glb
+from clsplat.io.models.gltf_spz import write_spz_glb
+from clsplat.io.models.ply import read_ply
+from clsplat.io.models.values import Notes, mode_comment, opacities
 
 TILE_GAUSSIANS = 20_000  # of a tile at most: 5 MB with harmonics of degree 3
 LEAST_SHARE = 0.25  # of TILE_GAUSSIANS that one of SIG's levels must have in a tile to be used

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from clsplat.edit.transform import transformed
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
-from clsplat.io.model_values import mode_comment
-from clsplat.io.models import write_model
+from clsplat.io.models.formats import write_model
+from clsplat.io.models.values import mode_comment
 
 VIEWERS_UP = np.array([0.0, -1.0, 0.0])  # of SuperSplat and others, in the axes of a PLY
 

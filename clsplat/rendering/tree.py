@@ -1,4 +1,4 @@
-"""Frames of trees (io/tree.py) that fit neither the device nor host memory.
+"""Frames of trees (io/models/tree.py) that fit neither the device nor host memory.
 
 For each camera nodes are chosen by their distance, and read where they are not in memory. If their
 gaussians fit, they are drawn in one piece, and stay on the device while a camera needs the same
@@ -18,7 +18,7 @@ from clsplat.camera import Camera
 from clsplat.constants import SPLAT_REALS
 from clsplat.device import Array, Device
 from clsplat.gaussians import LEARNED
-from clsplat.io.tree import ORDER, Tree, row_bytes
+from clsplat.io.models.tree import ORDER, Tree, row_bytes
 from clsplat.rendering.pipeline import Frame, Renderer
 from clsplat.rendering.project import LOW_PASS
 from clsplat.rendering.slabs import (

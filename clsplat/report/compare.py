@@ -7,8 +7,8 @@ from typing import Any
 
 from clsplat.io.atomic import replacing
 from clsplat.io.folders import make_folder
-from clsplat.io.origin import origin
 from clsplat.io.records import write_object
+from clsplat.io.runs.origin import origin
 from clsplat.report.curves import Curve, Record, curve, reached, spread, value_at
 from clsplat.report.drawing import as_png, drawn
 from clsplat.report.figures import comparison_figure, cost_figure

@@ -12,7 +12,7 @@ from typing import Any
 from clsplat.config.option import options_of
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.io.run import find_runs
+from clsplat.io.runs.run import find_runs
 from clsplat.options import TrainOptions, serves
 from clsplat.report.curves import Record
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR
 from clsplat.evaluation.pictures import Pictures, ShownView
-from clsplat.io.images import encode_jpeg
+from clsplat.io.photos.images import encode_jpeg
 from clsplat.report.page import Table
 from clsplat.report.scores import COLUMNS, EXPLAINED, PERCEPTUAL, number, with_quality
 

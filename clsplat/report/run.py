@@ -6,7 +6,7 @@ from typing import Any
 
 from clsplat.config.option import options_of
 from clsplat.evaluation.pictures import Pictures
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions
 from clsplat.report.curves import Record
 from clsplat.report.drawing import drawn

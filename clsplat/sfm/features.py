@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.io.ahead import called_ahead
-from clsplat.io.images import image_size, read_image
-from clsplat.io.masks import read_mask
+from clsplat.io.photos.images import image_size, read_image
+from clsplat.io.photos.masks import read_mask
 from clsplat.sfm.database import image_id
 from clsplat.sfm.photos import SourcePhoto
 from clsplat.sfm.progress import Progress

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clsplat.errors import InputError
-from clsplat.io.beside import check_shape
-from clsplat.io.images import image_size
-from clsplat.io.mask_files import FOLDERS, MaskFiles, mask_folders, photo_of
-from clsplat.io.metadata import Calibration, PhotoMetadata, read_metadata
-from clsplat.io.photo import Levels
+from clsplat.io.photos.beside import check_shape
+from clsplat.io.photos.images import image_size
+from clsplat.io.photos.mask_files import FOLDERS, MaskFiles, mask_folders, photo_of
+from clsplat.io.photos.metadata import Calibration, PhotoMetadata, read_metadata
+from clsplat.io.photos.photo import Levels
 from clsplat.io.regular import in_unicode, native
-from clsplat.io.run import CITY, OPTIONS
-from clsplat.io.sources import IMAGES, PHOTO_SUFFIXES
+from clsplat.io.runs.run import CITY, OPTIONS
+from clsplat.io.scenes.sources import IMAGES, PHOTO_SUFFIXES
 
 UNREAD = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2", ".heic", ".heif",
           ".avif", ".insp")
@@ -35,7 +35,7 @@ class SourcePhoto:
     name : of the photo within the folder, with slashes.
     path : of its file.
     metadata : from its header.
-    mask : the file of its mask (io/masks.py), or None.
+    mask : the file of its mask (io/photos/masks.py), or None.
     levels : as of `scene.View`.
     """
 
@@ -103,7 +103,7 @@ def find_photos(folder: Path, masks: Path | None = None
     Parameters
     ----------
     masks : a folder with masks NAME.png, or NAME.jpg.png as COLMAP names them; None: those that
-        io/mask_files.py finds.
+        io/photos/mask_files.py finds.
 
     Returns
     -------

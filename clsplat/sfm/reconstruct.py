@@ -12,7 +12,6 @@ import pycolmap
 
 from clsplat import __version__
 from clsplat.errors import InputError
-from clsplat.io.colmap_format import CAMERA_MODELS
 from clsplat.io.folders import make_folder
 from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
 from clsplat.io.georeference.control_points import (
@@ -23,12 +22,13 @@ from clsplat.io.georeference.control_points import (
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction, turned
-from clsplat.io.levels import common_levels, is_deep, levels_note
 from clsplat.io.lock import HOLDER, LOCK, exclusive
-from clsplat.io.mask_files import MASKS
+from clsplat.io.photos.levels import common_levels, is_deep, levels_note
+from clsplat.io.photos.mask_files import MASKS
 from clsplat.io.reason import reason
 from clsplat.io.records import object_of, plain, write_object
 from clsplat.io.regular import read_regular
+from clsplat.io.scenes.colmap_format import CAMERA_MODELS
 from clsplat.sfm.database import create_database, photo_index
 from clsplat.sfm.features import extract_features
 from clsplat.sfm.mapping import Mapped, map_photos

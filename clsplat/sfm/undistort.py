@@ -15,13 +15,13 @@ import pycolmap
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.folders import make_folder
-from clsplat.io.images import read_image, write_image
-from clsplat.io.mask_files import MASKS
-from clsplat.io.masks import LEAST_BRIGHT, read_mask, unmasked
+from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.photos.mask_files import MASKS
+from clsplat.io.photos.masks import LEAST_BRIGHT, read_mask, unmasked
 from clsplat.io.regular import native
-from clsplat.io.sources import IMAGES
+from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.sources import IMAGES
 from clsplat.scene import View
 from clsplat.sfm.features import threads
 from clsplat.sfm.photos import SourcePhoto

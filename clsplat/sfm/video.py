@@ -14,7 +14,7 @@ from scipy.ndimage import laplace, zoom
 
 from clsplat.errors import InputError
 from clsplat.io.folders import make_folder
-from clsplat.io.images import write_image
+from clsplat.io.photos.images import write_image
 from clsplat.io.reason import reason
 from clsplat.sfm.progress import Progress
 

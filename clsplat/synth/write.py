@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
-from clsplat.io.colmap_write import Tracks, write_colmap
 from clsplat.io.folders import make_folder, remove_files
-from clsplat.io.images import write_image
+from clsplat.io.photos.images import write_image
+from clsplat.io.scenes.colmap_write import Tracks, write_colmap
 from clsplat.scene import View
 from clsplat.synth import geometry
 from clsplat.synth.cameras import survey

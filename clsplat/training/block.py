@@ -8,10 +8,10 @@ from typing import Any
 from clsplat.config.option import differences
 from clsplat.device import Device, choose_device
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.city import BlockFolder
-from clsplat.io.linked import DEPTH
-from clsplat.io.run import OPTIONS, RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.city import BlockFolder
+from clsplat.io.runs.run import OPTIONS, RunFolder
+from clsplat.io.scenes.linked import DEPTH
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import EARLIER, TrainOptions, checked_values, resolve
 from clsplat.scene import Scene
 from clsplat.training.checkpoint import Saved

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
-from clsplat.io.run import CHECKPOINT, OPTIONS, RunFolder
+from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.optimise.pose import LEARNED as POSES
 from clsplat.options import checked

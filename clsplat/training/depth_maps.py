@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
-from clsplat.io.depth import read_depth
+from clsplat.io.photos.depth import read_depth
 from clsplat.scene import View
 
 DEVICE_SHARE = 0.125  # of the device's memory that depth maps may take

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.city import LAYERS, BlockFolder, CityFolder
+from clsplat.io.models.ply import START, start_comment, write_ply
 from clsplat.io.npz import read_npz, state_array, write_npz
-from clsplat.io.ply import START, start_comment, write_ply
 from clsplat.io.records import object_of
-from clsplat.io.run import STATE, RunFolder
+from clsplat.io.runs.city import LAYERS, BlockFolder, CityFolder
+from clsplat.io.runs.run import STATE, RunFolder
 from clsplat.options import TrainOptions
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.scene import Scene

@@ -6,11 +6,11 @@ from typing import Any
 from clsplat.errors import ClsplatError
 from clsplat.evaluation.views import pictures_of
 from clsplat.io.georeference.files import placement_comments
-from clsplat.io.model_values import mode_comment
-from clsplat.io.ply import START, start_comment
-from clsplat.io.poses import write_poses
+from clsplat.io.models.ply import START, start_comment
+from clsplat.io.models.values import mode_comment
 from clsplat.io.reason import reason
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.poses import write_poses
+from clsplat.io.runs.run import RunFolder
 from clsplat.placement.corrections import Correction
 from clsplat.report.run import write_report
 from clsplat.scene import Scene

@@ -11,8 +11,8 @@ from clsplat.config.option import AUTO, is_auto
 from clsplat.densify.sphere import with_spheres
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.models import count_of, is_model, read_model
-from clsplat.io.quantise import morton_order
+from clsplat.io.models.formats import count_of, is_model, read_model
+from clsplat.io.models.quantise import morton_order
 from clsplat.options import TrainOptions
 from clsplat.response import Response
 from clsplat.scene import Scene, View

@@ -18,12 +18,12 @@ from clsplat.config.option import is_auto
 from clsplat.device import Device
 from clsplat.errors import ClsplatError, InputError, Interrupted
 from clsplat.gaussians import Gaussians
-from clsplat.io.depth import with_depths
-from clsplat.io.ply import START
+from clsplat.io.models.ply import START
+from clsplat.io.photos.depth import with_depths
+from clsplat.io.photos.undistort import undistorted
 from clsplat.io.records import digest_of
-from clsplat.io.run import PART_OF_CITY, RunFolder
-from clsplat.io.scenes import fingerprint
-from clsplat.io.undistort import undistorted
+from clsplat.io.runs.run import PART_OF_CITY, RunFolder
+from clsplat.io.scenes.read import fingerprint
 from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.io.ahead import called_ahead
-from clsplat.io.resample import BAND_BYTES
-from clsplat.io.views import photo_bands
+from clsplat.io.photos.resample import BAND_BYTES
+from clsplat.io.photos.views import photo_bands
 from clsplat.options import TrainOptions
 from clsplat.scene import View
 from clsplat.training.photo_store import MEMORY_BYTES, PhotoStore

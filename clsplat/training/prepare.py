@@ -13,7 +13,7 @@ from clsplat.densify.free_space import FreeSpace
 from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.depth import with_depths
+from clsplat.io.photos.depth import with_depths
 from clsplat.options import TrainOptions
 from clsplat.partition.blocks import trainable
 from clsplat.response import Lenses

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from clsplat.errors import InputError, StopTraining
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.report.scores import is_upheaval
 from clsplat.training.clock import Clock
 from clsplat.training.progress import SilentProgress

@@ -14,7 +14,7 @@ from clsplat.evaluation.streamed import Streaming, open_tree
 from clsplat.export.page import filled, near_of, script_json, view_record
 from clsplat.export.prune import photos_of
 from clsplat.gaussians import Gaussians
-from clsplat.io.tree import Tree
+from clsplat.io.models.tree import Tree
 from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.report.groups import full_name
 from clsplat.scene import Scene

@@ -23,7 +23,7 @@ import numpy as np
 
 from clsplat.camera import Camera, numbers
 from clsplat.errors import InputError
-from clsplat.io.images import encode_jpeg
+from clsplat.io.photos.images import encode_jpeg
 from clsplat.io.records import plain
 from clsplat.view.frames import FrameRequest, FrameRequests
 

@@ -16,8 +16,8 @@ from clsplat.cli.main import main
 from clsplat.distribute import Outcome, Workers, guarded, local, run
 from clsplat.errors import InputError
 from clsplat.io.lock import LockTaken
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.partition.options import PartitionOptions
 from clsplat.training import loop
 from clsplat.training.progress import WARNING, SilentProgress

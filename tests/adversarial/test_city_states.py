@@ -11,9 +11,9 @@ from clsplat.city import cut, stages
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from tests.data.tiny_training import CITY

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 from clsplat.cli.main import main, verdict
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.ply import write_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.models.ply import write_ply
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import from_toml, resolve
 from clsplat.training import checkpoint
 from clsplat.training.loop import resume

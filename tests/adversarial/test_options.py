@@ -14,8 +14,8 @@ from clsplat.config.option import MOST_STEPS
 from clsplat.densify.grow import Candidates
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.io import run as run_module
-from clsplat.io.run import RunFolder
+from clsplat.io.runs import run as run_module
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import TrainOptions, checked, from_toml, resolve
 from clsplat.schedule import laid_over
 

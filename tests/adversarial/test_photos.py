@@ -14,9 +14,9 @@ import tifffile
 from PIL import Image
 
 from clsplat.errors import InputError
-from clsplat.io import resample
-from clsplat.io.images import read_image
-from clsplat.io.photo import opened
+from clsplat.io.photos import resample
+from clsplat.io.photos.images import read_image
+from clsplat.io.photos.photo import opened
 
 Y, X = np.mgrid[:24, :32]
 PICTURE = np.stack([X * 8, Y * 10, (X + Y) * 4], axis=2).astype(np.uint8)

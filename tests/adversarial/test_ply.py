@@ -3,7 +3,7 @@
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.ply import read_vertices
+from clsplat.io.models.ply import read_vertices
 
 PLY = (b"ply\nformat ascii 1.0\n%selement vertex 2\nproperty float x\nproperty float y\n"
        b"property float z\nend_header\n1 2 3\n4 5 6\n")

@@ -17,10 +17,10 @@ import pytest
 from PIL import Image
 
 from clsplat.errors import InputError
-from clsplat.io.images import write_image
-from clsplat.io.packed import write_packed
-from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.io.views import read_photo
+from clsplat.io.photos.images import write_image
+from clsplat.io.photos.views import read_photo
+from clsplat.io.scenes.packed import write_packed
+from clsplat.io.scenes.read import fingerprint, read_scene
 from tests.adversarial.test_photos import exif
 from tests.data import layouts
 from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
@@ -237,14 +237,14 @@ def test_paths_that_are_not_utf8(tmp_path, locale):
     made = renamed(lambda name: f"ü {name}")(tmp_path / "town")
     place = os.path.join(os.fsencode(tmp_path), b"t\xffwn")
     shutil.move(made, place)
-    code = ("import sys\nfrom clsplat.io.views import read_photo\n"
-            "from clsplat.io.packed import write_packed\n"
-            "from clsplat.io.scenes import read_scene\n"
+    code = ("import sys\nfrom clsplat.io.photos.views import read_photo\n"
+            "from clsplat.io.scenes.packed import write_packed\n"
+            "from clsplat.io.scenes.read import read_scene\n"
             "scene = read_scene(sys.argv[1])\n"
             "print(sum(read_photo(view).shape[0] for view in scene.views))\n"
             "write_packed(scene, sys.argv[1] + '/a.npz')\n"
             "print(len(read_scene(sys.argv[1] + '/a.npz').views))\n"
-            "from clsplat.io.run import RunFolder\nrun = RunFolder(sys.argv[1] + '/run')\n"
+            "from clsplat.io.runs.run import RunFolder\nrun = RunFolder(sys.argv[1] + '/run')\n"
             "names = [view.name for view in scene.views]\nrun.renders.note('test', names)\n"
             "for name in names:\n    run.renders.path('test', name).touch()\n"
             "run.renders.note('train', [])\nprint(len(run.renders.paths()))\n")
@@ -259,8 +259,8 @@ def test_nothing_is_written_to_the_temporary_folder(tmp_path):
     folder = write_scene(tmp_path / "town")
     write_packed(read_scene(folder), tmp_path / "town.npz")
     code = ("import sys, tempfile\ntempfile.tempdir = '/nowhere'\n"
-            "from clsplat.io.views import read_photo\n"
-            "from clsplat.io.scenes import read_scene\n"
+            "from clsplat.io.photos.views import read_photo\n"
+            "from clsplat.io.scenes.read import read_scene\n"
             "for path in sys.argv[1:]:\n    print(read_photo(read_scene(path).views[0]).mean())\n")
     done = subprocess.run([sys.executable, "-c", code, folder, tmp_path / "town.npz"],
                           capture_output=True, text=True, timeout=300, check=False)

@@ -10,7 +10,7 @@ import pytest
 
 import clsplat
 from clsplat.evaluation.views import render_view
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.rendering.slabs import open_model
 from clsplat.training import loop

@@ -12,11 +12,11 @@ from clsplat.city import blocks, cut, dense, forecast, scoring, stages
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import TOO_LARGE, DeviceError, InputError
-from clsplat.io.city import CityFolder
-from clsplat.io.images import read_image
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import read_ply
+from clsplat.io.photos.images import read_image
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.make import make_partition
 from tests.data.tiny_training import CITY

@@ -14,14 +14,13 @@ from clsplat.city.cut import surroundings_of
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
-from clsplat.io import city as module
-from clsplat.io import linked
-from clsplat.io.city import OTHERS, BlockFolder, CityFolder, attached
-from clsplat.io.depth import read_depth, with_depths
-from clsplat.io.images import write_image
-from clsplat.io.packed import write_packed
-from clsplat.io.ply import read_ply
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.models.ply import read_ply
+from clsplat.io.photos.depth import read_depth, with_depths
+from clsplat.io.photos.images import write_image
+from clsplat.io.runs import city as module
+from clsplat.io.runs.city import OTHERS, BlockFolder, CityFolder, attached
+from clsplat.io.scenes.packed import write_packed
+from clsplat.io.scenes.read import fingerprint, linked, read_scene
 from clsplat.options import resolve
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response

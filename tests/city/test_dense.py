@@ -17,10 +17,10 @@ from clsplat.city.stages import begin
 from clsplat.distribute import Children
 from clsplat.errors import InputError, Interrupted
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import read_ply
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.make import make_partition
 from tests.city.test_city import city

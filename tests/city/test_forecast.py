@@ -25,8 +25,8 @@ from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.estimate.measured import MeasuredSteps
 from clsplat.estimate.step_time import fitted, predicted_seconds
-from clsplat.io.city import CityFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import LEAST_GAUSSIANS, PartitionOptions
 from clsplat.scene import View

@@ -10,11 +10,11 @@ from clsplat.city.merge import merge
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.ply import START, start_comment, start_of, write_ply
+from clsplat.io.models.ply import START, start_comment, start_of, write_ply
 from clsplat.io.records import digest_of
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space

@@ -21,10 +21,10 @@ from clsplat.device import choose_device
 from clsplat.errors import TOO_LARGE, DeviceError, InputError, Interrupted
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run
-from clsplat.io.city import CityFolder
-from clsplat.io.ply import read_ply, write_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.options import PartitionOptions
 from clsplat.training.decisions import is_part_of_city

@@ -5,10 +5,10 @@ import pytest
 
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
-from clsplat.io.city import CityFolder
-from clsplat.io.depth import read_depth, with_depths
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.photos.depth import read_depth, with_depths
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.synth.geometry import load
 from clsplat.synth.raycast import cast
 from tests.city.test_city import FLAGS

@@ -9,10 +9,10 @@ from clsplat.city import lod
 from clsplat.city.lod import Levels, merge_levels
 from clsplat.cli.main import main
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.models.ply import read_ply
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space
 from tests.data.tiny_training import CITY

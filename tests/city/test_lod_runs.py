@@ -13,10 +13,10 @@ from clsplat.cli.main import main
 from clsplat.evaluation.run import Run, to_render
 from clsplat.evaluation.views import opened, photo_of, render_view
 from clsplat.gaussians import Gaussians
-from clsplat.io.images import read_image
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import read_ply
+from clsplat.io.photos.images import read_image
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.training.step import Step
 from tests.data.tiny_training import CITY, LEVELLED, model_digest, records, resumed, trained
 from tests.reference.frequency import scene_frequency

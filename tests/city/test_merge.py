@@ -11,10 +11,10 @@ from clsplat.city.finish import merged_city
 from clsplat.city.merge import joined, merge
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.ply import read_ply, write_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space

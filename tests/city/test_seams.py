@@ -18,8 +18,8 @@ from clsplat.city.seams import (
 from clsplat.constants import SH_C0
 from clsplat.evaluation.views import render_view
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.images import write_image
-from clsplat.io.scenes import read_scene
+from clsplat.io.photos.images import write_image
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import TrainOptions
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Region, Space

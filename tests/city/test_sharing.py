@@ -12,8 +12,8 @@ from clsplat.city.sharing import PROCESS_BYTES, blocks_sharing
 from clsplat.cli.city import partition_options
 from clsplat.cli.main import main
 from clsplat.errors import InputError
-from clsplat.io.city import CityFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from tests.data.tiny_training import CITY
 

@@ -7,7 +7,7 @@ from clsplat.city.tree import parted
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import PARTIAL
-from clsplat.io.tree import HEADER, NO_PARENT, ORDER, Tree, writing_tree
+from clsplat.io.models.tree import HEADER, NO_PARENT, ORDER, Tree, writing_tree
 from clsplat.rendering.tree import NodeCache, NodeParts, choose
 from tests.city.test_lod import LENGTH, at, strip, table
 from tests.data.made_tree import write_tree

@@ -7,7 +7,7 @@ from clsplat.city.visibility import DropTest
 from clsplat.evaluation.metrics import ssim
 from clsplat.evaluation.views import opened, render_view
 from clsplat.gaussians import Gaussians
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from tests.data.tiny_training import CITY
 

@@ -21,7 +21,7 @@ from clsplat.cli.progress import Progress
 from clsplat.cli.train import resumed_options
 from clsplat.errors import ClsplatError, DeviceError, Interrupted
 from clsplat.gaussians import Gaussians
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from tests.data import ground_model
 
@@ -90,8 +90,9 @@ def calls(monkeypatch):
                 progress(iteration=0, total=5, loss=1.0, gaussians=1, memory_bytes=0, level=2.0)
         return call
 
-    module(monkeypatch, "clsplat.io.run", RunFolder=FakeRun, REPORT="report.html")
-    module(monkeypatch, "clsplat.io.scenes", read_scene=lambda path, given: f"scene {path}{given}")
+    module(monkeypatch, "clsplat.io.runs.run", RunFolder=FakeRun, REPORT="report.html")
+    module(monkeypatch, "clsplat.io.scenes.read",
+           read_scene=lambda path, given: f"scene {path}{given}")
     module(monkeypatch, "clsplat.device", choose_device=lambda spec, **_: f"device {spec}")
     train = module(monkeypatch, "clsplat.training")
     train.loop = module(monkeypatch, "clsplat.training.loop", train=trainer("train"),
@@ -113,10 +114,10 @@ def raising(error):
 
 def test_up_is_not_asked_for_where_the_earth_tells(tmp_path, calls, monkeypatch):
     """Maps and tiles of a run so trained would be turned against the earth."""
-    module(monkeypatch, "clsplat.io.scenes", read_scene=lambda *_: ground_model.scene())
+    module(monkeypatch, "clsplat.io.scenes.read", read_scene=lambda *_: ground_model.scene())
     result = clsplat_("train", tmp_path, "-o", tmp_path / "run", "--up", 0, 0.1, 1)
     assert result.exit_code == 2 and "so its z axis points up" in result.stderr, result.output
-    module(monkeypatch, "clsplat.io.scenes", read_scene=lambda *_: ground_model.scene(None))
+    module(monkeypatch, "clsplat.io.scenes.read", read_scene=lambda *_: ground_model.scene(None))
     assert clsplat_("train", tmp_path, "-o", tmp_path / "run", "--up", 0, 0.1, 1).exit_code == 0
     assert calls[-1][0] == "train" and calls[-1][1].up[1] > 0.09
 

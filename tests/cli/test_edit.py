@@ -11,8 +11,8 @@ from clsplat.edit.select import selected
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import write_georeference, write_orientation
-from clsplat.io.models import read_model, write_model
-from clsplat.io.run import RunFolder
+from clsplat.io.models.formats import read_model, write_model
+from clsplat.io.runs.run import RunFolder
 from tests.data.cloud import cloud
 
 PLACE = Georeference("EPSG:32633", (465_000.0, 5_800_000.0, 50.0), "GPS", 1.0)

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from clsplat.cli.main import main, verdict
 from clsplat.cli.train import ending
 from clsplat.errors import InputError
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.training.interrupt import handled_interrupts, signals_held
 from tests.cli.test_cli import python, raising
 from tests.test_layout import ROOT

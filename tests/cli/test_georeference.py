@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from clsplat.cli.main import main
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from tests.data.survey import CRS, Survey
 from tests.io.shared_cases import CASES, needs_cases
 

@@ -4,7 +4,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.errors import InputError
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.synth.write import GEOMETRY
 from tests.data.tiny_model import write_scene
 
@@ -31,7 +31,7 @@ def test_both_files_are_there_or_none(tmp_path, monkeypatch):
     folder = write_scene(tmp_path / "town")
     (folder / GEOMETRY).write_text("{}")
     with monkeypatch.context() as patch:
-        patch.setattr("clsplat.io.packed.write_packed", full)
+        patch.setattr("clsplat.io.scenes.packed.write_packed", full)
         assert pack(folder, "-o", tmp_path / "town.npz")[0] == 2
     assert [path.name for path in tmp_path.iterdir()] == ["town"]
     (tmp_path / f"town.{GEOMETRY}").write_text("mine")

@@ -11,8 +11,8 @@ from clsplat.cli import campaign
 from clsplat.cli.train import resumed_options
 from clsplat.config.option import differences, plain
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.partition.make import METHODS
 from clsplat.partition.options import METHODS as NAMES

@@ -9,7 +9,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.covisibility import exposure_drift as drift
 from clsplat.covisibility.exposure_drift import DRIFTS, exposure_drift
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from clsplat.training.photos import decoded
 

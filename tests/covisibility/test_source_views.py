@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.covisibility.source_views import choose_source_views
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.scene import Scene, View
 from tests.data.tiny_training import CITY
 

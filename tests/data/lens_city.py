@@ -5,8 +5,8 @@ import numpy as np
 import pycolmap
 from scipy.ndimage import map_coordinates
 
-from clsplat.io.images import write_image
-from clsplat.io.scenes import read_scene
+from clsplat.io.photos.images import write_image
+from clsplat.io.scenes.read import read_scene
 from clsplat.synth.geometry import load
 from clsplat.synth.raycast import cast
 from tests.data.tiny_training import CITY

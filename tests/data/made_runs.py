@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from clsplat.io.run import MODEL, RunFolder
+from clsplat.io.runs.run import MODEL, RunFolder
 from clsplat.options import resolve
 
 # seconds a step, PSNR at the end, gaussians at the end; levels: (step it begins, factor)

@@ -1,7 +1,7 @@
 """Trees of models that no city has."""
 
 from clsplat.city.tree import CELL, TreeBuilder
-from clsplat.io.tree import writing_tree
+from clsplat.io.models.tree import writing_tree
 
 
 def write_tree(path, blocks, sh_degree, offset, cell=CELL):

@@ -5,7 +5,7 @@ import contextlib
 import numpy as np
 import pycolmap
 
-from clsplat.io.images import write_image
+from clsplat.io.photos.images import write_image
 
 WIDTH, HEIGHT = 48, 36
 FOCAL, CENTRE = (50.0, 52.0), (22.5, 19.0)

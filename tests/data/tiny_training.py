@@ -7,7 +7,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from clsplat.errors import Interrupted
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.training.loop import resume, train
 

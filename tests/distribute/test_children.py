@@ -47,7 +47,7 @@ def test_a_child_that_is_started_early_calls_what_is_needed(tmp_path):
     task, folder, worker = stub_tasks(tmp_path, 1)[0], tmp_path / "called", child.Child()
     task.folder.mkdir()
     try:
-        worker.start([f"os:makedirs:{folder}", "clsplat.io.scenes:read_scene:nowhere"])
+        worker.start([f"os:makedirs:{folder}", "clsplat.io.scenes.read:read_scene:nowhere"])
         early = worker._process
         assert worker.work(task, PROGRAM).ending == DONE
         assert folder.is_dir() and int(processes_of([task])[0]) == early.pid

@@ -33,8 +33,8 @@ from clsplat.estimate.trial_steps import (
     trial_session,
 )
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.images import write_image
-from clsplat.io.scenes import read_scene
+from clsplat.io.photos.images import write_image
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.rendering.frame_arrays import FrameSize
 from clsplat.rendering.pipeline import Renderer

@@ -10,7 +10,7 @@ from clsplat.errors import InputError
 from clsplat.evaluation.align import aligned
 from clsplat.evaluation.views import evaluate_views, render_view
 from clsplat.gaussians import Gaussians
-from clsplat.io.images import write_image
+from clsplat.io.photos.images import write_image
 from clsplat.placement.corrections import Correction
 from clsplat.rendering.slabs import open_model
 from clsplat.scene import View

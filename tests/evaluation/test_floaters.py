@@ -13,8 +13,8 @@ from clsplat.evaluation import floaters, views
 from clsplat.evaluation.floaters import floater_share, ground_truth
 from clsplat.evaluation.run import Run
 from clsplat.gaussians import Gaussians
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.synth.cameras import looking, survey
 from clsplat.synth.geometry import City, distance, save
 from clsplat.synth.layout import city as lay_out

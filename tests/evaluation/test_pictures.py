@@ -11,8 +11,8 @@ from clsplat.camera import Camera
 from clsplat.evaluation import views
 from clsplat.evaluation.error_map import COLOURS, LARGEST_ERROR, error_map
 from clsplat.evaluation.pictures import MOST_PIXELS, Pictures, chosen_views, shown_view
-from clsplat.io.images import read_image
-from clsplat.io.run import RunFolder
+from clsplat.io.photos.images import read_image
+from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
 from clsplat.report.run import renew_report, write_report
 from clsplat.scene import View

@@ -16,12 +16,12 @@ from clsplat.evaluation.run import Run, to_render
 from clsplat.evaluation.score import Score
 from clsplat.evaluation.views import evaluate_run, photo_of, render_view
 from clsplat.gaussians import Gaussians
-from clsplat.io.images import read_image
-from clsplat.io.models import write_model
-from clsplat.io.ply import write_ply
-from clsplat.io.poses import write_poses
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.models.formats import write_model
+from clsplat.io.models.ply import write_ply
+from clsplat.io.photos.images import read_image
+from clsplat.io.runs.poses import write_poses
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.placement.corrections import Correction
 from clsplat.report.run import lead

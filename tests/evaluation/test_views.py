@@ -8,7 +8,7 @@ import pytest
 from clsplat.evaluation import views as views_module
 from clsplat.evaluation.views import evaluate_views, opened
 from clsplat.gaussians import Gaussians
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from tests.data.tiny_training import CITY
 

@@ -22,7 +22,7 @@ from clsplat.export.camera_path import (
     read_camera_path,
     turntable,
 )
-from clsplat.io.images import read_image
+from clsplat.io.photos.images import read_image
 from clsplat.options import TrainOptions
 from tests.data import ground_model as made
 

@@ -14,7 +14,7 @@ from clsplat.export.map import write_map
 from clsplat.export.map_grid import TILE, MapGrid, map_grid
 from clsplat.gaussians import Gaussians
 from clsplat.io.georeference.crs import map_crs
-from clsplat.io.las import write_points
+from clsplat.io.models.las import write_points
 from clsplat.options import TrainOptions
 from tests.data import ground_model as made
 from tests.export.test_map import drawn, rasters, run_of

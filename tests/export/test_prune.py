@@ -9,8 +9,8 @@ from clsplat.estimate.trial_steps import sampled
 from clsplat.evaluation.run import Run
 from clsplat.export import prune as thin
 from clsplat.gaussians import Gaussians
-from clsplat.io.ply import read_ply, write_ply
-from clsplat.io.run import RunFolder
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.runs.run import RunFolder
 from clsplat.rendering.pipeline import Renderer
 from tests.data.tiny_training import CITY
 from tests.estimate.test_plan import city, clsplat_

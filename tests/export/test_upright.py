@@ -9,7 +9,7 @@ from clsplat.estimate.trial_steps import sampled
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import write_georeference, write_orientation
-from clsplat.io.models import SUFFIXES, read_model
+from clsplat.io.models.formats import SUFFIXES, read_model
 from tests.estimate.test_plan import city, clsplat_
 from tests.export.test_prune import run_with
 

@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.lock import LockTaken, exclusive, is_locked
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from tests.lock_holder import HOLD, held_elsewhere
 
 

@@ -9,7 +9,7 @@ import pytest
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
 from clsplat.io.atomic import replacing
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 
 MODEL = Gaussians.from_points(np.eye(3), np.zeros((3, 3), np.uint8), 0)
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.models import read_model, write_model
+from clsplat.io.models.formats import read_model, write_model
+from clsplat.io.models.webp import encode_webp
 from clsplat.io.npz import read_npz
-from clsplat.io.webp import encode_webp
-from tests.io.test_ply import random_gaussians
+from tests.io.models.test_ply import random_gaussians
 
 PAYLOAD = 1 << 26
 LITTLE = 1 << 25

@@ -12,7 +12,7 @@ from clsplat.constants import FRAME_COUNTS
 from clsplat.densify.contribution import contribution
 from clsplat.device.array import Array
 from clsplat.errors import DeviceError, OutOfDeviceMemory
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.bands import choose_bands, pair_limit
 from clsplat.rendering.bin import PAIR_LIMIT, count_tiles, tile_grid
 from clsplat.rendering.blend import Exposure

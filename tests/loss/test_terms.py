@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clsplat.gaussians import Gaussians
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.loss import terms
 from clsplat.loss.image_loss import ImageLoss
 from clsplat.loss.reproject import Reprojection

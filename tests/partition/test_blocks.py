@@ -7,7 +7,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.partition.blocks import block_start, filled, largest_sizes, seen_pixels
 from clsplat.partition.region import Region, Space
 from clsplat.scene import Scene, View

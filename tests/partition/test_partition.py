@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from clsplat.errors import InputError
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.partition import make
 from clsplat.partition.grid import makespan
 from clsplat.partition.input import PartitionInput

@@ -8,8 +8,8 @@ import pytest
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import evaluate_run
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.rendering import slabs
 from clsplat.rendering.slabs import Parts, SlabRenderer, gaussian_limit, open_model
 from tests import cases

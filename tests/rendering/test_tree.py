@@ -9,7 +9,7 @@ import pytest
 from clsplat.city.tree import facts_of
 from clsplat.edit.select import selected
 from clsplat.gaussians import Gaussians
-from clsplat.io.tree import ORDER, Tree, writing_tree
+from clsplat.io.models.tree import ORDER, Tree, writing_tree
 from clsplat.rendering.pipeline import Renderer
 from clsplat.rendering.tree import TreeRenderer
 from tests.city.test_lod import strip
@@ -50,7 +50,7 @@ import sys
 from pathlib import Path
 from clsplat.camera import Camera
 from clsplat.device import choose_device
-from clsplat.io.tree import Tree
+from clsplat.io.models.tree import Tree
 from clsplat.rendering.tree import TreeRenderer
 
 def resident(name):

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from clsplat.cli.campaign import combinations, run_campaign
 from clsplat.cli.main import main
 from clsplat.errors import DeviceError, InputError, Interrupted
-from clsplat.io.run import RunFolder, find_runs
+from clsplat.io.runs.run import RunFolder, find_runs
 from clsplat.report.compare import (
     compare,
     equality_tables,
@@ -362,8 +362,8 @@ def test_a_campaign_goes_on_where_it_ended(tmp_path, wanted, scenes):
 @pytest.fixture
 def scenes(monkeypatch):
     """The made-up scenes of the runs: city and barn."""
-    monkeypatch.setattr("clsplat.io.scenes.read_scene", Path)
-    monkeypatch.setattr("clsplat.io.scenes.fingerprint",
+    monkeypatch.setattr("clsplat.io.scenes.read.read_scene", Path)
+    monkeypatch.setattr("clsplat.io.scenes.read.fingerprint",
                         lambda scene: ("ab" if scene.name == "city" else "cd") * 32)
 
 

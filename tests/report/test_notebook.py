@@ -8,7 +8,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.evaluation.score import Score
-from clsplat.io.images import write_image
+from clsplat.io.photos.images import write_image
 from clsplat.scene import Scene, View
 from tests.report.test_survey_hostile import flight, words_of
 

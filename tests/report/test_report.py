@@ -13,8 +13,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import clsplat
-from clsplat.io.origin import origin
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.origin import origin
+from clsplat.io.runs.run import RunFolder
 from clsplat.report import run as run_page
 from clsplat.report.curves import (
     band,

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.errors import InputError
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.report.run import renew_report, write_report
 from tests.data.made_runs import made_records, made_run
 from tests.evaluation.test_pictures import pictures

@@ -4,8 +4,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pycolmap
 
-from clsplat.io.images import write_image
-from clsplat.io.metadata import PhotoMetadata
+from clsplat.io.photos.images import write_image
+from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.sfm.photos import SourcePhoto
 
 

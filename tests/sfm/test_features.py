@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from clsplat.io.images import write_image
+from clsplat.io.photos.images import write_image
 from clsplat.sfm import features
 from clsplat.sfm.database import create_database, image_id
 from clsplat.sfm.features import extract_features

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.metadata import Calibration
+from clsplat.io.photos.metadata import Calibration
 from clsplat.sfm.photos import cameras_of, find_photos, has_photos, is_video
 from tests.sfm.cases import folder_of, source
 

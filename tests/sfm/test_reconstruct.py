@@ -20,8 +20,8 @@ from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.georeference import Georeference
 from clsplat.io.georeference.files import write_georeference
-from clsplat.io.images import read_image, write_image
-from clsplat.io.scenes import read_scene
+from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.scenes.read import read_scene
 from clsplat.placement.similarity import fitted
 from clsplat.sfm import reconstruct as module
 from clsplat.sfm.database import create_database

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from clsplat.io.colmap import read_colmap
-from clsplat.io.images import read_image, write_image
-from clsplat.io.metadata import PhotoMetadata
+from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.photos.metadata import PhotoMetadata
+from clsplat.io.scenes.colmap import read_colmap
 from clsplat.sfm.photos import SourcePhoto
 from clsplat.sfm.undistort import output_names, write_scene
 from tests.sfm.cases import Lines, synthetic

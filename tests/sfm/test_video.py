@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from clsplat.errors import InputError
-from clsplat.io.images import read_image
+from clsplat.io.photos.images import read_image
 from clsplat.sfm import video
 from clsplat.sfm.video import check_video, extract_frames, sharpness
 from tests.sfm.cases import Lines, picture

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.synth import synth
 from clsplat.errors import InputError
-from clsplat.io.images import read_image
+from clsplat.io.photos.images import read_image
 from clsplat.synth import geometry, raycast
 from clsplat.synth.cameras import looking, survey
 from clsplat.synth.geometry import City, distance

@@ -3,7 +3,7 @@
 
 import pytest
 
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from tests.data.tiny_training import CITY, LEVELLED, trained
 
 

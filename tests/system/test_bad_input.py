@@ -17,11 +17,11 @@ from click.testing import CliRunner
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.colmap_write import Tracks, write_colmap
-from clsplat.io.images import read_image, write_image
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import read_ply
+from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.colmap_write import Tracks, write_colmap
+from clsplat.io.scenes.read import read_scene
 from tests.data.tiny_model import HEIGHT, WIDTH, reconstruction, write_scene
 
 TRAIN = ("-q", "-n", "3", "--test-every", "4", "--sh-degree", "0")

@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.training import evaluator, finish, loop
 from clsplat.training.photos import Photos
 from tests.data.tiny_training import STILL, model_digest, records, resumed, trained

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from clsplat.cli.main import main
 from clsplat.evaluation.error_map import error_map
-from clsplat.io.images import read_image
+from clsplat.io.photos.images import read_image
 from tests.data.tiny_training import STILL, trained
 
 

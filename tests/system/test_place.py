@@ -7,8 +7,8 @@ import pytest
 from clsplat.errors import Interrupted
 from clsplat.evaluation.run import Run
 from clsplat.georeference import Georeference
-from clsplat.io.ply import read_vertices
-from clsplat.io.run import RunFolder
+from clsplat.io.models.ply import read_vertices
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.training import loop
 from tests.data.tiny_training import STILL

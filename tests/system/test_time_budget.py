@@ -3,7 +3,7 @@
 import pytest
 
 from clsplat.errors import Interrupted
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.options import resolve
 from clsplat.training import budget, loop
 from clsplat.training.clock import Clock

@@ -8,8 +8,8 @@ import numpy as np
 import plyfile
 import pytest
 
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
+from clsplat.io.models.ply import read_ply
+from clsplat.io.runs.run import RunFolder
 from clsplat.loss.exposure import Exposures
 from clsplat.scene import Scene, View
 from clsplat.training import evaluator, loop

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clsplat.io.scenes import read_scene
-from clsplat.io.views import read_photo
+from clsplat.io.photos.views import read_photo
+from clsplat.io.scenes.read import read_scene
 from clsplat.placement.corrections import correction_between
 from clsplat.training.facts import scene_facts
 from tools.studies.disagreeing import main, with_other_poses

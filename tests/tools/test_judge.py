@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError, Interrupted
-from clsplat.io.packed import write_packed
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.packed import write_packed
+from clsplat.io.scenes.read import read_scene
 from tests.data.tiny_training import CITY
 from tools.studies import judge
 from tools.studies.judge_page import Compared, Division, Result, time_to, write_page

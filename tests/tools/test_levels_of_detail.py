@@ -10,9 +10,9 @@ from clsplat.errors import InputError
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import Run, to_render
 from clsplat.evaluation.views import opened, photo_of, render_view
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import read_ply
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.training.loop import train
 from tests.city.test_lod_runs import run

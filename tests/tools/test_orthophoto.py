@@ -9,7 +9,7 @@ import pytest
 import clsplat
 from clsplat.evaluation.metrics import psnr
 from clsplat.export.map_grid import map_grid
-from clsplat.io.images import encode_image
+from clsplat.io.photos.images import encode_image
 from clsplat.options import TrainOptions
 from tests.data import ground_model as made
 from tools.studies import orthophoto

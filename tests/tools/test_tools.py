@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.run import MODEL, RunFolder
+from clsplat.io.runs.run import MODEL, RunFolder
 from clsplat.report.page import Table
 from clsplat.training.frequency import AXES, VARIANTS
 from tools.studies import effectiveness, evidence, runs

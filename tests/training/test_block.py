@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 
 from clsplat.cli.main import main
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.ply import read_ply, write_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.blocks import (
     seen_pixels,

@@ -7,7 +7,7 @@ import pytest
 
 import clsplat
 from clsplat.errors import Interrupted
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.training.loop import Training
 from tests.data.tiny_training import CITY
 

@@ -12,8 +12,8 @@ from clsplat.covisibility.exposure_drift import DRIFTS
 from clsplat.covisibility.vignetting import DARKENS
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.ply import write_ply
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import write_ply
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.schedule import planned_steps, scaled_steps
 from clsplat.schedule.sig_limits import AGREEING, ENOUGH, FEWEST

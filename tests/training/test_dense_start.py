@@ -7,7 +7,7 @@ import pytest
 
 import clsplat.stereo.dense_points as dense_points_module
 from clsplat.errors import InputError
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.stereo.dense_points import stereo_views
 from clsplat.training import session

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from clsplat.gaussians import Gaussians
-from clsplat.io.depth import with_depths
-from clsplat.io.images import encode_image
-from clsplat.io.scenes import read_scene
+from clsplat.io.photos.depth import with_depths
+from clsplat.io.photos.images import encode_image
+from clsplat.io.scenes.read import read_scene
 from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.training.evaluator import Evaluator
 from tests.data.tiny_training import CITY, STILL, resumed, trained
 from tests.evaluation.test_lpips import NETWORK

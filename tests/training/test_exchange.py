@@ -13,11 +13,11 @@ from clsplat.city import blocks, cut
 from clsplat.distribute import Workers
 from clsplat.errors import InputError
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import BLOCK, EXCHANGES, LAYERS, OTHERS, CityFolder
+from clsplat.io.models.ply import read_ply
 from clsplat.io.npz import read_npz, write_npz
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import fingerprint, read_scene
+from clsplat.io.runs.city import BLOCK, EXCHANGES, LAYERS, OTHERS, CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.blocks import block_start, trainable
 from clsplat.partition.partition import Partition

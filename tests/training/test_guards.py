@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.loss import image_loss
 from clsplat.options import resolve
 from clsplat.training import checkpoint, loop, recorder, skipped_gradients, step

@@ -6,7 +6,7 @@ import pytest
 from clsplat.constants import SH_C0
 from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Gaussians
-from clsplat.io.ply import write_ply
+from clsplat.io.models.ply import write_ply
 from clsplat.options import TrainOptions
 from clsplat.scene import Scene
 from clsplat.training.initialise import initial_gaussians

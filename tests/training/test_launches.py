@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.schedule import OURS
 from clsplat.training.loop import Training
 from clsplat.training.step import Step

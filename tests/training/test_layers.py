@@ -10,9 +10,9 @@ from clsplat.errors import InputError
 from clsplat.estimate.memory import layer_bytes, predicted_memory
 from clsplat.evaluation.metrics import psnr
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.ply import write_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import write_ply
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.partition.blocks import block_start
 from clsplat.rendering.slabs import open_model
 from clsplat.schedule.simulate import simulate

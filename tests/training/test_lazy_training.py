@@ -5,8 +5,8 @@ import pytest
 
 from clsplat.device import Device
 from clsplat.gaussians import LEARNED
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.training.initialise import initial_gaussians
 from clsplat.training.loop import Training

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.schedule.sig import Sig
 from clsplat.training import loop
 from clsplat.training.checkpoint import Checkpoint

@@ -7,8 +7,8 @@ import pytest
 
 from clsplat.evaluation.views import evaluate_views
 from clsplat.gaussians import Gaussians
-from clsplat.io.images import encode_image
-from clsplat.io.scenes import read_scene
+from clsplat.io.photos.images import encode_image
+from clsplat.io.scenes.read import read_scene
 from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
 from clsplat.rendering.pipeline import Renderer

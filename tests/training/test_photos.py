@@ -11,8 +11,8 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.images import read_image, write_image
-from clsplat.io.views import photo_bands
+from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.photos.views import photo_bands
 from clsplat.scene import View
 from clsplat.training import photo_store
 from clsplat.training import photos as module

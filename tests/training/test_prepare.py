@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clsplat.densify.free_space import FreeSpace
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.training.prepare import prepare
 from tests.data.tiny_training import CITY, LEVELLED, records, trained

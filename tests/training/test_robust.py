@@ -7,9 +7,9 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.gaussians import LEARNED, Gaussians
-from clsplat.io.images import write_image
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.photos.images import write_image
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.pipeline import Renderer
 from clsplat.scene import View
 from clsplat.training import robust

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.optimise.numpy_adam import NumpyAdam
 from clsplat.training.loop import Training
 from clsplat.training.rollback import Rollback

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clsplat.constants import COUNT_DONE, COUNT_FAILED, COUNT_NEEDED_PAIRS
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.training import growth, photos, rooms
 from clsplat.training.model import Model
 from clsplat.training.step import Step

@@ -11,11 +11,11 @@ from clsplat.device import Device
 from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import TrialSteps, sampled, trial_session
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import CityFolder
-from clsplat.io.images import read_image, write_image
-from clsplat.io.resample import resample
-from clsplat.io.scenes import fingerprint, read_scene
-from clsplat.io.views import read_photo
+from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.photos.resample import resample
+from clsplat.io.photos.views import read_photo
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.blocks import seen_pixels
 from clsplat.partition.region import Region, Space

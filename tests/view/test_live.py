@@ -14,10 +14,10 @@ from clsplat.evaluation.run import Run
 from clsplat.evaluation.streamed import Streaming
 from clsplat.evaluation.views import render_view
 from clsplat.export.page import view_record
-from clsplat.io.images import read_image
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
-from clsplat.io.tree import TREE
+from clsplat.io.models.tree import TREE
+from clsplat.io.photos.images import read_image
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.slabs import open_model
 from clsplat.training.loop import train
 from clsplat.view import live

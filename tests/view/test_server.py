@@ -16,7 +16,7 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.errors import InputError
-from clsplat.io.images import read_image
+from clsplat.io.photos.images import read_image
 from clsplat.view import server as server_module
 from clsplat.view.frames import FrameRequest, FrameRequests
 from clsplat.view.server import ViewServer, camera_of

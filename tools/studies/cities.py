@@ -25,8 +25,8 @@ import numpy as np
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import replacing
-from clsplat.io.city import CityFolder
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.city import CityFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.report.page import Table
 from tools.studies.evidence import cell, flags_after, markdown, outermost, refuse
 from tools.studies.runs import Scene

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from clsplat.io.images import encode_jpeg
-from clsplat.io.packed import PACKED_QUALITY, write_packed
-from clsplat.io.scenes import read_scene
-from clsplat.io.views import read_photo
+from clsplat.io.photos.images import encode_jpeg
+from clsplat.io.photos.views import read_photo
+from clsplat.io.scenes.packed import PACKED_QUALITY, write_packed
+from clsplat.io.scenes.read import read_scene
 from clsplat.placement.corrections import Correction, typical_depth
 
 SEED = 7

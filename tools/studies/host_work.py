@@ -20,10 +20,10 @@ import numpy as np
 from clsplat.errors import InputError
 from clsplat.evaluation.floaters import floater_share, ground_truth
 from clsplat.gaussians import Gaussians
-from clsplat.io.city import BlockFolder, CityFolder
-from clsplat.io.run import RunFolder
-from clsplat.io.scene_path import recorded_scene
-from clsplat.io.scenes import read_scene
+from clsplat.io.runs.city import BlockFolder, CityFolder
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.runs.scene_path import recorded_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.synth.geometry import sample
 from clsplat.training.block import block_options
 from clsplat.training.exchange import exchange, lacking_blocks, other_blocks, write_part

@@ -35,7 +35,7 @@ from clsplat.cli.train import train as command
 from clsplat.config.option import plain
 from clsplat.device import choose_device
 from clsplat.errors import ClsplatError, InputError, Interrupted
-from clsplat.io.scenes import is_scene
+from clsplat.io.scenes.read import is_scene
 from clsplat.options import from_toml, resolve
 from clsplat.schedule import OURS
 from tools.studies.evidence import flags_after, outermost, refuse

@@ -27,7 +27,7 @@ from clsplat.device import choose_device
 from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import TrialSteps, sampled, spread_out
 from clsplat.io.atomic import replacing
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.report.page import Table
 from clsplat.training.photos import Photos

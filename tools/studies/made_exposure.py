@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.camera import Camera
-from clsplat.io.images import read_image, write_image
+from clsplat.io.photos.images import read_image, write_image
 from clsplat.response import Response
 
 CITY = Path(__file__).resolve().parents[2] / "data_samples" / "city"

@@ -9,7 +9,7 @@ nothing else.
 
 from clsplat.device import choose_device
 from clsplat.estimate.forecast import MIB, Planned
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from clsplat.report.page import Table
 from tools.studies.evidence import outermost, parsed, parser, refuse, write
 from tools.studies.runs import planned, trained

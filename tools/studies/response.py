@@ -23,7 +23,7 @@ from clsplat.evaluation.held_out_responses import interpolated, predicted_respon
 from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import Run
 from clsplat.evaluation.views import opened, photo_of, render_view
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.loss.exposure import Exposures
 from clsplat.response import Response
 from clsplat.training import session

@@ -18,7 +18,7 @@ from clsplat.cli.train import train
 from clsplat.config.option import differences
 from clsplat.errors import InputError
 from clsplat.evaluation.run import Run
-from clsplat.io.run import OPTIONS, RunFolder
+from clsplat.io.runs.run import OPTIONS, RunFolder
 from clsplat.options import TrainOptions, from_toml, resolve
 from clsplat.report.groups import Trained
 

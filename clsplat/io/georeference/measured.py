@@ -20,7 +20,7 @@ from clsplat.io.georeference.crs import (
     outside,
 )
 from clsplat.io.georeference.earth import map_positions
-from clsplat.io.metadata import PhotoMetadata
+from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.placement.alignment import LEAST_POSITIONS, Alignment
 from clsplat.placement.plausible import Guess
 

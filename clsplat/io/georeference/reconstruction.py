@@ -21,7 +21,7 @@ from clsplat.io.georeference.measured import (
     listed,
     require_near_gps,
 )
-from clsplat.io.metadata import PhotoMetadata
+from clsplat.io.photos.metadata import PhotoMetadata
 from clsplat.placement.alignment import INDEPENDENT_HEIGHTS, Alignment
 from clsplat.placement.plausible import (
     Implausible,

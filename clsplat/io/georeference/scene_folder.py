@@ -12,9 +12,6 @@ from numpy.typing import ArrayLike
 
 from clsplat.errors import InputError
 from clsplat.io.atomic import PARTIAL
-from clsplat.io.colmap import read_model
-from clsplat.io.colmap_reconstruction import read_reconstruction
-from clsplat.io.colmap_write import write_reconstruction
 from clsplat.io.folders import make_folder
 from clsplat.io.georeference.adjustment import NotGeoreferenced, check_marks
 from clsplat.io.georeference.control_points import (
@@ -25,9 +22,12 @@ from clsplat.io.georeference.control_points import (
 from clsplat.io.georeference.crs import scene_crs
 from clsplat.io.georeference.files import write_georeference, write_orientation
 from clsplat.io.georeference.reconstruction import Placed, place_reconstruction
-from clsplat.io.metadata import read_metadata
+from clsplat.io.photos.metadata import read_metadata
 from clsplat.io.regular import native
-from clsplat.io.sources import photo_folder
+from clsplat.io.scenes.colmap import read_model
+from clsplat.io.scenes.colmap_reconstruction import read_reconstruction
+from clsplat.io.scenes.colmap_write import write_reconstruction
+from clsplat.io.scenes.sources import photo_folder
 
 SPARSE = "sparse"
 

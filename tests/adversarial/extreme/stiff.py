@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from clsplat.gaussians import Gaussians
-from clsplat.io.images import write_image
-from clsplat.io.ply import write_ply
+from clsplat.io.models.ply import write_ply
+from clsplat.io.photos.images import write_image
 
 SAMPLE = 4  # of the city's points one in so many is taken: growth finds room
 

@@ -8,8 +8,8 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.gaussians import mean_inverse_distance, neighbour_distance
-from clsplat.io.ply import read_ply, write_ply
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.scenes.read import read_scene
 from clsplat.training import step
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.initialise import initial_gaussians

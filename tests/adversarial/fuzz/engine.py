@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.errors import InputError
-from clsplat.io.checks import CONTROL
+from clsplat.io.scenes.checks import CONTROL
 from tests.adversarial.fuzz.mutate import mutated
 
 SECONDS = 60  # a case that takes longer hangs, also where other processes take most of the time

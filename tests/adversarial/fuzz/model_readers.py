@@ -3,8 +3,8 @@
 import numpy as np
 
 from clsplat.georeference import Georeference
-from clsplat.io.gltf_spz import write_spz_glb
-from clsplat.io.models import read_model, write_model
+from clsplat.io.models.formats import read_model, write_model
+from clsplat.io.models.gltf_spz import write_spz_glb
 from tests.adversarial.fuzz.reader import Reader, check, gaussians_like
 from tests.data.layouts import write_ply
 

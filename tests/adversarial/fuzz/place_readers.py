@@ -8,8 +8,6 @@ import OpenImageIO as oiio
 from clsplat.camera import Camera
 from clsplat.export.camera_path import interpolated, read_camera_path
 from clsplat.georeference import Georeference
-from clsplat.io.depth import read_depth
-from clsplat.io.geojson import read_polygons
 from clsplat.io.georeference.control_points import read_control_points
 from clsplat.io.georeference.files import (
     read_georeference,
@@ -17,16 +15,18 @@ from clsplat.io.georeference.files import (
     write_georeference,
     write_orientation,
 )
-from clsplat.io.lenses import undistorted_model
-from clsplat.io.metadata import read_metadata
-from clsplat.io.photo import opened
-from clsplat.io.scenes import read_scene
+from clsplat.io.georeference.geojson import read_polygons
+from clsplat.io.photos.depth import read_depth
+from clsplat.io.photos.lenses import undistorted_model
+from clsplat.io.photos.metadata import read_metadata
+from clsplat.io.photos.photo import opened
+from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
 from tests.adversarial.fuzz.reader import Reader
 from tests.data.layouts import camera_angle, write_json, write_transforms
 from tests.data.tiny_model import write_scene
-from tests.io.test_lenses import arrays_of
-from tests.io.test_metadata import GPS, photo
+from tests.io.photos.test_lenses import arrays_of
+from tests.io.photos.test_metadata import GPS, photo
 
 DJI = {"GimbalYawDegree": "+12.50", "GimbalPitchDegree": "-89.90", "GimbalRollDegree": "+0.00",
        "RelativeAltitude": "+60.1", "RtkStdLon": "0.01", "RtkStdLat": "0.01", "RtkStdHgt": "0.02",

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from tests.adversarial.fuzz.reader import Reader, usable
 from tests.data import projects
 from tests.data.layouts import write_ply

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.gaussians import Gaussians
-from clsplat.io.scenes import fingerprint
-from clsplat.io.views import read_photo
+from clsplat.io.photos.views import read_photo
+from clsplat.io.scenes.read import fingerprint
 
 
 @dataclass(frozen=True)

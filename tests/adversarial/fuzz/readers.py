@@ -14,11 +14,11 @@ from clsplat.camera import Camera
 from clsplat.cli.train import resumed_options
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
-from clsplat.io.images import image_size, read_image, write_image
-from clsplat.io.packed import write_packed
-from clsplat.io.ply import read_ply, write_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.photos.images import image_size, read_image, write_image
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.packed import write_packed
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import from_toml, resolve
 from clsplat.report.compare import compare, equality_tables, final_table, time_table
 from clsplat.report.groups import grouped, read_runs

@@ -12,12 +12,12 @@ import pytest
 
 from clsplat.cli.train import resumed_options
 from clsplat.errors import InputError
-from clsplat.io.images import read_image, write_image
-from clsplat.io.models import read_model, write_model
-from clsplat.io.packed import write_packed
-from clsplat.io.ply import read_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.formats import read_model, write_model
+from clsplat.io.models.ply import read_ply
+from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.packed import write_packed
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import from_toml
 from clsplat.synth import geometry
 from clsplat.synth.layout import city

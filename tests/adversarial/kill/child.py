@@ -13,7 +13,7 @@ import threading
 
 from clsplat.cli.main import main
 from clsplat.io import npz
-from clsplat.io.run import METRICS, RunFolder
+from clsplat.io.runs.run import METRICS, RunFolder
 from clsplat.optimise.adam import DeviceAdam
 from clsplat.training import evaluator
 from clsplat.training.step import Step

@@ -11,11 +11,11 @@ import pytest
 from clsplat.cli.main import verdict
 from clsplat.errors import InputError
 from clsplat.io import atomic
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.training.loop import resume
 from tests.data.tiny_training import STILL, model_digest, options_of, trained
 
-pytestmark = pytest.mark.slow  # tests/io/test_run.py has the fast one
+pytestmark = pytest.mark.slow  # tests/io/runs/test_run.py has the fast one
 
 OPTIONS = {**STILL, "iterations": 24, "test_every": 16}
 STOP, EVERY = 12, 8  # steps: of the half run, between checkpoints

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from clsplat.cli.train import resumed_options
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from clsplat.training.loop import resume
 from tests.data.tiny_training import CITY, LEVELLED, flags, model_digest, records, trained
 from tests.system.test_resume import history

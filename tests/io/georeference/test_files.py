@@ -19,13 +19,13 @@ from clsplat.io.georeference.files import (
     write_georeference,
     write_orientation,
 )
-from clsplat.io.packed import read_packed, write_packed
-from clsplat.io.ply import read_ply, read_vertices, write_ply
-from clsplat.io.run import RunFolder
-from clsplat.io.scenes import read_scene
+from clsplat.io.models.ply import read_ply, read_vertices, write_ply
+from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.packed import read_packed, write_packed
+from clsplat.io.scenes.read import read_scene
 from tests.data.fields import field
 from tests.data.tiny_model import write_scene
-from tests.io.test_ply import random_gaussians
+from tests.io.models.test_ply import random_gaussians
 
 HERE = Georeference("EPSG:32614", (587671.0, 3338100.0, 309.0), "GPS of 40 photos", 1.25,
                     "gps", 200.0, "ellipsoidal heights", (

@@ -8,9 +8,9 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.georeference.scene_folder import georeference_scene
-from clsplat.io.scenes import read_scene
+from clsplat.io.scenes.read import read_scene
 from tests.data.survey import CRS, Survey
-from tests.io.test_metadata import photo
+from tests.io.photos.test_metadata import photo
 
 
 @pytest.fixture

@@ -1,0 +1,1 @@
+"""Gaussians in files of every format."""

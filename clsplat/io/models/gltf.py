@@ -1,0 +1,292 @@
+"""Gaussians as binary glTF with the extension KHR_gaussian_splatting, in float32 attributes.
+
+Scales are standard deviations, opacities 0 to 1, quaternions x, y, z, w, and harmonics as in a PLY.
+The data has glTF's axes, left, up, forward: those of a PLY, which are right, down, forward, after
+half a turn about z. A node adds the origin of the positions, and another one above it turns all so
+that what is up becomes y. Gaussians that are compressed as SPZ are read, too; `gltf_spz` writes
+them.
+"""
+
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from clsplat.gaussians import Gaussians
+from clsplat.io.atomic import replacing
+from clsplat.io.models.quantise import unit
+from clsplat.io.models.spz import unpacked_spz
+from clsplat.io.models.values import (
+    Notes,
+    colours_of,
+    doubles,
+    gaussians_of,
+    half_turn,
+    log_scales_of,
+    logits,
+    opacities,
+    reading,
+    scales_of,
+    stored_positions,
+    to_bytes,
+)
+from clsplat.io.records import object_of
+from clsplat.io.regular import read_regular
+from clsplat.io.unpack import check_expansion
+
+EXTENSION = "KHR_gaussian_splatting"
+COMPRESSION = "KHR_gaussian_splatting_compression_spz_2"
+HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+MAGIC, VERSION, JSON, BINARY = b"glTF", 2, b"JSON", b"BIN\0"
+FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER, POINTS = 5126, 5121, 34962, 0
+# component types: the format and what stands for 1 where values are normalised
+COMPONENTS = {5120: ("<i1", 127), 5121: ("<u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535),
+              FLOAT: ("<f4", 1)}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+BANDS = (1, 3, 5, 7)  # coefficients of a degree
+TURN = np.array([-1.0, -1.0, 1.0])  # half a turn about z
+UPRIGHT = "clsplat: upright"  # the node whose rotation is for viewers, and not read back
+XYZW, WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]  # the order of components in the other convention
+
+
+def write_glb(path: Path, gaussians: Gaussians, notes: Notes) -> None:
+    """Write gaussians as binary glTF; see `models.write_model`.
+
+    Notes become `asset.extras.comments`. Programs that do not know the extension show the
+    gaussians as coloured points.
+    """
+    positions, origin = stored_positions(gaussians)
+    order = np.arange(gaussians.count)
+    rows = half_turn({**doubles(gaussians, order), "positions": positions}, axis=2)
+    opacity = opacities(gaussians)
+    attributes: dict[str, NDArray[Any]] = {
+        "POSITION": rows["positions"],
+        "COLOR_0": to_bytes(255 * np.column_stack([colours_of(rows["sh_constant"]), opacity])),
+        f"{EXTENSION}:ROTATION": unit(rows["quaternions"])[:, XYZW],
+        f"{EXTENSION}:SCALE": scales_of(rows["log_scales"]),
+        f"{EXTENSION}:OPACITY": opacity,
+        f"{EXTENSION}:SH_DEGREE_0_COEF_0": rows["sh_constant"]}
+    names = (name for degree in range(1, gaussians.sh_degree + 1) for name in coefficients(degree))
+    attributes.update(zip(names, rows["sh_rest"].transpose(1, 0, 2)))
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "clsplat",
+                  "extras": {"comments": list(notes.lines)}},
+        "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": UPRIGHT, **_upright(notes), "children": [1]},
+                  {"name": "gaussians", "translation": (origin * TURN).tolist()}]}
+    content = b""
+    if gaussians.count:  # glTF has no empty accessors
+        document["nodes"][1]["mesh"] = 0
+        content = _with_mesh(document, attributes)
+    write_document(path, document, content)
+
+
+def write_document(path: Path, document: dict[str, Any], content: bytes) -> None:
+    """Write a binary glTF of a document and its buffer; the file is replaced as a whole."""
+    text = json.dumps(document, separators=(",", ":")).encode()
+    chunks = [(text + b" " * (-len(text) % 4), JSON)]
+    if content:
+        chunks.append((content + b"\0" * (-len(content) % 4), BINARY))
+    size = HEADER.size + sum(CHUNK.size + len(data) for data, _ in chunks)
+    with replacing(path) as file:
+        file.write(HEADER.pack(MAGIC, VERSION, size))
+        for data, kind in chunks:
+            file.write(CHUNK.pack(len(data), kind))
+            file.write(data)
+
+
+def read_glb(path: Path, offset: NDArray[np.float64] | None = None) -> Gaussians:
+    """Read the gaussians of a binary glTF with KHR_gaussian_splatting; see `models.read_model`.
+
+    All its meshes of gaussians become one model.
+    """
+    with reading(path, f"a binary glTF with {EXTENSION}"):
+        document, content = _chunks(read_regular(path))
+        parts, size = [], 0
+        for primitive, place in _primitives(document):
+            parts.append((_rows(document, content, primitive), place))
+            size += sum(values.nbytes for values in parts[-1][0].values())
+            check_expansion(len(content), size)  # many primitives may name the same gaussians
+        rows, origin = _joined(parts)
+        return gaussians_of(path, half_turn(rows, axis=2), origin * TURN, offset)
+
+
+def glb_notes(path: Path) -> Notes:
+    """What a binary glTF says besides its gaussians; see `models.read_notes`."""
+    with reading(path, "a binary glTF"):
+        asset = _chunks(read_regular(path))[0].get("asset")
+        extras = asset.get("extras") if isinstance(asset, dict) else None
+        comments = extras.get("comments") if isinstance(extras, dict) else None
+        return Notes.of_lines(line for line in comments or () if isinstance(line, str))
+
+
+def coefficients(degree: int) -> list[str]:
+    """The names of the harmonics of a degree."""
+    return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}" for number in range(BANDS[degree])]
+
+
+def _upright(notes: Notes) -> dict[str, Any]:
+    """The rotation of a node that turns what is up to y."""
+    if notes.up is None:
+        return {}
+    turn, _ = Rotation.align_vectors([(0.0, 1.0, 0.0)], [notes.up * TURN])
+    return {"rotation": turn.as_quat().tolist()}
+
+
+def _with_mesh(document: dict[str, Any], attributes: dict[str, NDArray[Any]]) -> bytes:
+    """Add a mesh of gaussians to a document; returns the bytes of its attributes."""
+    views: list[dict[str, int]] = []
+    accessors: list[dict[str, Any]] = []
+    parts, size = [], 0
+    for name, values in attributes.items():
+        normalised = values.dtype == np.uint8
+        data = values if normalised else values.astype("<f4")
+        accessor: dict[str, Any] = {
+            "bufferView": len(views), "count": len(data),
+            "componentType": UNSIGNED_BYTE if normalised else FLOAT,
+            "type": "SCALAR" if data.ndim == 1 else f"VEC{data.shape[1]}"}
+        if normalised:
+            accessor["normalized"] = True
+        if name == "POSITION":  # glTF requires its bounds
+            accessor |= {"min": data.min(axis=0).tolist(), "max": data.max(axis=0).tolist()}
+        views.append({"buffer": 0, "byteOffset": size, "byteLength": data.nbytes,
+                      "target": ARRAY_BUFFER})
+        accessors.append(accessor)
+        parts.append(data.tobytes())
+        size += data.nbytes
+    document |= {
+        "buffers": [{"byteLength": size}], "bufferViews": views, "accessors": accessors,
+        "meshes": [{"primitives": [{
+            "mode": POINTS, "attributes": {name: at for at, name in enumerate(attributes)},
+            "extensions": {EXTENSION: {
+                "kernel": "ellipse", "colorSpace": "srgb_rec709_display",
+                "sortingMethod": "cameraDistance", "projection": "perspective"}}}]}]}
+    return b"".join(parts)
+
+
+def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """The document and the binary chunk of a file."""
+    magic, version, _ = HEADER.unpack_from(data)
+    if (magic, version) != (MAGIC, VERSION):
+        raise ValueError("its header is another")
+    chunks, at = {}, HEADER.size
+    while at < len(data):
+        size, kind = CHUNK.unpack_from(data, at)
+        at += CHUNK.size
+        if at + size > len(data):
+            raise ValueError(f"its {len(data)} bytes are too few for a chunk")
+        chunks[kind] = data[at:at + size]
+        at += size
+    return object_of(chunks[JSON]), chunks.get(BINARY, b"")
+
+
+def _primitives(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], NDArray[np.float64]]]:
+    """The primitives that are gaussians, and the translation float64[3] of each."""
+    if EXTENSION not in document.get("extensionsUsed", ()):
+        raise ValueError("it has no gaussians")
+    scene = document["scenes"][document.get("scene", 0)]
+    waiting, seen = [(number, np.zeros(3)) for number in scene["nodes"]], set()
+    while waiting:
+        number, place = waiting.pop()
+        if number in seen:
+            raise ValueError("a node occurs twice")
+        seen.add(number)
+        node = document["nodes"][number]
+        place = place + _translation(node)
+        waiting += [(child, place) for child in node.get("children", ())]
+        if "mesh" in node:
+            for primitive in document["meshes"][node["mesh"]]["primitives"]:
+                if EXTENSION in primitive.get("extensions", {}):
+                    yield primitive, place
+
+
+def _translation(node: dict[str, Any]) -> NDArray[np.float64]:
+    """The translation float64[3] of a node, which may have no other transform."""
+    matrix = np.array(node.get("matrix", np.eye(4).ravel()), np.float64).reshape(4, 4).T
+    turn = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
+    scale = np.array(node.get("scale", (1, 1, 1)), np.float64)
+    if node.get("name") != UPRIGHT and not (
+            np.allclose(matrix[:3, :3], np.eye(3)) and np.allclose(np.abs(turn), (0, 0, 0, 1))
+            and np.allclose(scale, 1)):
+        raise ValueError("a node turns or scales its gaussians: apply the transforms before")
+    place: NDArray[np.float64] = matrix[:3, 3] + np.array(node.get("translation", (0, 0, 0)), float)
+    return place
+
+
+def _rows(document: dict[str, Any], content: bytes, primitive: dict[str, Any]
+          ) -> dict[str, NDArray[np.float64]]:
+    """The fields of `gaussians.LEARNED` of a primitive, in glTF's axes."""
+    others = primitive["extensions"][EXTENSION].get("extensions", {})
+    if list(others) == [COMPRESSION]:
+        view = document["bufferViews"][others[COMPRESSION]["bufferView"]]
+        begin = view.get("byteOffset", 0)
+        if view.get("buffer") != 0 or begin < 0:
+            raise ValueError("its gaussians are in another file, or have an impossible place")
+        return half_turn(unpacked_spz(content[begin:begin + view["byteLength"]]), axis=2)
+    if others:
+        raise ValueError(f"its gaussians are compressed with {', '.join(others)}")
+    attributes = primitive["attributes"]
+
+    def values(name: str, width: int) -> NDArray[np.float64]:
+        return _accessor(document, content, attributes[name], width)
+
+    degree = 0
+    while degree < len(BANDS) - 1 and all(
+            name in attributes for name in coefficients(degree + 1)):
+        degree += 1
+    positions = values("POSITION", 3)
+    rest = [values(name, 3) for number in range(1, degree + 1) for name in coefficients(number)]
+    rows = {
+        "positions": positions,
+        "sh_constant": values(f"{EXTENSION}:SH_DEGREE_0_COEF_0", 3),
+        "sh_rest": np.stack(rest, axis=1) if rest else np.zeros((len(positions), 0, 3)),
+        "opacity_logits": logits(values(f"{EXTENSION}:OPACITY", 1)[:, 0]),
+        "log_scales": log_scales_of(values(f"{EXTENSION}:SCALE", 3)),
+        "quaternions": values(f"{EXTENSION}:ROTATION", 4)[:, WXYZ],
+    }
+    if len({len(column) for column in rows.values()}) != 1:
+        raise ValueError("its attributes differ in number")
+    return rows
+
+
+def _accessor(document: dict[str, Any], content: bytes, number: int, width: int
+              ) -> NDArray[np.float64]:
+    """The values float64[N, width] of an accessor."""
+    accessor = document["accessors"][number]
+    view = document["bufferViews"][accessor["bufferView"]]
+    kind, one = COMPONENTS[accessor["componentType"]]
+    count, size = accessor["count"], np.dtype(kind).itemsize
+    stride = view.get("byteStride", size * width)
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    if "sparse" in accessor or WIDTHS[accessor["type"]] != width or view.get("buffer") != 0:
+        raise ValueError("an attribute is sparse, of another type or in another file")
+    if count < 0 or start < 0 or stride < size * width:
+        raise ValueError("an attribute has an impossible place")
+    check_expansion(len(content), 8 * width * count)
+    raw = np.ndarray((count, width), kind, content, start, (stride, size))  # checks the bounds
+    values = raw.astype(np.float64)
+    return np.maximum(values / one, -1) if accessor.get("normalized") else values
+
+
+def _joined(parts: list[tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]]
+            ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]:
+    """One model of several, relative to the translation of the first."""
+    empty = {"positions": (0, 3), "sh_constant": (0, 3), "sh_rest": (0, 0, 3),
+             "opacity_logits": (0,), "log_scales": (0, 3), "quaternions": (0, 4)}
+    origin = parts[0][1] if parts else np.zeros(3)
+    bands = max((rows["sh_rest"].shape[1] for rows, _ in parts), default=0)
+    columns: dict[str, list[NDArray[np.float64]]] = {
+        name: [np.zeros(shape)] for name, shape in empty.items()}
+    columns["sh_rest"] = [np.zeros((0, bands, 3))]
+    for rows, place in parts:
+        missing = bands - rows["sh_rest"].shape[1]
+        moved = {"positions": rows["positions"] + (place - origin),
+                 "sh_rest": np.pad(rows["sh_rest"], ((0, 0), (0, missing), (0, 0)))}
+        for name, values in {**rows, **moved}.items():
+            columns[name].append(values)
+    return {name: np.concatenate(values) for name, values in columns.items()}, origin

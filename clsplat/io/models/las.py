@@ -1,0 +1,166 @@
+"""Points as LAS and LAZ, the formats of laser scanners and of maps, through laspy.
+
+Gaussians are written as their centres, with colour, and with opacity as the intensity. They have
+map coordinates where the scene is georeferenced: the format has room for large numbers.
+"""
+
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.atomic import replacing
+from clsplat.io.georeference.crs import cloud_on_map, has_pyproj, pyproj_crs
+from clsplat.io.models.las_header import check_las
+from clsplat.io.models.points import cloud_gaussians
+from clsplat.io.models.values import Notes, colours_of, opacities, reading
+from clsplat.io.reason import clean, reason
+from clsplat.io.regular import open_regular
+from clsplat.io.unpack import check_expansion
+
+VERSION, POINT_FORMAT = "1.4", 7  # with colours of 16 bits, and a CRS as WKT
+STEPS = (1 << 31) - 1  # of a coordinate, above and below its offset
+FINEST_STEP, STEPS_A_SCALE = 1e-6, 10
+ROWS_AT_A_TIME = 1 << 20
+Part = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]
+RECORD_BYTES = 24  # that are read of a point: three coordinates and three colours
+
+
+def write_las(path: Path, gaussians: Gaussians, notes: Notes) -> None:
+    """Write the centres of gaussians as LAS or, by the suffix, LAZ; see `models.write_model`."""
+    points = gaussians.positions.astype(np.float64) + gaussians.offset
+    typical = np.exp(float(np.median(gaussians.log_scales))) if gaussians.count else 1.0
+    place = notes.georeference
+    if place is not None:
+        points = place.to_map(points)
+    ends = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.zeros(3))
+    write_points(path, [(points, colours_of(gaussians.sh_constant), opacities(gaussians))], ends,
+                 typical / STEPS_A_SCALE, None if place is None else place.crs)
+
+
+def write_points(path: Path, parts: Iterable[Part], ends: tuple[ArrayLike, ArrayLike], step: float,
+                 crs: str | None = None) -> None:
+    """Write points, part by part, as LAS or, by the suffix, LAZ; the file is replaced as a whole.
+
+    Parameters
+    ----------
+    parts : points float64[N, 3], map coordinates; colours float[N, 3]; and intensity float[N], both
+        0 to 1.
+    ends : float64[3] each, below and above all points.
+    step : coordinates are rounded to a power of ten of at most this, if 32 bits can hold them.
+    crs : coordinate reference system of the coordinates; None: unknown.
+
+    Raises
+    ------
+    InputError : laspy or lazrs is missing, or the file cannot be written.
+    """
+    laspy = laspy_for(path)
+    header = laspy.LasHeader(version=VERSION, point_format=POINT_FORMAT)
+    header.generating_software = "clsplat"
+    if crs is not None:
+        header.add_crs(pyproj_crs(crs, f"{path}: CRS"))
+    low, high = (np.asarray(end, np.float64) for end in ends)
+    header.offsets = np.rint((low + high) / 2)
+    reach = np.abs([low - header.offsets, high - header.offsets]).max()
+    header.scales = np.full(3, max(10.0 ** np.floor(np.log10(max(step, FINEST_STEP))),
+                                   10.0 ** np.ceil(np.log10(max(reach, 1e-300) / STEPS))))
+    with replacing(path) as file, laspy.open(
+            file, mode="w", header=header, closefd=False,
+            do_compress=path.suffix.lower() == ".laz") as writer:
+        for points, colours, intensity in parts:
+            record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+            record.x, record.y, record.z = points.T
+            record.red, record.green, record.blue = _shares(colours).T
+            record.intensity = _shares(intensity)
+            writer.write_points(record)
+
+
+def read_las(path: Path, offset: NDArray[np.float64] | None = None, crs: str | None = None
+             ) -> Gaussians:
+    """Read the points of a LAS or LAZ file as gaussians; see `models.read_model`.
+
+    Parameters
+    ----------
+    crs : to which the points are converted, if the file names another; None: its own.
+    """
+    laspy = laspy_for(path)
+    with reading(path, "a LAS or LAZ file"), open_regular(path) as file:
+        size = file.seek(0, 2)
+        check_las(file, size)
+        file.seek(0)
+        # the parallel decompressor allocates what the file's table of chunks claims
+        with _no_panic(), laspy.open(file, closefd=False, read_evlrs=False,
+                                     laz_backend=laspy.LazBackend.Lazrs) as reader:
+            header = reader.header
+            count, width = header.point_count, header.point_format.size
+            if header.are_points_compressed:
+                check_expansion(size, count * max(width, RECORD_BYTES))
+            elif header.offset_to_point_data + count * width > size:
+                raise ValueError(f"its {size} bytes are too few for {count} points")
+            points, colours = np.empty((count, 3)), np.empty((count, 3), np.uint16)
+            coloured = {"red", "green", "blue"} <= set(header.point_format.dimension_names)
+            done = 0
+            for part in reader.chunk_iterator(ROWS_AT_A_TIME):
+                rows = slice(done, done + len(part))
+                points[rows] = np.stack([part.x, part.y, part.z], axis=1)
+                if coloured:
+                    colours[rows] = np.stack([part.red, part.green, part.blue], axis=1)
+                done += len(part)
+            if done != count:
+                raise ValueError(f"it has {done} points, not {count}")
+        points = _converted(path, header, crs, points)
+        return cloud_gaussians(path, points, colours if coloured and colours.any() else None,
+                               offset)
+
+
+def _converted(path: Path, header: Any, crs: str | None, points: NDArray[np.float64]
+               ) -> NDArray[np.float64]:
+    """Points in a CRS; as they are if the file names none that is known."""
+    if crs is None or not has_pyproj():
+        return points
+    try:
+        system = header.parse_crs()
+    except Exception:  # noqa: BLE001  (of any kind, for damaged records)
+        system = None
+    found = None if system is None else cloud_on_map(system, crs, points, path)
+    if found is None:
+        return points
+    logging.getLogger(__name__).warning("%s: its points are converted from %s to %s", path,
+                                        clean(system.name), clean(crs))
+    return found
+
+
+def _shares(values: NDArray[np.floating]) -> NDArray[np.uint16]:
+    """Numbers 0 to 1 in 16 bits."""
+    shares: NDArray[np.uint16] = np.clip(np.rint(values * 65535), 0, 65535).astype(np.uint16)
+    return shares
+
+
+def laspy_for(path: Path) -> ModuleType:
+    """laspy; InputError, which names the file that needs it, if it or lazrs is not installed."""
+    try:
+        import laspy
+        import lazrs  # noqa: F401  # without which laspy reads no LAZ
+    except ImportError:
+        raise InputError(f"{path}: LAS and LAZ need laspy and lazrs; "
+                         "`pip install laspy lazrs`") from None
+    module: ModuleType = laspy
+    return module
+
+
+@contextmanager
+def _no_panic() -> Iterator[None]:
+    """lazrs, which is written in Rust, ends with a panic where it does not expect damage."""
+    try:
+        yield
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":
+            raise
+        raise ValueError(reason(error)) from None

@@ -1,0 +1,1 @@
+"""Photos with what lies beside them: masks, depth maps, lenses, metadata."""

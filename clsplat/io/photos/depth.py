@@ -1,0 +1,118 @@
+"""Depth maps of photos, such as of a laser scanner: depths along the camera's axis.
+
+A map is an image beside the photos (io/photos/beside.py): PNG, TIFF or NPY with whole numbers,
+which are thousandths of the scene's unit (millimetres of a metre), or EXR, TIFF or NPY with floats
+in the scene's units. Values that are zero, negative or not finite are no depths.
+"""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.camera import Lens
+from clsplat.errors import InputError
+from clsplat.io.npz import read_array
+from clsplat.io.photos.beside import check_shape, file_beside, photo_size
+from clsplat.io.photos.images import window_of
+from clsplat.io.photos.lenses import pixel_map, rays_of
+from clsplat.io.photos.photo import first_channel
+from clsplat.io.reason import reason
+from clsplat.io.regular import read_regular
+from clsplat.scene import Scene, View
+
+SUFFIXES = (".png", ".exr", ".tif", ".tiff", ".npy")
+MILLIMETRE = 1e-3
+
+
+def with_depths(scene: Scene, images: str) -> Scene:
+    """The scene with the depth maps of its photos.
+
+    Parameters
+    ----------
+    images : the folder of the maps, relative to the scene's; "": none. A map that a view has stays.
+    """
+    if not images:
+        return scene
+    folder = (scene.path if scene.path.is_dir() else scene.path.parent) / images
+    views = tuple(replace(view, depth=view.depth or file_beside(folder, view, SUFFIXES))
+                  for view in scene.views)
+    if not any(view.depth for view in views):
+        there = "no such folder" if not folder.is_dir() else "has no depth map for any photo"
+        raise InputError(f"--depth {images}: {folder}: {there}; name the maps after the photos, "
+                         f"such as {scene.views[0].name}.png")
+    return replace(scene, views=views)
+
+
+def read_depth(view: View) -> NDArray[np.float32]:
+    """Read a view's depth map, float32[H, W] at its camera's size, in the scene's original units; 0
+    is no depth. The nearest value is taken, since means across an edge would be wrong."""
+    whole = _stored(view) if view.lens is None else undistorted_depth(view, pixel_map(view.lens))
+    height, width = whole.shape
+    left, top, right, bottom = window_of(view.camera, (width, height))
+    rows = _nearest(top, bottom, view.camera.height, height)
+    return whole[rows[:, None], _nearest(left, right, view.camera.width, width)]
+
+
+def _nearest(low: int, high: int, count: int, most: int) -> NDArray[np.int64]:
+    places = low + (np.arange(count) + 0.5) * (high - low) / count
+    return np.clip(places.astype(np.int64), 0, most - 1)
+
+
+def undistorted_depth(view: View, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Read the depth map of a view with a lens, and undistort the whole of it.
+
+    Parameters
+    ----------
+    pixels : float32[2, H, W], the `pixel_map` of the lens.
+
+    Returns
+    -------
+    float32[H, W], in the scene's original units; 0 is no depth.
+    """
+    depth, lens = _stored(view), view.lens
+    assert lens is not None
+    height, width = depth.shape
+    x, y = pixels
+    shown = np.isfinite(x)
+    columns = np.nan_to_num(x) * np.float32(width / lens.size[0])
+    rows = np.nan_to_num(y) * np.float32(height / lens.size[1])
+    found = depth[np.clip(rows.astype(int), 0, height - 1),
+                  np.clip(columns.astype(int), 0, width - 1)]
+    return np.where(shown, found / _forward(lens), 0).astype(np.float32)
+
+
+def _forward(lens: Lens) -> NDArray[np.float64]:
+    """float64[H, W]: the depth along the stored photo's axis of points at depth 1; never 0."""
+    x, y = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
+    along = rays_of(lens, x.ravel(), y.ravel())[:, 2].reshape(x.shape)
+    return np.where(along > 0, along, np.inf)  # behind that camera there is no depth
+
+
+def _stored(view: View) -> NDArray[np.float32]:
+    """The depth map as it is stored, float32[h, w], in the scene's original units."""
+    path = view.depth
+    assert path is not None
+    values = _read_npy(path) if path.suffix == ".npy" else first_channel(path)
+    check_shape(path, "depth map", values.shape[::-1], photo_size(view))
+    if values.dtype.kind in "iu":
+        values = values * np.float32(MILLIMETRE)
+    with np.errstate(invalid="ignore", over="ignore"):
+        depth = values.astype(np.float32)
+        return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+
+
+def _read_npy(path: Path) -> NDArray[Any]:
+    try:
+        content = read_regular(path)
+        values = read_array(path.name, io.BytesIO(content), len(content))
+    except Exception as error:  # numpy raises many kinds
+        raise InputError(f"{path}: not a NumPy array, or damaged ({reason(error)}); save it again"
+                         ) from None
+    if values.ndim != 2 or values.dtype.kind not in "iuf" or not values.size:
+        raise InputError(f"{path}: holds {values.dtype}{list(values.shape)}, not numbers [H, W]; "
+                         "save the depths as such")
+    return values

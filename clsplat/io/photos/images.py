@@ -1,0 +1,200 @@
+"""Photos in and renders out, through OpenImageIO."""
+
+import os
+import select
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.io.atomic import replacing
+from clsplat.io.photos.photo import Levels, Photo, opened, reason_of
+from clsplat.io.photos.resample import joined, resampled_bands
+
+JPEG_QUALITY = 92
+STREAMED = ("png", "jpeg")  # formats that are written without going back in the file
+PIPES = "/dev/fd"  # on Linux and macOS
+
+
+def write_image(path: str | Path, pixels: NDArray[Any], quality: int = JPEG_QUALITY) -> None:
+    """Write an image file, read it back and compare, so that it appears whole or not at all.
+
+    Parameters
+    ----------
+    path : its suffix selects the format.
+    pixels : uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), sRGB.
+    quality : of JPEG, 1 to 100.
+    """
+    path = Path(path)
+    data = encode_image(pixels, path.suffix.lower().removeprefix("."), quality, path)
+    with replacing(path, data) as file:
+        file.write(data)
+
+
+def eight_bits(pixels: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Numbers in 0..1 rounded to uint8; others are clipped, NaN becomes 0."""
+    scaled: NDArray[np.floating] = np.clip(np.nan_to_num(pixels), 0, 1) * 255 + 0.5
+    return scaled.astype(np.uint8)
+
+
+def encode_jpeg(pixels: NDArray[Any], quality: int) -> bytes:
+    """Encode an image as the JPEG that `write_image` would write."""
+    return encode_image(pixels, "jpg", quality, "JPEG")
+
+
+def encode_image(pixels: NDArray[Any], suffix: str, quality: int, name: object,
+                 attributes: Mapping[str, str | int] = MappingProxyType({})) -> bytes:
+    """Encode an image as the bytes of a file.
+
+    OpenImageIO writes to files only, and on a full disk it reports success or, in libjpeg, ends the
+    process. So it writes into a pipe where the system has them, else into a temporary file.
+
+    Parameters
+    ----------
+    pixels : uint8[H, W, 3], or float[H, W, 3] in 0..1 (clipped; NaN is black), sRGB.
+    suffix : of the format, such as "png".
+    quality : of JPEG, 1 to 100.
+    name : of the image, for messages.
+    attributes : further ones of OpenImageIO for this format.
+
+    Raises
+    ------
+    InputError : the format is unknown, or its writer fails.
+    """
+    import OpenImageIO as oiio
+
+    if pixels.dtype != np.uint8:
+        pixels = eight_bits(pixels)
+    height, width, channels = pixels.shape
+    output = oiio.ImageOutput.create(suffix)
+    if output is None:
+        oiio.geterror()  # else the library warns at exit that nobody read its error
+        raise InputError(f"{name}: not an image format that can be written; use .png or .jpg")
+    spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
+    if output.format_name() == "jpeg":
+        spec.attribute("Compression", f"jpeg:{quality}")
+        spec.attribute("jpeg:subsampling", "4:4:4")
+    for attribute, value in attributes.items():
+        spec.attribute(attribute, value)
+
+    def write(path: str) -> bool:
+        return bool(output.open(path, spec)
+                    and output.write_image(np.ascontiguousarray(pixels)))
+
+    def end(written: bool) -> None:
+        if not (output.close() and written):
+            raise InputError(f"{name}: cannot be encoded ({reason_of(output)})")
+
+    if output.format_name() in STREAMED and Path(PIPES).is_dir():
+        return _piped(write, end)
+    with tempfile.TemporaryDirectory(prefix="clsplat-") as folder:
+        path = Path(folder) / f"image.{suffix}"
+        end(write(str(path)))
+        return path.read_bytes()
+
+
+def _piped(write: Callable[[str], bool], end: Callable[[bool], None]) -> bytes:
+    """All bytes that end(write(path)) writes to its path.
+
+    Both ends of the pipe run in threads, which Ctrl-C does not interrupt: libjpeg would end the
+    process if its reader disappeared.
+    """
+    receiver, sender = os.pipe()
+    unread = select.poll()
+    unread.register(receiver, select.POLLIN)
+
+    def fill() -> None:
+        try:
+            written = write(f"{PIPES}/{sender}")
+            # OpenImageIO keeps Python's lock while it writes the rest at the end: with a full pipe
+            # it would wait for a reader that waits for the lock
+            while any(event & select.POLLIN for _, event in unread.poll(0)):
+                time.sleep(1e-4)
+            end(written)
+        finally:
+            os.close(sender)  # or the other end would read forever
+
+    def drain() -> bytes:
+        with open(receiver, "rb") as file:
+            return file.read()
+
+    with ThreadPoolExecutor(2) as threads:
+        content, filled = threads.submit(drain), threads.submit(fill)
+        filled.result()
+        return content.result()
+
+
+def read_image(source: str | Path | bytes, size: tuple[int, int] | None = None,
+               window: tuple[int, int, int, int] | None = None,
+               levels: Levels | None = None) -> NDArray[np.uint8]:
+    """Read a photo as uint8[H, W, 3], sRGB.
+
+    Grey becomes three equal channels, alpha is dropped, deeper samples are rounded to 8 bits, and
+    linear light is converted to sRGB.
+
+    Parameters
+    ----------
+    source : a path, or the encoded bytes of a photo.
+    size : (width, height), pixels, to which the image is resampled by area averaging.
+    window : (left, top, right, bottom), pixels, the part to read; None reads all.
+    levels : the samples of 16 bits that become black and white (io/photos/levels.py).
+    """
+    with opened(source) as photo:
+        photo.levels = levels
+        left, top, right, bottom = window = window or (0, 0, photo.width, photo.height)
+        size = size or (right - left, bottom - top)
+        return joined(_bands(photo, size, window), size)
+
+
+def image_bands(source: str | Path | bytes, size: tuple[int, int],
+                window: tuple[int, int, int, int] | None = None,
+                levels: Levels | None = None) -> Iterator[NDArray[np.uint8]]:
+    """Yield what `read_image` reads from the top down, uint8[n, W, 3] each.
+
+    Where the format allows, no more than a few rows of the photo are in memory at once.
+
+    Parameters
+    ----------
+    source, size, window, levels : as for `read_image`.
+    """
+    with opened(source) as photo:
+        photo.levels = levels
+        yield from _bands(photo, size, window or (0, 0, photo.width, photo.height))
+
+
+def _bands(photo: Photo, size: tuple[int, int], window: tuple[int, int, int, int]
+           ) -> Iterator[NDArray[np.uint8]]:
+    left, top, right, bottom = window
+    old = right - left, bottom - top
+    bands = (band[:, left:right] for band in photo.bands(top, bottom))
+    return bands if size == old else resampled_bands(bands, old, size)
+
+
+def window_of(camera: Camera, size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """(left, top, right, bottom): the part of the whole photo that a camera shows, pixels of a
+    photo of this size (width, height)."""
+    low, high = np.reshape(camera.borders, (2, 2))
+    scale = np.array(size) / (high - low)
+    left, top = np.rint((np.zeros(2) - low) * scale).astype(int).tolist()
+    right, bottom = np.rint(([camera.width, camera.height] - low) * scale).astype(int).tolist()
+    return left, top, right, bottom
+
+
+def read_alpha(source: str | Path | bytes) -> NDArray[np.uint8]:
+    """Read the alpha channel of a photo as it is stored, uint8[H, W]."""
+    with opened(source) as photo:
+        return photo.alpha()
+
+
+def image_size(source: str | Path | bytes) -> tuple[int, int]:
+    """(width, height) of a photo in pixels, from its header only; errors as in `read_image`."""
+    with opened(source) as photo:
+        return photo.width, photo.height

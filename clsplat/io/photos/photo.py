@@ -1,0 +1,237 @@
+"""An open photo: what its header says, and its pixels a few rows at a time.
+
+docs/guide/photos.md has a table of the formats that are read.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.errors import InputError
+from clsplat.io.photos.resample import band_rows
+from clsplat.io.reason import MOST_CHARACTERS, clean
+from clsplat.io.regular import memory_file, open_regular, utf8_path
+
+# a header that claims more pixels is damaged: no decoder may allocate memory for it
+MOST_PIXELS = 1 << 30
+PIXELS_PER_BYTE = 1 << 13  # deflate's limit, for samples of one bit
+FORMATS = ("jpeg", "png", "tiff", "webp", "bmp", "gif", "jpeg2000", "jpegxl", "openexr", "hdr",
+           "pnm", "targa")
+CONVERT = "convert it to JPEG or PNG"
+# TIFF's PhotometricInterpretation: white is zero, black is zero, RGB, palette, CMYK, YCbCr
+COLOUR_MODELS = (0, 1, 2, 3, 5, 6)
+FLOAT_SAMPLES = ("half", "float")
+Levels = tuple[float, float]  # samples of 16 bits that become black and white
+LUMINANCE_CHANNELS, LINEAR_FORMATS = ("Y", "I", "L"), ("openexr", "hdr")
+
+
+class Photo:
+    """A photo whose header was read; see `opened`.
+
+    Attributes
+    ----------
+    name : for messages.
+    width, height : pixels as stored.
+    orientation : the number in EXIF, 1 without one.
+    linear : whether its samples are linear light.
+    extra : how many channels there are beyond colour and alpha.
+    is_deep : whether it is grey, with samples of 16 bits.
+    levels : the samples that become black and white; None: the least and the greatest of all.
+    """
+
+    def __init__(self, name: str | Path, image: Any) -> None:
+        self.name, self._image, self._spec = name, image, image.spec()
+        spec = self._spec
+        self.width: int = spec.width
+        self.height: int = spec.height
+        self.orientation: int = spec.get_int_attribute("Orientation", 1)
+        self._channels = _colour_channels(spec, image.format_name(), name)
+        space = spec.get_string_attribute("oiio:ColorSpace").lower()
+        deep = str(spec.format) in FLOAT_SAMPLES
+        self.linear: bool = space.startswith("lin") or (deep and not space.startswith("srgb"))
+        # every GIF is read with alpha
+        self.has_alpha: bool = spec.alpha_channel >= 0 and image.format_name() != "gif"
+        self.is_deep: bool = str(spec.format) == "uint16" and len(set(self._channels)) == 1
+        self.levels: Levels | None = None
+        self.extra: int = spec.nchannels - len(set(self._channels)) - (spec.alpha_channel >= 0)
+
+    def attribute(self, name: str) -> object:
+        """The value of an entry of the header by OpenImageIO's name, such as "Exif:FocalLength":
+        a number, a text or a tuple of numbers; None if there is no such entry."""
+        value: object = self._spec.getattribute(name)
+        return value
+
+    def bands(self, top: int, bottom: int) -> Iterator[NDArray[np.uint8]]:
+        """Yield the rows from `top` to `bottom` in order, uint8[n, W, 3], sRGB."""
+        if self.levels is None:
+            return self._bands(top, bottom, self._colours)
+        return self._bands(top, bottom, self._stretched, "uint16")
+
+    def _bands(self, top: int, bottom: int, converted: Callable[[NDArray[Any]], NDArray[Any]],
+               kind: str = "") -> Iterator[NDArray[Any]]:
+        spec = self._spec
+        # OpenImageIO refuses parts of tiles, and reads wrong rows for parts of some TIFFs' strips
+        unit = spec.tile_height or spec.get_int_attribute("tiff:RowsPerStrip", 1)
+        unit = min(max(unit, 1), self.height)
+        step = max(1, band_rows(self.width, spec.nchannels) // unit) * unit
+        for row in range(top // unit * unit, bottom, step):
+            end = min(row + step, -(-bottom // unit) * unit, self.height)
+            pixels = converted(self._rows(row, end, kind))
+            yield pixels[max(0, top - row):bottom - row]
+
+    def samples(self) -> NDArray[np.uint16]:
+        """The grey samples of a deep photo, uint16[H, W]."""
+        return np.concatenate([*self._bands(0, self.height, lambda rows: rows[
+            ..., self._channels[0]], "uint16")])
+
+    def alpha(self) -> NDArray[np.uint8]:
+        """The alpha channel, uint8[H, W]; the photo must have one."""
+        return np.concatenate([*self._bands(0, self.height, self._opacities)])
+
+    def _opacities(self, samples: NDArray[Any]) -> NDArray[np.uint8]:
+        opacities = samples[..., self._spec.alpha_channel]
+        if self.linear:
+            opacities = np.clip(np.nan_to_num(opacities), 0, 1) * 255 + 0.5
+        return opacities.astype(np.uint8)
+
+    def _rows(self, begin: int, end: int, kind: str) -> NDArray[Any]:
+        """Samples [end - begin, W, channels] of a kind; "": float32 if they are linear light, else
+        uint8."""
+        spec, kind = self._spec, kind or ("float" if self.linear else "uint8")
+        low, high, channels = spec.y + begin, spec.y + end, spec.nchannels
+        if spec.tile_width:
+            pixels = self._image.read_tiles(spec.x, spec.x + spec.width, low, high, spec.z,
+                                            spec.z + max(1, spec.depth), 0, channels, kind)
+        else:
+            pixels = self._image.read_scanlines(low, high, spec.z, 0, channels, kind)
+        # a truncated JPEG is filled with grey and only leaves a message
+        reason = reason_of(self._image)
+        if pixels is None or reason:
+            raise InputError(f"{self.name}: the image is damaged or cut short ({reason}); "
+                             f"copy it again, or {CONVERT}")
+        samples: NDArray[Any] = pixels.reshape(end - begin, spec.width, channels)
+        return samples
+
+    def _stretched(self, samples: NDArray[np.uint16]) -> NDArray[np.uint8]:
+        assert self.levels is not None
+        low, high = self.levels
+        grey = (samples[..., list(self._channels)] - np.float32(low)) * np.float32(
+            255 / (high - low))
+        pixels: NDArray[np.uint8] = (np.clip(grey, 0, 255) + np.float32(0.5)).astype(np.uint8)
+        return pixels
+
+    def _colours(self, samples: NDArray[Any]) -> NDArray[np.uint8]:
+        # a list of channels copies them one after the other, and who reads rows copies them again
+        samples = samples[..., :3] if self._channels == (0, 1, 2) else samples[
+            ..., list(self._channels)]
+        if not self.linear:
+            return samples
+        missing = np.count_nonzero(np.isnan(samples))
+        if missing:
+            raise InputError(f"{self.name}: {missing} of its samples are not numbers (NaN); "
+                             "export it again without them")
+        light: NDArray[np.float32] = np.clip(samples, 0, 1)
+        srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+        return (srgb * 255 + 0.5).astype(np.uint8)
+
+
+def _colour_channels(spec: Any, kind: str, name: str | Path) -> tuple[int, int, int]:
+    """The indices of the red, green and blue channels."""
+    if spec.get_int_attribute("tiff:PhotometricInterpretation", 2) not in COLOUR_MODELS:
+        model = spec.get_string_attribute("tiff:ColorSpace") or "another colour model"
+        raise InputError(f"{name}: a TIFF in {model}, whose colours are not read; "
+                         "convert it to RGB")
+    if str(spec.format) == "double":  # OpenImageIO 3.2 reads wrong rows of many such files
+        raise InputError(f"{name}: samples of 64 bits are not read; convert it to 32 or 16 bits")
+    names = [channel.rpartition(".")[2].upper() for channel in spec.channelnames]
+    if all(colour in names for colour in "RGB"):
+        return names.index("R"), names.index("G"), names.index("B")
+    if kind in LINEAR_FORMATS and (names[0] not in LUMINANCE_CHANNELS
+                                   or {"RY", "BY"} & set(names)):
+        raise InputError(f"{name}: its channels are {', '.join(spec.channelnames)[:80]}, not red, "
+                         "green and blue; export it as RGB")
+    return (0, 1, 2) if spec.nchannels > 2 and kind not in LINEAR_FORMATS else (0, 0, 0)
+
+
+@contextmanager
+def opened(source: str | Path | bytes) -> Iterator[Photo]:
+    """Open a photo by its path or its encoded bytes; InputError if it is not a photo."""
+    with _input(source) as (name, image):
+        yield Photo(name, image)
+
+
+def first_channel(path: Path) -> NDArray[Any]:
+    """Read the first channel of an image of depths, uint16[H, W] or float32[H, W]."""
+    with _input(path) as (name, image):
+        kind = str(image.spec().format)
+        if kind not in ("uint16", *FLOAT_SAMPLES):
+            raise InputError(f"{name}: has samples of {kind}; depth maps have 16 bits (millimetres)"
+                             " or floats (the scene's units)")
+        pixels = image.read_image(0, 0, 0, 1, "uint16" if kind == "uint16" else "float")
+        reason = reason_of(image)
+        if pixels is None or reason:
+            raise InputError(f"{name}: the image is damaged or cut short ({reason}); copy it again")
+        values: NDArray[Any] = pixels.reshape(pixels.shape[:2])
+        return values
+
+
+@contextmanager
+def _input(source: str | Path | bytes) -> Iterator[tuple[str | Path, Any]]:
+    """The name of an image for messages, and OpenImageIO's input of it."""
+    if isinstance(source, bytes):
+        name = f"packed image of {len(source)} bytes"
+        with memory_file(name, source) as path:
+            yield from _checked_input(path, name, len(source))
+        return
+    try:
+        with open_regular(source) as file:
+            size = file.seek(0, 2)
+    except FileNotFoundError:
+        raise InputError(f"{source}: no such image; check the path") from None
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{str(source)[:MOST_CHARACTERS]}: the image cannot be read ({why}); "
+                         "check the path") from None
+    with utf8_path(source) as path:
+        yield from _checked_input(path, source, size)
+
+
+def _checked_input(path: str, name: str | Path, size: int) -> Iterator[tuple[str | Path, Any]]:
+    import OpenImageIO as oiio
+
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)  # keep colours as stored, whatever their alpha
+    image = oiio.ImageInput.open(path, config)
+    reason = reason_of(oiio)
+    if image is None:
+        raise InputError(f"{name}: not an image that can be read ({reason}); "
+                         f"copy it again, or {CONVERT}")
+    try:
+        if image.format_name() not in FORMATS:
+            raise InputError(f"{name}: photos in the format {image.format_name()} are not read; "
+                             f"{CONVERT}")
+        spec = image.spec()
+        if not 0 < spec.width * spec.height <= min(MOST_PIXELS, PIXELS_PER_BYTE * size):
+            raise InputError(f"{name}: damaged: its header claims {spec.width}x{spec.height} "
+                             "pixels; copy it again")
+        try:
+            yield name, image
+        except MemoryError:
+            raise InputError(f"{name}: not enough memory for {spec.width}x{spec.height} pixels; "
+                             "free some, or make the photos smaller") from None
+    finally:
+        image.close()
+
+
+def reason_of(library: Any) -> str:
+    """The first line of the last error of OpenImageIO or of one of its files, or an empty string.
+    """
+    try:
+        text = library.geterror()
+    except UnicodeDecodeError as error:  # it quotes the names in a damaged file
+        text = error.object.decode(errors="replace")
+    return clean(next(iter(text.splitlines()), ""))

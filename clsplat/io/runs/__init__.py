@@ -1,0 +1,1 @@
+"""The folders of runs and cities: the only code that knows their file names."""

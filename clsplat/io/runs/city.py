@@ -1,0 +1,367 @@
+"""The folder of a large scene's training: the only code that knows its file names.
+
+It holds the coarse run, the partition, the blocks and the merged model, which may be made on
+several machines. Every file and every block appears whole or not at all, so that the same command
+can continue after a kill at any moment.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.atomic import PARTIAL
+from clsplat.io.models.ply import start_of, write_ply
+from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
+from clsplat.io.reason import reason
+from clsplat.io.records import digest_of, object_of, write_object
+from clsplat.io.runs.exposures import EXPOSURES, read_exposures, write_exposures
+from clsplat.io.runs.run import CITY, FILES, RunFolder
+from clsplat.io.scenes.linked import link_again, write_linked
+from clsplat.partition.partition import Partition
+from clsplat.partition.region import Region
+from clsplat.response import Response
+from clsplat.scene import Scene, View
+
+PARTITION, BLOCK, REGION = "partition.json", "block.json", "region.json"
+WINDOWS, VISITS = "windows", "visits"  # keys of region.json
+LAYERS = "layers"  # key of block.json: how many gaussians surroundings.ply has
+REPLACES = "replaces"  # key of partition.json: the previous partition, and the blocks that were cut
+EXCHANGES = "exchanges"  # key of block.json: after how many steps blocks exchange gaussians
+DENSE = "dense"  # key of block.json: how many gaussians begin at dense points
+OTHERS = "others"  # and: the numbers of the blocks with which it does so
+INITIAL, SURROUNDINGS = "initial.ply", "surroundings.ply"
+
+
+class CityFolder:
+    """A run folder that also has the coarse run, the partition, the blocks and the levels of
+    detail of a city. Errors are InputError.
+
+    Attributes
+    ----------
+    coarse, lod : folders of the coarse run and of the levels of detail.
+    undistorted : folder of the undistorted photos of a scene that needs them.
+    dense : the PLY of the gaussians at dense points, where the city has them.
+    joint, joint_start : the run of the joint training, and the PLY of the points at which it
+        begins, where the city has one.
+    map, picture : the partition as GeoJSON and as an image.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.coarse, self.lod = self.path / "coarse", self.path / "lod"
+        self.undistorted, self.dense = self.path / UNDISTORTED, self.path / "dense.ply"
+        self.joint, self.joint_start = self.path / "joint", self.path / "joint_start.ply"
+        self.map, self.picture = self.path / "partition.geojson", self.path / "partition.png"
+
+    @property
+    def has_record(self) -> bool:
+        """Whether city.json exists."""
+        return (self.path / CITY).is_file()
+
+    @property
+    def has_partition(self) -> bool:
+        """Whether partition.json exists."""
+        return (self.path / PARTITION).is_file()
+
+    def write(self, record: dict[str, Any]) -> None:
+        """Replace city.json by a dict, with at least the `fingerprint` of the whole scene."""
+        write_object(self.path / CITY, record)
+
+    def read(self, **kinds: type) -> dict[str, Any]:
+        """Read city.json; `kinds` are the types of keys that are needed besides `fingerprint`."""
+        return _read(self.path / CITY, {"fingerprint": str, **kinds},
+                     "give a folder that `clsplat city` wrote")
+
+    def check_there(self) -> None:
+        """InputError if the folder holds neither a city nor a coarse run, from which one begins."""
+        if not (self.has_record or RunFolder(self.coarse).is_begun):
+            raise InputError(f"{self.path}: holds no city ({CITY} is missing); give a folder that "
+                             "`clsplat city` wrote")
+
+    def check_free(self) -> None:
+        """InputError if a city cannot begin here, because the folder holds a run or a block, or
+        other files but no coarse run."""
+        present = sorted(path.name for path in self.path.iterdir()) if self.path.is_dir() else []
+        foreign = [name for name in present if name in (*FILES, BLOCK, REGION)]
+        if not RunFolder(self.coarse).is_begun:
+            foreign += [name for name in present if name != self.coarse.name and name[0] != "."]
+        if foreign:
+            raise InputError(f"{self.path}: holds {foreign[-1]}, but no city ({CITY} is missing); "
+                             "choose another --output")
+
+    def write_partition(self, record: dict[str, Any]) -> None:
+        """Replace partition.json by the record of a Partition."""
+        write_object(self.path / PARTITION, record)
+
+    def read_partition(self) -> dict[str, Any]:
+        """Read partition.json."""
+        path, cure = self.path / PARTITION, f"make it with `clsplat partition {self.path}`"
+        record = _read(path, {}, cure)
+        replaces = record.get(REPLACES)
+        if replaces is not None and not (
+                isinstance(replaces, dict) and type(replaces.get("partition")) is str
+                and type(replaces.get("blocks")) is list):
+            raise InputError(f"{path}: damaged ({REPLACES} is {str(replaces)[:20]!r}); remove it, "
+                             f"and {cure}")
+        return record
+
+    def partition(self, scene: Scene | None = None) -> Partition:
+        """The partition; InputError if it is damaged, or not of this whole scene."""
+        try:
+            partition = Partition.from_record(self.read_partition())
+            if scene is not None:
+                partition.check_views(len(scene.views))
+            return partition
+        except ValueError as error:
+            raise InputError(f"{self.path / PARTITION}: damaged ({reason(error)}); make it again "
+                             f"with `clsplat partition {self.path}`") from None
+
+    def identity(self) -> dict[str, str]:
+        """What the record of a block of this city must hold: `city`, the scene's fingerprint, and
+        `partition`, the SHA-256 of partition.json."""
+        self.read_partition()
+        return {"city": self.read()["fingerprint"], "partition": digest_of(self.path / PARTITION)}
+
+    def replace_partition(self, record: dict[str, Any], numbers: Iterable[int]) -> None:
+        """Write a partition that differs in the blocks of these numbers only: their folders are
+        removed, and the other blocks become those of the new partition. After a kill `adopt`
+        finishes this."""
+        self.write_partition({**record, REPLACES: {
+            "partition": self.identity()["partition"], "blocks": [int(n) for n in numbers]}})
+        self.adopt()
+
+    def adopt(self) -> None:
+        """Finish a `replace_partition` that was interrupted."""
+        replaces, identity = self.read_partition().get(REPLACES), self.identity()
+        if not replaces:
+            return
+        for block in self.blocks():
+            record = block.read()
+            if record["partition"] != replaces["partition"]:
+                continue
+            if record["number"] in replaces["blocks"]:
+                removed = block.path.with_name(block.path.name + PARTIAL)
+                shutil.rmtree(removed, ignore_errors=True)
+                os.rename(block.path, removed)
+                shutil.rmtree(removed, ignore_errors=True)
+            else:
+                write_object(block.path / BLOCK, {**record, **identity})
+
+    def block(self, number: int) -> BlockFolder:
+        """The folder of a block, whether it exists or not."""
+        return BlockFolder(self.path / "blocks" / f"{number:03d}")
+
+    def blocks(self) -> list[BlockFolder]:
+        """The folders of the existing blocks, by number."""
+        paths = [file.parent for file in self.path.glob(f"blocks/*/{BLOCK}")
+                 if file.parent.name.isdigit()]
+        return [BlockFolder(path) for path in sorted(paths, key=lambda path: int(path.name))]
+
+    def write_block(self, number: int, scene: Scene, views: Sequence[int] | NDArray[np.integer],
+                    region: Region, windows: Mapping[str, tuple[int, int, int, int]],
+                    initial: Gaussians, exposures: Mapping[str, Response] | None,
+                    options: Mapping[str, Any], identity: Mapping[str, Any],
+                    surroundings: Gaussians | None = None,
+                    visits: Mapping[str, float] | None = None) -> BlockFolder:
+        """Write a block as an ordinary scene folder.
+
+        Photos are linked, or copied if the scene is packed. An existing block is left as it is.
+
+        Parameters
+        ----------
+        scene : the whole, as `read_scene` returned it.
+        views : indices into its views.
+        windows : parts of photos, see `Scene.cropped`.
+        initial : in the scene's frame.
+        exposures : responses of views, by name.
+        options : of the block's training, for block.json.
+        identity : for block.json, `identity()` and other facts about the block.
+        surroundings : gaussians that are drawn as layers, in the scene's frame.
+        visits : of the views, by name (`View.visits`); None: all alike.
+
+        Raises
+        ------
+        InputError : the existing block is of another partition, or the new one cannot be written.
+        """
+        block = self.block(number)
+        record = json.loads(json.dumps({"number": number, **identity, "options": options}))
+        if block.is_there:
+            found = block.read()
+            if {**found, OTHERS: None} != {**record, OTHERS: None}:
+                raise InputError(f"{block.path}: holds a block of another partition, or with other "
+                                 "options; remove it, or choose another --output")
+            if found != record:  # another block was cut in two
+                write_object(block.path / BLOCK, record)
+            link_again(block.path, [scene.views[index] for index in views])
+            return block
+        part = scene.part(views)
+        if not len(part.points):
+            raise InputError(f"{block.path}: the {len(part.views)} views of block {number} see "
+                             "none of the sparse points; use fewer blocks")
+        partial = block.path.with_name(block.path.name + PARTIAL)
+        try:
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir(parents=True)
+            write_linked(partial, part)
+            write_object(partial / REGION, {**region.record(), WINDOWS: dict(windows),
+                                             VISITS: dict(visits or {})})
+            if exposures is not None:
+                write_exposures(partial / EXPOSURES, {
+                    view.name: exposures[view.name] for view in part.views
+                    if view.name in exposures})
+            write_ply(partial / INITIAL, initial, scene.offset, sphere=True)
+            if surroundings is not None:
+                write_ply(partial / SURROUNDINGS, surroundings, scene.offset)
+            write_object(partial / BLOCK, record)
+            os.rename(partial, block.path)
+        except BaseException as error:
+            shutil.rmtree(partial, ignore_errors=True)
+            if not isinstance(error, OSError):
+                raise
+            raise InputError(f"{block.path}: cannot be written ({error.strerror}); check that the "
+                             "disk has space, and that nothing else has that name") from error
+        return block
+
+
+class BlockFolder:
+    """One block of a city: an ordinary scene folder with its region, its initial gaussians and its
+    run. Errors are InputError.
+
+    Attributes
+    ----------
+    initial : the PLY of its initial gaussians.
+    run : the folder of its run.
+    around : the PLY of its surroundings after the first exchange, in its run.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.initial, self.run = self.path / INITIAL, self.path / "run"
+        self.around = self.run / SURROUNDINGS
+
+    @property
+    def exchanges(self) -> list[int]:
+        """After how many steps the block exchanges gaussians with others, ascending."""
+        return self._numbers(EXCHANGES, 1)
+
+    @property
+    def others(self) -> list[int]:
+        """Numbers of the other blocks whose gaussians the block trains or draws, ascending."""
+        return self._numbers(OTHERS, 0)
+
+    def _numbers(self, key: str, least: int) -> list[int]:
+        """A list of ascending integers in block.json."""
+        numbers = self.read().get(key, [])
+        if type(numbers) is not list or not all(
+                type(number) is int and number > before
+                for before, number in zip([least - 1, *numbers], numbers)):
+            raise InputError(f"{self.path / BLOCK}: damaged ({key} is {str(numbers)[:20]!r}); "
+                             "remove the block, and run `clsplat partition` again")
+        return numbers
+
+    def part(self, number: int) -> Path:
+        """The file of what the block owns at the exchange of this number, from 1."""
+        return self.run / f"exchange_{number}.npz"
+
+    def start(self) -> str:
+        """SHA-256 of `initial`, which names the block in its models, parts and surroundings."""
+        return digest_of(self.initial)
+
+    def check_own(self, model: Path) -> None:
+        """InputError for a PLY of another block's training. One of an earlier version does not
+        record whose it is, and without `initial` there is nothing to compare with."""
+        if (start := start_of(model)) and self.start() not in ("", start):
+            raise InputError(f"{model}: is of another block, partition or city than {self.path}, "
+                             f"as its training did not begin at {self.initial}; put the block's "
+                             f"own there, or remove {self.run}, and run `clsplat city` again")
+
+    @property
+    def is_there(self) -> bool:
+        """Whether block.json exists, which is written last."""
+        return (self.path / BLOCK).is_file()
+
+    def read(self, *counts: str) -> dict[str, Any]:
+        """Read block.json: at least `number`, `city`, `partition` and `options`, a dict, and these
+        counts, which are integers."""
+        kinds = {"number": int, "city": str, "partition": str, "options": dict}
+        return _read(self.path / BLOCK, kinds | dict.fromkeys(counts, int),
+                     "give a folder CITY/blocks/NNN that `clsplat partition` wrote")
+
+    def check(self) -> None:
+        """InputError if the block lacks its region, or if it lies, perhaps by a link, in a city to
+        which it does not belong."""
+        record = self.read()
+        for name in (REGION, *(SURROUNDINGS,) * bool(record.get(LAYERS))):
+            if not (self.path / name).is_file():
+                raise InputError(f"{self.path / name}: missing from the block; remove the block, "
+                                 "and run `clsplat partition` again")
+        above = {path.parents[1] for path in (self.path.absolute(), self.path.resolve())
+                 if len(path.parents) > 1}
+        for city in map(CityFolder, sorted(above)):
+            if not city.has_record:  # a block by itself, on another machine
+                continue
+            for key, value in city.identity().items():
+                if record[key] != value:
+                    raise InputError(
+                        f"{self.path}: a block of another {key} than that of {city.path}; "
+                        f"remove it, and run `clsplat partition {city.path}` again")
+
+
+def attached(scene: Scene, folder: Path) -> Scene:
+    """Add the region, the windows, the surroundings and the exposures of its folder to a scene, if
+    it is a block's."""
+    if not (folder / REGION).is_file():
+        return scene
+    path = folder / REGION
+    try:
+        record = _read(path, {WINDOWS: dict}, "partition the city again")
+        region, windows = Region.from_record(record), record[WINDOWS]
+        for view in scene.views:
+            _check_window(view, windows.get(view.name))
+        visits = record.get(VISITS, {})
+        if type(visits) is not dict or not all(type(each) is float and each > 0
+                                               for each in visits.values()):
+            raise ValueError("the visits of its views are not positive numbers")
+    except ValueError as error:
+        raise InputError(f"{path}: damaged ({reason(error)}); partition the city again") from None
+    has_exposures, around = (folder / EXPOSURES).is_file(), folder / SURROUNDINGS
+    views = tuple(replace(view, visits=visits.get(view.name, 1.0)) for view in scene.views)
+    return replace(replace(scene, views=views).cropped(windows), region=region,
+                   surroundings=around if around.is_file() else None,
+                   exposures=read_exposures(folder / EXPOSURES) if has_exposures else None)
+
+
+def _check_window(view: View, window: Any) -> None:
+    """ValueError for a window that is not a part of a view's photo."""
+    if window is None:
+        return
+    if type(window) is not list or [type(end) for end in window] != 4 * [int]:
+        raise ValueError(f"the window of {view.name} is not four integers")
+    left, top, right, bottom = window
+    if not (0 <= left < right <= view.camera.width and 0 <= top < bottom <= view.camera.height):
+        raise ValueError(f"the window of {view.name} is not within its photo")
+
+
+def _read(path: Path, kinds: Mapping[str, type], cure: str) -> dict[str, Any]:
+    """Read a JSON file; InputError if it is damaged, or a key is not of its type in `kinds`."""
+    try:
+        record = object_of(path.read_bytes())
+        for key, kind in kinds.items():
+            if type(record.get(key)) is not kind:
+                raise ValueError(f"{key} is {str(record.get(key))[:20]!r}")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {cure}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: damaged ({reason(error)}); remove it, and {cure}") from None
+    return record

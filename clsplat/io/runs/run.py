@@ -1,0 +1,399 @@
+"""The folder of a run: the only code that knows its file names."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.georeference import Georeference
+from clsplat.io.atomic import PARTIAL, replacing
+from clsplat.io.folders import make_folder, remove_files
+from clsplat.io.georeference import files as placement_files
+from clsplat.io.lock import HOLDER, LOCK, exclusive
+from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.npz import read_npz, state_array, write_npz
+from clsplat.io.photos.undistort import FOLDER as UNDISTORTED
+from clsplat.io.reason import reason
+from clsplat.io.records import object_of, plain, record_of, write_object
+from clsplat.io.runs.exposures import EXPOSURES, read_exposures, write_exposures
+from clsplat.io.runs.origin import origin
+from clsplat.io.runs.poses import POSES
+from clsplat.io.runs.renders import Renders
+from clsplat.io.runs.scene_path import recorded_scene, scene_record
+from clsplat.response import Response
+from clsplat.scene import Scene
+
+OPTIONS, METRICS = "options.json", "metrics.jsonl"
+CHECKPOINT = "checkpoint.npz"
+MODEL, REPORT = "point_cloud.ply", "report.html"
+PART_OF_CITY = "part_of_city"  # key of options.json: whether it is a coarse run or a block
+LOD, SNAPSHOT = "lod", re.compile(r"level_(\d+(?:\.\d+)?)\.ply")  # by the level's factor
+# in the order of their removal
+FILES = (METRICS, CHECKPOINT, EXPOSURES, POSES, MODEL, REPORT, OPTIONS)
+CITY = "city.json"  # of a folder that `clsplat city` wrote: io/runs/city.py reads it
+STATE = "state.json"  # the member of a checkpoint that holds everything but arrays
+
+
+class RunFolder:
+    """One training on disk: its options, metrics, checkpoint, model, report and renders.
+
+    Every write replaces a whole file, except for lines of metrics; one that a kill cut short is
+    dropped by the next `log` or `rewind`. Errors are InputError.
+
+    Attributes
+    ----------
+    undistorted : folder of the undistorted photos of a scene that needs them; they stay when the
+        run is replaced, for the next run.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Use `create` or `open`."""
+        self.path = Path(path)
+        self.renders = Renders(self.path)
+        self.undistorted = self.path / UNDISTORTED
+        self._metrics_whole = self._replaces = False
+
+    @classmethod
+    def create(cls, path: str | Path, overwrite: bool = False) -> RunFolder:
+        """Begin a new run.
+
+        Parameters
+        ----------
+        path : a folder that holds no run; it is created if needed.
+        overwrite : the folder may hold a run; the first write, `write_options`, removes its files
+            and nothing else.
+        """
+        run = cls(path)
+        try:
+            run.path.mkdir(parents=True, exist_ok=True)
+            run.check_free(overwrite)
+            run._replaces = True
+            probe = run.path / (OPTIONS + PARTIAL)
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise InputError(f"{run.path}: cannot be used as run folder ({error.strerror}); "
+                             "choose another --output") from None
+        return run
+
+    def check_free(self, overwrite: bool) -> None:
+        """InputError if a new run, which may replace one if `overwrite`, cannot begin here."""
+        if (self.path / CITY).exists():
+            raise InputError(f"{self.path}: holds a city ({CITY}); continue it with `clsplat "
+                             "city`, or choose another folder")
+        present = [name for name in FILES if os.path.lexists(self.path / name)]
+        if present and not overwrite:
+            raise InputError(f"{self.path}: already holds a run ({present[-1]}); continue it with "
+                             "--resume, replace it with --overwrite, or choose another folder")
+        if present and not self._is_ours():
+            raise InputError(f"{self.path}: holds {present[-1]}, but no run that clsplat wrote; "
+                             "--overwrite removes runs only: choose another folder")
+
+    def _is_ours(self) -> bool:
+        """Whether clsplat wrote the files of the folder, by its options or, if these are damaged,
+        by its metrics or its checkpoint."""
+        try:
+            if "version" in self.read_options():
+                return True
+        except InputError:
+            pass
+        try:
+            with open(self.path / METRICS, "rb") as file:
+                if b'{"event":' in file.read(1000):
+                    return True
+        except OSError:
+            pass
+        try:
+            with zipfile.ZipFile(self.path / CHECKPOINT) as archive:
+                return f"{STATE}.npy" in archive.namelist()
+        except (OSError, ValueError, zipfile.BadZipFile):
+            return False
+
+    @contextmanager
+    def locked(self, patience: float = 0.0) -> Iterator[None]:
+        """Lock the folder, as `lock.exclusive` does. It is created if needed, and removed again if
+        nothing was written."""
+        is_new = not self.path.exists()
+        make_folder(self.path, "choose another --output")
+        with exclusive(self.path, patience):
+            try:
+                yield
+            finally:
+                if is_new and set(os.listdir(self.path)) <= {LOCK, HOLDER}:
+                    remove_files([self.path / LOCK, self.path / HOLDER], self.path)
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunFolder:
+        """Open the run of a folder."""
+        run = cls(path)
+        if not run.is_begun:
+            raise InputError(f"{run.path}: holds no run ({OPTIONS} is missing); "
+                             "give a folder that `clsplat train` wrote")
+        return run
+
+    def _remove_files(self) -> None:
+        """Remove the files of a run; links are removed, never followed."""
+        self.renders.remove()
+        lod = self.path / LOD
+        if not lod.is_symlink():
+            remove_files([path for path in lod.glob("level_*")
+                          if SNAPSHOT.fullmatch(path.name.removesuffix(PARTIAL))], lod)
+        for name in FILES:
+            (self.path / (name + PARTIAL)).unlink(missing_ok=True)
+            (self.path / name).unlink(missing_ok=True)
+
+    def write_options(self, record: dict[str, Any]) -> None:
+        """Write the options of the run.
+
+        Parameters
+        ----------
+        record : the path `scene` is written relative to the run and absolute; the keys of
+            `origin.origin` are added.
+        """
+        if self._replaces:
+            self._remove_files()
+            self._replaces = False
+        record = {**record, **origin()}
+        if "scene" in record:
+            record |= scene_record(record["scene"], self.path)
+        write_object(self.path / OPTIONS, plain(record), indent=2)
+
+    def scene_path(self, given: Path | None = None) -> Path:
+        """Find the scene of the run, see `scene_path.recorded_scene`."""
+        return recorded_scene(self.read_options(), self.path, given)
+
+    def note_scene(self, scene: Path) -> None:
+        """Record where the scene is now, if that has changed."""
+        record = self.read_options()
+        place = scene_record(scene, self.path)
+        if any(record.get(key) != value for key, value in place.items()):
+            write_object(self.path / OPTIONS, record | place, indent=2)
+
+    def read_options(self) -> dict[str, Any]:
+        """Read what `write_options` wrote."""
+        path = self.path / OPTIONS
+        try:
+            return record_of(_read(path))
+        except ValueError as error:
+            raise InputError(f"{path}: damaged ({reason(error)}); start the run again with "
+                             "--overwrite") from None
+
+    def write_placement(self, scene: Scene) -> None:
+        """Write what a model needs of its scene: the georeference, which way is up, the first view.
+        """
+        placement_files.write_placement(self.path, scene, first_view=True)
+
+    def georeference(self) -> Georeference | None:
+        """Where the scene of the run lies on the earth; None: unknown."""
+        return placement_files.read_georeference(self.path)
+
+    def orientation(self) -> tuple[NDArray[np.float64], Camera | None] | None:
+        """The unit vector that points up and the first view, in original coordinates; None if the
+        run is older than their file."""
+        return placement_files.read_orientation(self.path)
+
+    def placed(self, scene: Scene) -> Scene:
+        """The scene of the run, with the georeference and the up axis that the run knows."""
+        return placement_files.placed(scene, self.path)
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether the run has options, which are written first."""
+        return (self.path / OPTIONS).is_file()
+
+    @property
+    def has_metrics(self) -> bool:
+        """Whether the run has metrics."""
+        return (self.path / METRICS).is_file()
+
+    def log(self, record: dict[str, Any]) -> None:
+        """Append one line to the metrics; numbers that are not finite become null."""
+        path = self.path / METRICS
+        line = json.dumps(plain(record), allow_nan=False) + "\n"
+        try:
+            with open(path, "ab") as file:
+                if not self._metrics_whole:
+                    file.truncate(len(_whole_lines(path.read_bytes())))
+                    self._metrics_whole = True
+                file.write(line.encode())
+        except OSError as error:
+            self._metrics_whole = False
+            raise InputError(f"{path}: cannot be written ({error.strerror}); "
+                             "free some space and continue with --resume") from error
+
+    def records(self) -> list[dict[str, Any]]:
+        """The records of the metrics in order; a last line that was cut short is left out."""
+        return [record for record, _ in self._lines()]
+
+    def add_scores(self, scores: dict[str, Any]) -> None:
+        """Add scores of the finished model to the last evaluation in the metrics, if there is one.
+
+        Parameters
+        ----------
+        scores : keys and numbers; they replace those that are there.
+        """
+        lines = self._lines() if self.has_metrics else []
+        places = [n for n, (record, _) in enumerate(lines) if record.get("event") == "eval"]
+        if not places:
+            return
+        record = {**lines[places[-1]][0], **scores}
+        text = json.dumps(plain(record), allow_nan=False) + "\n"
+        with replacing(self.path / METRICS) as file:
+            file.writelines(text.encode() if n == places[-1] else line
+                            for n, (_, line) in enumerate(lines))
+
+    def past_records(self) -> list[dict[str, Any]]:
+        """The records of the metrics, or none if there are no metrics yet."""
+        return self.records() if self.has_metrics else []
+
+    def _lines(self) -> list[tuple[dict[str, Any], bytes]]:
+        path = self.path / METRICS
+        lines = []
+        for number, line in enumerate(_whole_lines(_read(path)).splitlines(keepends=True), 1):
+            try:
+                lines.append((record_of(line), line))
+            except ValueError as error:
+                raise InputError(f"{path}: line {number} is damaged ({reason(error)}); "
+                                 "remove that line") from None
+        return lines
+
+    def rewind(self, iteration: int) -> None:
+        """Drop the metrics after an iteration, whose steps a resumed run repeats."""
+        if not (self.path / METRICS).exists():
+            return
+        kept = [line for record, line in self._lines()
+                if (record.get("iteration") or 0) <= iteration]
+        with replacing(self.path / METRICS) as file:
+            file.writelines(kept)
+
+    @property
+    def has_checkpoint(self) -> bool:
+        """Whether the run has a checkpoint."""
+        return (self.path / CHECKPOINT).is_file()
+
+    def save_checkpoint(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
+        """Replace the checkpoint by arrays and a state for JSON; if this fails, such as on a full
+        disk, the previous checkpoint stays."""
+        with replacing(self.path / CHECKPOINT) as file:
+            write_npz(file, {**arrays, STATE: state_array(state)})
+
+    def checkpoint_iteration(self) -> int:
+        """The number of steps before the checkpoint; 0 without one."""
+        state = self.load_checkpoint(lambda _: False)[1] if self.has_checkpoint else {}
+        return state["iteration"] if type(state.get("iteration")) is int else 0
+
+    def load_checkpoint(self, wanted: Callable[[str], bool] = lambda name: True
+                        ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Load the arrays that are wanted by name, and the state; CRCs are checked."""
+        path = self.path / CHECKPOINT
+        if not self.has_checkpoint:
+            raise InputError(f"{path}: no checkpoint to resume from; train without --resume")
+        complaint, cure = ("the checkpoint is damaged or cut short",
+                           "copy it again, or start the run again with --overwrite")
+        arrays = read_npz(path, complaint, cure, lambda name: name == STATE or wanted(name))
+        try:
+            return arrays, object_of(arrays.pop(STATE).tobytes())
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{path}: {complaint} ({STATE}: {reason(error)}); {cure}") from None
+
+    def save_exposures(self, exposures: Mapping[str, Response]) -> None:
+        """Replace the learned responses of views, by name."""
+        write_exposures(self.path / EXPOSURES, exposures)
+
+    def load_exposures(self) -> dict[str, Response] | None:
+        """Load the responses of views by name, or None if the run learned none."""
+        path = self.path / EXPOSURES
+        return read_exposures(path) if path.is_file() else None
+
+    def save_model(self, gaussians: Gaussians, offset: ArrayLike, comments: Iterable[str] = (),
+                   sphere: bool = False) -> None:
+        """Replace the finished model; see `ply.write_ply`."""
+        write_ply(self.path / MODEL, gaussians, offset, comments, sphere)
+
+    def save_snapshot(self, level: float, gaussians: Gaussians, offset: ArrayLike,
+                      comments: Iterable[str] = ()) -> None:
+        """Replace the model of a level, by its downscale factor; see `ply.write_ply`."""
+        path = self.path / LOD / f"level_{level:g}.ply"
+        make_folder(path.parent)
+        write_ply(path, gaussians, offset, comments)
+
+    def snapshots(self) -> list[tuple[float, Path]]:
+        """(factor, path) of the models of levels, coarse to fine, without the finished model."""
+        matches = ((SNAPSHOT.fullmatch(path.name), path) for path in (self.path / LOD).glob("*"))
+        return sorted(((float(name[1]), path) for name, path in matches if name), reverse=True)
+
+    @property
+    def model_path(self) -> Path:
+        """The path of the finished model."""
+        return self.path / MODEL
+
+    @property
+    def has_model(self) -> bool:
+        """Whether the training is finished; its last evaluation may not be."""
+        return self.model_path.is_file()
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the run is finished with its report, which a part of a city does not have."""
+        return self.has_model and ((self.path / REPORT).is_file()
+                                   or self.read_options().get(PART_OF_CITY) is True)
+
+    def write_report(self, html: str) -> Path:
+        """Replace the report; returns its path."""
+        with replacing(self.path / REPORT) as file:
+            file.write(html.encode("utf-8", "backslashreplace"))
+        return self.path / REPORT
+
+    def read_report(self) -> str | None:
+        """The page that `write_report` wrote, or None if it cannot be read."""
+        try:
+            return (self.path / REPORT).read_bytes().decode()
+        except (OSError, ValueError):
+            return None
+
+    def check_model(self) -> None:
+        """InputError if the training is not finished."""
+        if not self.has_model:
+            raise InputError(f"{self.model_path}: the run has no model yet; finish it with "
+                             "--resume, or a city with `clsplat merge`")
+
+    def load_model(self, offset: ArrayLike | None = None) -> Gaussians:
+        """Load the finished model in the scene's local coordinates; see `ply.read_ply`."""
+        self.check_model()
+        return read_ply(self.model_path, offset)
+
+
+def find_runs(path: str | Path) -> list[RunFolder]:
+    """Find the runs in a folder: itself and those at most two levels below it, ordered by path;
+    InputError if there are none."""
+    path = Path(path)
+    patterns = (OPTIONS, f"*/{OPTIONS}", f"*/*/{OPTIONS}")
+    folders = sorted({file.parent for pattern in patterns for file in path.glob(pattern)})
+    if not folders:
+        raise InputError(f"{path}: holds no run ({OPTIONS} is missing here and two levels below); "
+                         "give folders that `clsplat train` wrote")
+    return [RunFolder.open(folder) for folder in folders]
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); is this a run folder?"
+                         ) from None
+
+
+def _whole_lines(data: bytes) -> bytes:
+    return data[:data.rfind(b"\n") + 1]

@@ -1,0 +1,1 @@
+"""Scenes of every format, read and written."""

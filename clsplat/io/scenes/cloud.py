@@ -1,0 +1,151 @@
+"""Initial point clouds for data sets that have poses but no sparse model."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.io.models.ply import read_vertices
+from clsplat.io.photos.images import read_image
+from clsplat.io.scenes.checks import LARGEST_COORDINATE
+from clsplat.io.scenes.colmap import read_model
+from clsplat.scene import View
+
+PLY_NAMES = ("points3D.ply", "sparse_pc.ply")
+COLOURS = ("red", "green", "blue")
+# sampled points: a view, and in all
+POINTS_A_VIEW, MOST_POINTS, FEWEST_POINTS = 500, 500_000, 100
+MOST_ROUNDS = 8
+NEIGHBOURS = 16  # nearest views, of which one more must see a sampled point
+DEPTHS = (0.5, 8.0)  # of sampled points, in distances to the farthest of those neighbours
+LEAST_ANGLE = np.radians(1.0)  # between two views of a sampled point
+COLOUR_PHOTOS, COLOUR_SIZE = 16, (32, 24)  # photos of the mean colour; width and height, pixels
+
+Cloud = tuple[NDArray[np.float64], NDArray[np.uint8] | None]
+
+
+def read_cloud(folder: Path, ply: Path | None, transform: NDArray[np.float64]) -> Cloud | None:
+    """Read the points float64[N, 3] and colours uint8[N, 3], if any, of a scene folder.
+
+    The first of these is used: points3D.ply, sparse_pc.ply, a COLMAP model in the folder or in
+    colmap/; None if all are missing.
+
+    Parameters
+    ----------
+    ply : a file that must exist, and is used instead.
+    transform : float64[3, 4], from the world of the COLMAP model to that of the poses.
+    """
+    if ply is not None:
+        return _ply_cloud(ply)
+    for path in (folder / name for name in PLY_NAMES):
+        if path.exists():
+            return _ply_cloud(path)
+    for place in (folder, folder / "colmap"):
+        if (place / "sparse").is_dir():
+            _, arrays = read_model(place)
+            return arrays["points"] @ transform[:, :3].T + transform[:, 3], arrays["colours"]
+    return None
+
+
+def _ply_cloud(path: Path) -> Cloud:
+    rows = read_vertices(path)[0].data
+    kinds = {name: rows.dtype[name].kind for name in rows.dtype.names}
+    if any(kinds.get(name, "") not in tuple("fiu") for name in "xyz"):
+        raise InputError(f"{path}: its vertices have no x, y, z; give a PLY of points")
+    points = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
+    if any(name not in kinds or rows.dtype[name] != np.uint8 for name in COLOURS):
+        return points, None
+    return points, np.stack([rows[name] for name in COLOURS], axis=1)
+
+
+def sample_points(path: str | Path, views: Sequence[View]) -> NDArray[np.float64]:
+    """Sample random points, float64[N, 3], in the volume that at least two of the views see.
+
+    Each point lies on the ray of a random pixel of a random view, at a depth whose logarithm is
+    uniform from 0.5 to 8 times the distance to the 16th nearest view, and is kept if one of those
+    16 views sees it too, from a direction at least a degree apart. The same views give the same
+    points (seed 0).
+
+    Parameters
+    ----------
+    path : the file that messages name.
+
+    Raises
+    ------
+    InputError : hardly a point is kept.
+    """
+    random = np.random.default_rng(0)
+    count = min(POINTS_A_VIEW * len(views), MOST_POINTS)
+    cameras = _Cameras([view.camera for view in views])
+    kept = np.zeros((0, 3))
+    for _ in range(MOST_ROUNDS):
+        with np.errstate(all="ignore"):  # points behind a camera, or too far, are not kept
+            points, view = cameras.sample(random, count)
+            seen = (cameras.seen_again(points, view)
+                    & (np.abs(points) <= LARGEST_COORDINATE).all(axis=1))
+        kept = np.concatenate([kept, points[seen]])
+        if len(kept) >= count:
+            break
+    if len(kept) < FEWEST_POINTS:
+        raise InputError(f"{path}: no points, and no two cameras see the same place from different "
+                         "positions; put points3D.ply beside it, or reconstruct with COLMAP")
+    return kept[:count]
+
+
+class _Cameras:
+    """Many cameras as arrays, and the nearest neighbours of each."""
+
+    def __init__(self, cameras: Sequence[Camera]) -> None:
+        self.rotation = np.array([c.rotation for c in cameras])
+        self.translation = np.array([c.translation for c in cameras])
+        self.focal = np.array([c.focal for c in cameras])
+        self.centre = np.array([c.centre for c in cameras])
+        self.size = np.array([(c.width, c.height) for c in cameras])
+        self.position = np.array([c.position for c in cameras])
+        count = min(NEIGHBOURS + 1, len(cameras))
+        distance, nearest = cKDTree(self.position).query(self.position, k=count)
+        self.away = distance.reshape(len(cameras), count)[:, -1]
+        self.nearest = nearest.reshape(len(cameras), count)
+
+    def sample(self, random: np.random.Generator, count: int
+               ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Points float64[count, 3], and int[count], the view on whose ray each lies."""
+        view = random.integers(0, len(self.size), count)
+        pixel = random.uniform(size=(count, 2)) * self.size[view]
+        nearest, farthest = np.log(DEPTHS).tolist()
+        depth = self.away[view] * np.exp(random.uniform(nearest, farthest, count))
+        ray = np.column_stack([(pixel - self.centre[view]) / self.focal[view], np.ones(count)])
+        local = ray * depth[:, None] - self.translation[view]
+        return np.einsum("nji,nj->ni", self.rotation[view], local), view
+
+    def seen_again(self, points: NDArray[np.float64], view: NDArray[np.int64]
+                   ) -> NDArray[np.bool_]:
+        """bool[N]: whether a neighbour of its view sees a point from another direction."""
+        seen = np.zeros(len(points), bool)
+        own = _directions(self.position[view], points)
+        for other in self.nearest[view].T:
+            local = np.einsum("nij,nj->ni", self.rotation[other], points) + self.translation[other]
+            pixel = local[:, :2] / local[:, 2:] * self.focal[other] + self.centre[other]
+            inside = (local[:, 2] > 0) & ((pixel > 0) & (pixel < self.size[other])).all(axis=1)
+            apart = np.linalg.norm(own - _directions(self.position[other], points), axis=1)
+            seen |= inside & (apart > LEAST_ANGLE)
+        return seen
+
+
+def _directions(begin: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    ray = end - begin
+    ray /= np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), np.finfo(float).tiny)
+    return ray
+
+
+def mean_colour(views: Sequence[View]) -> NDArray[np.uint8]:
+    """The mean colour, uint8[3], of at most 16 of the photos, evenly chosen."""
+    chosen = views[::-(-len(views) // COLOUR_PHOTOS)]
+    means = [read_image(view.source, COLOUR_SIZE, levels=view.levels).mean(axis=(0, 1))
+             for view in chosen]
+    mean: NDArray[np.float64] = np.mean(means, axis=0)
+    return mean.round().astype(np.uint8)

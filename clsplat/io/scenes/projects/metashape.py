@@ -1,0 +1,191 @@
+"""Reads cameras that Agisoft Metashape exports as XML (File, Export, Export Cameras).
+
+Format: Metashape's manual, appendix "Camera models", and its exports. `transform` of a camera is
+camera to chunk, row-major, camera axes right, down, forward; `transform` of the camera's component,
+or else of the chunk, leads to the world: scale * rotation @ x + translation, which are geocentric
+coordinates if `reference` is a CRS, and local ones otherwise. (0.5, 0.5) is the middle of the first
+pixel; cx and cy are relative to the middle of the photo. With x = X / Z and y = Y / Z (`frame`), or
+these scaled to the angle from the axis (`fisheye`),
+
+    u = width / 2 + cx + x' (f + b1) + y' b2,    v = height / 2 + cy + y' f
+    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8) + p1 (r^2 + 2 x^2) + 2 p2 x y
+
+and so y', with p1 and p2 exchanged: p1 is OpenCV's p2. The sparse points are not in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from clsplat.errors import InputError
+from clsplat.io.georeference.crs import is_local
+from clsplat.io.reason import reason
+from clsplat.io.regular import open_regular, read_regular
+from clsplat.io.scenes.projects.photo_files import PhotoFiles
+from clsplat.io.scenes.projects.scene import (
+    Optics,
+    ProjectPhoto,
+    brown,
+    finite,
+    georeferenced,
+    numbers,
+    only,
+    pixels,
+    project_scene,
+)
+from clsplat.io.scenes.projects.xml_file import root_of
+from clsplat.placement.similarity import Similarity
+from clsplat.scene import Scene
+
+HEAD_BYTES = 4096  # in which the file must show what it is
+COEFFICIENTS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
+CURE = ("optimise the cameras in Metashape without it (Tools, Optimize Cameras), or export "
+        "undistorted photos with their cameras in COLMAP's format (File, Export, Export Cameras)")
+
+
+class Transforms(NamedTuple):
+    """The similarities to the world, by the ids of components; "" is that of the chunk."""
+
+    by_component: Mapping[str, Similarity]
+
+    def of(self, camera: Element) -> Similarity:
+        """The similarity that holds for a camera."""
+        return self.by_component.get(camera.get("component_id", ""),
+                                     self.by_component.get("", IDENTITY))
+
+
+def find_metashape(path: Path) -> Path | None:
+    """The exported XML in a folder, or the path itself if it is one."""
+    if path.is_file():
+        return path if _is_export(path) else None
+    return only(filter(_is_export, path.glob("*.xml")), "exports of Metashape's cameras")
+
+
+def _is_export(path: Path) -> bool:
+    if path.suffix.lower() != ".xml":
+        return False
+    try:
+        with open_regular(path) as file:
+            head = file.read(HEAD_BYTES)
+    except OSError:
+        return False
+    return b"<document" in head and b"<chunk" in head
+
+
+def read_metashape(path: Path, images: str = "") -> Scene:
+    """Read the scene of exported cameras; a photo's label may lack the suffix.
+
+    Parameters
+    ----------
+    path : of the XML.
+    images : the folder of the photos, relative to that of the XML.
+    """
+    files = PhotoFiles(path.parent, images)
+    try:
+        chunk = _chunk(path)
+        used, notes = _aligned(chunk)
+        sensors = {sensor.get("id", ""): sensor for sensor in chunk.iter("sensor")}
+        transforms = _transforms(chunk)
+        photos = [_photo(camera, sensors, transforms, files) for camera in used]
+        definition = (chunk.findtext("reference") or "").strip()
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: not cameras of Metashape, or damaged ({reason(error)}); "
+                         "export them again") from None
+    if not definition or is_local(definition):
+        return project_scene(path, path.parent, files, photos, notes=notes)
+    placed, _, georeference, more = georeferenced(
+        path, photos, None, lambda: IDENTITY, definition,
+        f"Metashape's alignment of {len(photos)} photos")
+    return project_scene(path, path.parent, files, placed, georeference=georeference,
+                         notes=(*notes, *more))
+
+
+def _chunk(path: Path) -> Element:
+    chunks = list(root_of(read_regular(path)).iter("chunk"))
+    if len(chunks) != 1:
+        raise ValueError(f"it has {len(chunks)} chunks, and one is read")
+    return chunks[0]
+
+
+def _aligned(chunk: Element) -> tuple[list[Element], tuple[str, ...]]:
+    """The cameras with a pose that are enabled, and a note about the others."""
+    cameras = list(chunk.iterfind("cameras//camera"))
+    if any(camera.get("master_id") for camera in cameras):
+        raise ValueError("rigs of several cameras are not read; export in COLMAP's format")
+    used = [camera for camera in cameras if camera.find("transform") is not None
+            and camera.get("enabled", "true").lower() not in ("false", "0")]
+    left = len(cameras) - len(used)
+    note = f"{left} of {len(cameras)} photos of the project are not aligned or disabled: left out"
+    return used, (note,) if left else ()
+
+
+def _transforms(chunk: Element) -> Transforms:
+    found: dict[str, Similarity] = {}
+    for component in [chunk, *chunk.iterfind("components/component")]:
+        transform = component.find("transform")
+        if transform is not None:
+            found["" if component is chunk else component.get("id", "")] = _similarity(transform)
+    return Transforms(found)
+
+
+def _similarity(transform: Element) -> Similarity:
+    """A similarity, each part of which may be missing."""
+    scale = finite(transform.findtext("scale") or "1", "scale")
+    if not scale > 0:
+        raise ValueError("scale is not positive")
+    rotation = numbers(transform.findtext("rotation") or "1 0 0 0 1 0 0 0 1", 9, "rotation")
+    return Similarity(scale, rotation.reshape(3, 3), numbers(
+        transform.findtext("translation") or "0 0 0", 3, "translation"))
+
+
+def _photo(camera: Element, sensors: Mapping[str, Element], transforms: Transforms,
+           files: PhotoFiles) -> ProjectPhoto:
+    label = camera.get("label", "")
+    name, source = files.find(label)
+    try:
+        pose = numbers(camera.findtext("transform") or "", 16, "transform").reshape(4, 4)
+        world = transforms.of(camera)
+        if camera.get("sensor_id", "") not in sensors:
+            raise ValueError("its sensor is missing")
+        return ProjectPhoto(name, source, _optics(sensors[camera.get("sensor_id", "")]),
+                            (world.rotation @ pose[:3, :3]).T, world(pose[:3, 3]))
+    except ValueError as error:
+        raise ValueError(f"camera {label[:80]}: {error}") from None
+
+
+def _optics(sensor: Element) -> Optics:
+    kind = sensor.get("type", "frame")
+    if kind not in ("frame", "fisheye"):
+        raise ValueError(f"sensors of type {kind[:40]} are not read; export in COLMAP's format")
+    calibration = next(_calibrations(sensor), None)
+    if calibration is None:
+        raise ValueError("its sensor has no calibration")
+    size = calibration.find("resolution")
+    size = sensor.find("resolution") if size is None else size
+    if size is None:
+        raise ValueError("its sensor has no resolution")
+    width, height = pixels(size.get("width"), "width"), pixels(size.get("height"), "height")
+    value = {key: finite(calibration.findtext(key) or "0", key) for key in COEFFICIENTS}
+    focal = value["f"] + value["b1"], value["f"]
+    centre = width / 2 + value["cx"], height / 2 + value["cy"]
+    k1, k2, k3, k4 = (value[f"k{number}"] for number in range(1, 5))
+    for key in ("b2", "p3", "p4"):
+        if value[key]:
+            raise ValueError(f"no camera model of COLMAP has its coefficient {key}; {CURE}")
+    if kind == "frame":
+        return brown((width, height), focal, centre, (k1, k2, k3, k4), (value["p2"], value["p1"]))
+    return Optics((width, height), focal, centre, ("THIN_PRISM_FISHEYE", (
+        *focal, *centre, k1, k2, value["p2"], value["p1"], k3, k4, 0.0, 0.0)))
+
+
+def _calibrations(sensor: Element) -> Iterator[Element]:
+    """The calibrations of a sensor, adjusted ones first."""
+    found = sensor.findall("calibration")
+    yield from (each for each in found if each.get("class") == "adjusted")
+    yield from (each for each in found if each.get("class") != "adjusted")

@@ -1,0 +1,208 @@
+"""Reads reconstructions of OpenSfM, and so those of OpenDroneMap (ODM).
+
+Format: https://opensfm.org/docs/dataset.html and https://opensfm.org/docs/geometry.html. Poses are
+world to camera (angle-axis rotation, translation), camera axes right, down, forward. The world is
+east, north, up in metres at `reference_lla`, or has z up without it. Image coordinates have their
+origin in the middle of the photo and are divided by its longer side, so that they hold for the
+photo in any size. The distortion of `brown` is in OpenCV's order, also in OpenSfM's code, though
+its documentation leaves a square out.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from clsplat.errors import InputError
+from clsplat.io.georeference.earth import topocentric
+from clsplat.io.photos.images import image_size
+from clsplat.io.reason import reason
+from clsplat.io.records import object_of
+from clsplat.io.regular import read_regular
+from clsplat.io.scenes.projects.photo_files import PhotoFiles, check_present
+from clsplat.io.scenes.projects.scene import (
+    Optics,
+    ProjectPhoto,
+    ProjectPoints,
+    brown,
+    finite,
+    georeferenced,
+    numbers,
+    pixels,
+    project_scene,
+)
+from clsplat.scene import Scene
+
+# ODM keeps OpenSfM's own result beside one that it has moved onto its map
+NAMES = ("reconstruction.topocentric.json", "reconstruction.json")
+ODM = "opensfm"  # the folder in a project of ODM
+REFERENCE, TRACKS, MOVED = "reference_lla.json", "tracks.csv", "exported_geocoords.txt"
+COORDINATES = ("latitude", "longitude", "altitude")
+# projection_type -> its coefficients of distortion
+TERMS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+COEFFICIENTS = {"perspective": TERMS[:2], "simple_radial": TERMS[:1], "radial": TERMS[:2],
+                "brown": (*TERMS[:3], "p1", "p2"), "fisheye": TERMS[:2],
+                "fisheye_opencv": TERMS[:4]}
+ASPECT = 2e-3  # relative tolerance of the ratio of a photo's sides: they may be rounded
+
+
+def find_opensfm(path: Path) -> Path | None:
+    """The reconstruction of a folder of OpenSfM or ODM, or the path itself if it is one."""
+    if path.is_file():
+        return path if path.name in NAMES else None
+    places = (folder / name for folder in (path, path / ODM) for name in NAMES)
+    return next((place for place in places if place.is_file()), None)
+
+
+def read_opensfm(path: Path, images: str = "") -> Scene:
+    """Read the scene of a reconstruction, the largest if there are several.
+
+    Photos are in images/ of the project; observations are those of tracks.csv, if it is there.
+
+    Parameters
+    ----------
+    path : of reconstruction.json.
+    images : the folder of the photos, relative to the project's folder.
+    """
+    folder = path.parent.parent if path.parent.name == ODM else path.parent
+    files = PhotoFiles(folder, images)
+    try:
+        table, notes = _largest(path)
+        shots, names, sources = _shots(table, files)
+        check_present(sources)
+        cameras = _table(table, "cameras")
+        photos = [_photo(shots[shot], cameras, name, source)
+                  for shot, name, source in zip(shots, names, sources)]
+        points = _points(table, path.parent, list(shots))
+        reference = _reference(path, table)
+    except (ValueError, TypeError, OSError) as error:
+        raise InputError(f"{path}: not a reconstruction of OpenSfM, or damaged ({reason(error)}); "
+                         "copy it again") from None
+    if reference is None:
+        return project_scene(path, folder, files, photos, points, z_is_up=True, notes=notes)
+    placed, points, georeference, more = georeferenced(
+        path, photos, points, lambda: topocentric(*reference), "",
+        f"OpenSfM's alignment of {len(photos)} photos")
+    return project_scene(path, folder, files, placed, points, georeference=georeference,
+                         z_is_up=True, notes=(*notes, *more))
+
+
+def _largest(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The reconstruction with the most photos, and notes about the others."""
+    # a list, where `object_of` takes objects only
+    tables = object_of(b'{"all": ' + read_regular(path) + b"}")["all"]
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise ValueError("it is not a list of reconstructions")
+    counts = [len(_table(table, "shots")) for table in tables]
+    if not counts:
+        raise ValueError("it holds no reconstruction")
+    largest = int(np.argmax(counts))
+    if len(counts) == 1:
+        return tables[0], ()
+    return tables[largest], (f"OpenSfM has split the scene into {len(counts)} parts; the largest, "
+                             f"with {counts[largest]} of {sum(counts)} photos, is used",)
+
+
+def _table(table: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, dict):
+        raise ValueError(f"{key} is not an object")
+    return value
+
+
+def _shots(table: Mapping[str, Any], files: PhotoFiles
+           ) -> tuple[dict[str, Any], list[str], list[Path]]:
+    """The shots with a pose, and the names and files of their photos."""
+    shots = _table(table, "shots")
+    found = [files.find(name) for name in shots]
+    return shots, [name for name, _ in found], [source for _, source in found]
+
+
+def _photo(shot: Any, cameras: Mapping[str, Any], name: str, source: Path) -> ProjectPhoto:
+    if not isinstance(shot, dict):
+        raise ValueError(f"shot {name[:80]} is not an object")
+    camera = cameras.get(str(shot.get("camera")))
+    if not isinstance(camera, dict):
+        raise ValueError(f"shot {name[:80]} has a camera that is missing")
+    rotation = Rotation.from_rotvec(
+        numbers(shot.get("rotation"), 3, f"the rotation of {name[:80]}")).as_matrix()
+    translation = numbers(shot.get("translation"), 3, f"the translation of {name[:80]}")
+    return ProjectPhoto(name, source, _optics(camera, image_size(source)), rotation,
+                        -rotation.T @ translation)
+
+
+def _optics(camera: Mapping[str, Any], photo: tuple[int, int]) -> Optics:
+    """The camera model of a photo of this size (width, height)."""
+    size = pixels(camera.get("width"), "width"), pixels(camera.get("height"), "height")
+    if abs(size[0] * photo[1] / (size[1] * photo[0]) - 1) <= ASPECT:
+        size = photo  # others are refused later, with the reason
+    kind, longer = camera.get("projection_type", "perspective"), float(max(size))
+
+    def value(key: str) -> float:
+        return finite(camera.get(key, 0.0), key)
+
+    both = "focal" if "focal" in camera else "focal_x"
+    focal = longer * value(both), longer * value("focal" if "focal" in camera else "focal_y")
+    centre = size[0] / 2 + longer * value("c_x"), size[1] / 2 + longer * value("c_y")
+    k = [value(f"k{number}") for number in range(1, 5)]
+    if kind not in COEFFICIENTS:
+        raise ValueError(f"the camera model {str(kind)[:40]} is not read; reconstruct with "
+                         "perspective, brown or fisheye")
+    others = [key for key in TERMS if key not in COEFFICIENTS[kind] and value(key)]
+    if others:
+        raise ValueError(f"the camera model {kind} has no coefficient {others[0]}")
+    if "fisheye" in kind:
+        return Optics(size, focal, centre, ("OPENCV_FISHEYE", (*focal, *centre, *k)))
+    return brown(size, focal, centre, k[:3], (value("p1"), value("p2")))
+
+
+def _points(table: Mapping[str, Any], folder: Path, shots: list[str]) -> ProjectPoints | None:
+    points = _table(table, "points")
+    if not points:
+        return None
+    positions, colours = np.empty((len(points), 3)), np.empty((len(points), 3))
+    for row, (name, point) in enumerate(points.items()):
+        if not isinstance(point, dict):
+            raise ValueError(f"point {name[:40]} is not an object")
+        positions[row] = numbers(point.get("coordinates"), 3, f"point {name[:40]}")
+        colours[row] = numbers(point.get("color"), 3, f"the colour of point {name[:40]}")
+    tracks = folder / TRACKS
+    return ProjectPoints(positions, colours.clip(0, 255).round().astype(np.uint8),
+                         _observations(tracks, list(points), shots) if tracks.is_file() else None)
+
+
+def _observations(path: Path, points: list[str], shots: list[str]) -> NDArray[np.int64]:
+    """int64[M, 2], rows (point, shot): columns 1 (shot) and 2 (point) of tracks.csv."""
+    point = {name: row for row, name in enumerate(points)}
+    shot = {name: row for row, name in enumerate(shots)}
+    text = io.StringIO(read_regular(path).decode("utf-8", "replace"))
+    try:
+        rows = [(point[row[1]], shot[row[0]])
+                for row in csv.reader(text, delimiter="\t", quoting=csv.QUOTE_NONE)
+                if len(row) > 2 and row[0] in shot and row[1] in point]
+    except csv.Error as error:
+        raise ValueError(f"{TRACKS}: {reason(error)}") from None
+    return np.array(rows, np.int64).reshape(-1, 2)
+
+
+def _reference(path: Path, table: Mapping[str, Any]) -> tuple[float, float, float] | None:
+    """Latitude, longitude and height of the origin; None if they are unknown, or if ODM has moved
+    the reconstruction elsewhere."""
+    if path.name == NAMES[1] and (path.parent / MOVED).exists():
+        return None
+    reference = table.get("reference_lla")
+    if reference is None and (path.parent / REFERENCE).is_file():
+        reference = object_of(read_regular(path.parent / REFERENCE))
+    if reference is None:
+        return None
+    if not isinstance(reference, dict):
+        raise ValueError("reference_lla is not an object")
+    latitude, longitude, height = (finite(reference.get(key), key) for key in COORDINATES)
+    return latitude, longitude, height

@@ -1,0 +1,119 @@
+"""Reads a scene of any format, and computes its fingerprint."""
+
+import hashlib
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clsplat.errors import InputError
+from clsplat.io.georeference.files import placed
+from clsplat.io.photos.masks import with_masks
+from clsplat.io.runs.city import attached
+from clsplat.io.scenes.citygs import has_parts, read_citygs
+from clsplat.io.scenes.colmap import has_model, read_colmap
+from clsplat.io.scenes.linked import PACKED
+from clsplat.io.scenes.packed import read_packed
+from clsplat.io.scenes.projects.metashape import find_metashape, read_metashape
+from clsplat.io.scenes.projects.opensfm import find_opensfm, read_opensfm
+from clsplat.io.scenes.projects.opf import find_opf, read_opf
+from clsplat.io.scenes.projects.realityscan import find_realityscan, read_realityscan
+from clsplat.io.scenes.transforms import has_transforms, read_transforms
+from clsplat.scene import Scene
+
+# the layouts of folders that are not COLMAP's: how each is recognised, and its reader
+LAYOUTS = ((has_parts, read_citygs), (has_transforms, read_transforms))
+# the projects of other programs: what finds their file, in a folder without a COLMAP model or as
+# the path itself, and their reader
+PROJECTS = ((find_opensfm, read_opensfm), (find_metashape, read_metashape), (find_opf, read_opf),
+            (find_realityscan, read_realityscan))
+
+
+def read_scene(path: str | os.PathLike[str], images: str = "") -> Scene:
+    """Read a scene.
+
+    Parameters
+    ----------
+    path : a folder with a COLMAP model, transforms.json, the layout of CityGS or a project of
+        OpenSfM or ODM, Metashape, RealityScan or OPF; the file of such a project; a packed .npz.
+    images : the folder of its photos, relative to the scene's; "": images/, see `photo_folder`.
+    """
+    path = Path(path)
+    if os.path.isdir(path):
+        return placed(attached(with_masks(_read_folder(path, images), path), path), path)
+    if not os.path.exists(path):
+        raise InputError(f"{path}: no such scene; give a folder of photos, a folder with images "
+                         "and sparse/0, or a packed .npz")
+    if path.suffix == ".npz":
+        _no_images(path, images, "a packed scene")
+        return read_packed(path)
+    project = _read_project(path, images)
+    if project is not None:
+        return placed(with_masks(project, path.parent), path.parent)
+    raise InputError(f"{path}: not a scene; give a folder with images and sparse/0, the file of a "
+                     "project (Metashape's XML, RealityScan's CSV, OpenSfM's reconstruction.json, "
+                     ".opf), or a packed .npz")
+
+
+def is_scene(folder: Path) -> bool:
+    """Whether a folder holds a scene of any layout, which need not be in order."""
+    return (folder / PACKED).is_file() or (folder / "train" / "metadata").is_dir() or any(
+        recognises(folder) for recognises, _ in LAYOUTS) or has_model(folder) or any(
+        find(folder) for find, _ in PROJECTS)
+
+
+def _read_folder(path: Path, images: str) -> Scene:
+    packed = path / PACKED
+    if packed.is_file():  # a block of a packed scene
+        _no_images(path, images, "a packed scene")
+        return replace(read_packed(packed), name=path.resolve().name, path=path)
+    for recognises, read in LAYOUTS:
+        if recognises(path):
+            _no_images(path, images, "a scene that names its photos itself")
+            return read(path)
+    if (path / "train" / "metadata").is_dir():
+        raise InputError(f"{path}: a Mega-NeRF folder, whose metadata need PyTorch; convert them "
+                         "with `python docs/examples/from_mega_nerf.py FOLDER`, then give it again")
+    if not has_model(path):
+        project = _read_project(path, images)
+        if project is not None:
+            return project
+    return read_colmap(path, images)
+
+
+def _read_project(path: Path, images: str) -> Scene | None:
+    """The scene of another program's project, a folder or its file; None if it is none."""
+    for find, read in PROJECTS:
+        file = find(path)
+        if file is not None:
+            return replace(read(file, images), path=path)
+    return None
+
+
+def _no_images(path: Path, images: str, kind: str) -> None:
+    if images:
+        raise InputError(f"--images {images}: {path} is {kind}; leave the option out (it is for "
+                         "folders with a COLMAP model)")
+
+
+def fingerprint(scene: Scene) -> str:
+    """SHA-256 of a scene's names, cameras, points and offset, by which a resumed run recognises it.
+
+    Photos are left out, since reading them all would take too long.
+    """
+    digest = hashlib.sha256()
+    for view in scene.views:
+        camera = view.camera
+        name = view.name.encode()
+        digest.update(len(name).to_bytes(8, "little") + name)
+        digest.update(_bytes((camera.width, camera.height, *camera.focal, *camera.centre)))
+        digest.update(_bytes(camera.rotation) + _bytes(camera.translation))
+    digest.update(_bytes(scene.points) + _bytes(scene.offset))
+    digest.update(np.ascontiguousarray(scene.colours, np.uint8).tobytes())
+    return digest.hexdigest()
+
+
+def _bytes(values: ArrayLike) -> bytes:
+    return np.asarray(values, "<f8").tobytes()

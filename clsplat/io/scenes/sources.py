@@ -1,0 +1,201 @@
+"""The photos of a scene: their folder, whether they fit their cameras, and notes on their content.
+
+Only headers are read here, and samples of photos with 16 bits.
+"""
+
+import os
+import re
+import unicodedata
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from clsplat.camera import Lens
+from clsplat.errors import InputError
+from clsplat.io.photos.levels import common_levels, levels_note
+from clsplat.io.photos.metadata import QUARTERS
+from clsplat.io.photos.photo import Photo, opened
+from clsplat.io.reason import MOST_CHARACTERS
+from clsplat.scene import Scene, View
+
+# of files that may be photos; what they are is told by their content
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".jxl", ".exr",
+                  ".hdr", ".ppm", ".pgm", ".tga", ".gif")
+IMAGES, SMALLER = "images", re.compile(r"images_(\d+)")  # as in Mip-NeRF 360
+ROUNDING = 1.5  # pixels, the tolerance of the size of a smaller photo
+QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that swap width and height
+
+
+def photo_folder(folder: Path, images: str = "") -> Path:
+    """The folder of a scene's photos.
+
+    Parameters
+    ----------
+    folder : of the scene.
+    images : relative to it; "": images/, or else the first of images_2/, images_4/, ...
+    """
+    try:
+        images.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"--images {images!a}: its name is not UTF-8; rename it") from None
+    numbered = sorted((path for path in folder.glob("images_*") if SMALLER.fullmatch(path.name)
+                       and path.is_dir()), key=lambda path: int(path.name.rpartition("_")[2]))
+    if images:
+        if os.path.isdir(folder / images):
+            return folder / images
+        present = [path.name for path in (folder / IMAGES, *numbered) if path.is_dir()]
+        raise InputError(f"--images {images}: {folder} has no such folder; "
+                         f"there is {', '.join(present) or 'none with photos'}")
+    if numbered and not (folder / IMAGES).is_dir():
+        return numbered[0]
+    return folder / IMAGES
+
+
+def checked_photos(scene: Scene, smaller: Path | None = None) -> Scene:
+    """Check that every photo exists in its camera's size, and add notes on the photos to the scene.
+
+    Parameters
+    ----------
+    smaller : a folder whose photos may all be smaller than their cameras by one factor, by which
+        the cameras are then scaled.
+    """
+    missing = [view.source for view in scene.views
+               if isinstance(view.source, Path) and not os.path.exists(view.source)]
+    if missing:
+        raise InputError(f"{str(missing[0])[:MOST_CHARACTERS]}: no such image ({len(missing)} of "
+                         f"{len(scene.views)} images of the model are missing); "
+                         f"{_where_else(missing[0])}")
+    photos = []
+    for view in scene.views:
+        with opened(view.source) as photo:
+            photos.append(photo)
+    factor = _factor(scene.views, photos) if smaller else 1.0
+    notes = [*scene.notes, *_lens_notes(scene.views), *_colour_notes(photos),
+             *_turn_notes(photos)]
+    if smaller and (smaller.name != IMAGES or factor != 1):
+        notes.insert(0, _factor_note(smaller, factor))
+    resized = cache(Lens.resized)  # views share a lens, and with it the map of its pixels
+    levels = common_levels([view.source for view in scene.views],
+                           [photo.is_deep for photo in photos])
+    notes += filter(None, [levels_note(levels)])
+    views = tuple(replace(_fitted(view, photo, factor, resized), levels=each)
+                  for view, photo, each in zip(scene.views, photos, levels))
+    return replace(scene, views=views, notes=tuple(notes))
+
+
+def _where_else(path: Path) -> str:
+    """The cure for a missing photo, which depends on the other files of its folder."""
+    def folded(name: str) -> str:
+        return unicodedata.normalize("NFC", name).casefold()
+
+    try:
+        names = sorted(os.listdir(path.parent))
+    except OSError:
+        names = []
+    for name in names:
+        if folded(name) == folded(path.name):
+            return (f"{name!a} is there, which differs in letter case or in the form of its "
+                    "characters: rename it")
+    for name in names:
+        if folded(Path(name).stem) == folded(path.stem):
+            return f"{name!a} is there, with another suffix: convert or rename it"
+    return "put the photos there, or name their folder with --images"
+
+
+def _factor(views: Sequence[View], photos: Sequence[Photo]) -> float:
+    """How many times smaller than their cameras all photos are; 1 if the sizes are equal."""
+    sizes = [_stored_size(view) for view in views]
+    factor = float(np.median([width / photo.width for (width, _), photo in zip(sizes, photos)]))
+    for (width, height), photo in zip(sizes, photos):
+        if max(abs(width / factor - photo.width),
+               abs(height / factor - photo.height)) > ROUNDING:
+            raise InputError(
+                f"{photo.name}: the photo has {photo.width}x{photo.height} pixels but its camera "
+                f"{width}x{height}, and other photos there are {factor:.3g} times "
+                "smaller than theirs; make all of one folder smaller by one factor")
+    same = all(size == (photo.width, photo.height) for size, photo in zip(sizes, photos))
+    return 1.0 if same else factor
+
+
+def _stored_size(view: View) -> tuple[int, int]:
+    """(width, height) that a view's photo should have, pixels."""
+    return view.lens.size if view.lens else (view.camera.width, view.camera.height)
+
+
+def _factor_note(folder: Path, factor: float) -> str:
+    size = ("as large as the model's cameras" if factor == 1 else
+            f"{factor:.3g} times smaller than the model's cameras, which are scaled to fit")
+    return f"photos are those of {folder.name}/, {size}"
+
+
+def _colour_notes(photos: Sequence[Photo]) -> Iterator[str]:
+    """Notes about samples that are converted, masked or ignored."""
+    for flags, note in (
+            ([photo.linear for photo in photos], "hold linear light (EXR, HDR or floating point): "
+             "they are converted to sRGB, and values above 1 are clipped"),
+            ([photo.has_alpha for photo in photos], "have an alpha channel: transparent pixels are "
+             "left out of training and scores"),
+            ([photo.extra > 0 for photo in photos], "have more channels than colours and alpha: "
+             "the first are used as colours, the others ignored")):
+        if any(flags):
+            yield f"{sum(flags)} of {len(photos)} photos {note}"
+
+
+def _lens_notes(views: Sequence[View]) -> Iterator[str]:
+    """A note about photos that are undistorted."""
+    lenses = [view.lens for view in views if view.lens]
+    if lenses:
+        models = ", ".join(sorted({lens.model for lens in lenses}))
+        sizes = sorted({(lens.width, lens.height) for lens in lenses})
+        size = f"{sizes[-1][0]}x{sizes[-1][1]}" + " and other sizes" * (len(sizes) > 1)
+        yield (f"{len(lenses)} of {len(views)} views are undistorted from a lens ({models}) to "
+               f"pinhole cameras of {size} pixels")
+
+
+def _turn_notes(photos: Sequence[Photo]) -> Iterator[str]:
+    """A note about photos that EXIF turns, if their size does not tell whether COLMAP did so."""
+    turned = sum(photo.orientation in (2, 3, 4) or photo.orientation in QUARTER_TURNS
+                 and photo.width == photo.height for photo in photos)
+    if turned:
+        yield (f"{turned} of {len(photos)} photos have an EXIF orientation and are read as they "
+               "are stored: if the scene was reconstructed from turned photos, turn the pixels")
+
+
+def _fitted(view: View, photo: Photo, factor: float,
+            resized: Callable[[Lens, float, float], Lens]) -> View:
+    """The view, its camera scaled by 1 / factor; InputError if its photo has another size.
+
+    Parameters
+    ----------
+    resized : `Lens.resized`, of which equal calls give one object.
+    """
+    # a photo that has its camera's size was reconstructed as it is stored, if its shape can tell
+    turns = QUARTERS.get(photo.orientation, 0) if photo.width != photo.height else 0
+    view = replace(view, transparent=photo.has_alpha, quarter_turns=turns if turns % 2 else 0)
+    width, height, camera, size = photo.width, photo.height, view.camera, _stored_size(view)
+    if (width, height) == size:
+        return view
+    if factor != 1:
+        if view.lens:
+            lens = resized(view.lens, width / size[0], height / size[1])
+            return replace(view, lens=lens, camera=camera.resized(lens.width, lens.height))
+        return replace(view, camera=camera.resized(width, height))
+    name = view.source if isinstance(view.source, Path) else view.name
+    scale_x, scale_y = width / size[0], height / size[1]
+    # rounding may change the shorter side by up to a pixel
+    if abs(scale_x - scale_y) <= 1.0 / min(size):
+        why = ("it was rescaled: put the original back and use --downscale to train on smaller "
+               "ones; where all were, name their folder with --images")
+    elif (height, width) == size:
+        why = "it was rotated: put the original back, as it was when the scene was reconstructed"
+        if photo.orientation in QUARTER_TURNS:
+            why = (f"its EXIF orientation {photo.orientation} turns it, and the scene was "
+                   "reconstructed from the turned photo: turn the pixels of a copy (`mogrify "
+                   "-auto-orient`), and put that in its place")
+    else:
+        why = "it is another photo or was cropped: put back the one that was reconstructed"
+    raise InputError(f"{name}: the photo has {width}x{height} pixels but its camera "
+                     f"{size[0]}x{size[1]}; {why}")

@@ -1,0 +1,229 @@
+"""Reads transforms.json: instant-ngp's and nerfstudio's, and MatrixCity's (Li et al. 2023).
+
+Poses are camera to world with camera axes right, up, back. MatrixCity has two kinds of file. Its
+splits (transforms_train.json, transforms_test.json) are in units of 100 m. Its exports from Unreal
+Engine have frames with `rot_mat`, rotations divided by 100 and positions in metres, and
+`frame_index`, the photo's name; they are converted to the units of the splits, so that the point
+clouds of these fit (authors' answer in city-super/MatrixCity, issue 9). Other keys, such as
+aabb_scale, do not describe the cameras and are ignored.
+"""
+
+from collections.abc import Mapping
+from os.path import isfile
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsplat.errors import InputError
+from clsplat.io.photos.images import image_size
+from clsplat.io.photos.lenses import PANORAMA, Model, brown_model
+from clsplat.io.reason import reason
+from clsplat.io.records import object_of
+from clsplat.io.regular import native, read_regular
+from clsplat.io.scenes.checks import CONTROL
+from clsplat.io.scenes.cloud import Cloud, read_cloud
+from clsplat.io.scenes.posed import PosedPhoto, posed_scene
+from clsplat.scene import Scene
+
+ALL, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
+SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")  # tried if file_path has none
+# the keys of a lens; k4 is the factor of r^8, as nerfstudio has it, except in FULL_OPENCV, where it
+# is the first of the three factors that divide
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+# camera_model -> the keys that it has
+FISHEYE, RATIONAL = "OPENCV_FISHEYE", "FULL_OPENCV"
+MODEL = ("camera_model", "is_fisheye")
+FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
+LENSES = {FISHEYE: COEFFICIENTS[:4], RATIONAL: COEFFICIENTS, **dict.fromkeys(
+    ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"),
+    (*COEFFICIENTS[:4], "p1", "p2"))}
+MATRIXCITY_UNIT = 100.0  # metres
+LONGEST_SIDE = 1 << 20  # pixels
+
+
+def has_transforms(folder: Path) -> bool:
+    """Whether a folder has transforms.json or transforms_train.json, and not a COLMAP model, which
+    is preferred because it has tracks."""
+    model = ("sparse", "cameras.bin", "cameras.txt")
+    return (any((folder / name).is_file() for name in (TRAIN, ALL))
+            and not any((folder / name).exists() for name in model))
+
+
+def read_transforms(folder: Path) -> Scene:
+    """Read the scene of a folder with transforms_train.json and perhaps transforms_test.json, whose
+    views are held out, or with transforms.json alone, and recentre it.
+
+    Photos are at `file_path`, relative to the folder; the name of a view is that path without "..".
+    The points are those of `ply_file_path` or of `cloud.read_cloud`; without them they are sampled.
+    """
+    path = folder / (TRAIN if (folder / TRAIN).exists() else ALL)
+    table = _table(path)
+    photos = _posed_photos(path, table, False)
+    if path.name == TRAIN and (folder / TEST).exists():
+        photos += _posed_photos(folder / TEST, _table(folder / TEST), True)
+    return posed_scene(path, folder, photos, _cloud(path, table))
+
+
+def _table(path: Path) -> dict[str, Any]:
+    try:
+        table = object_of(read_regular(path))
+        if not isinstance(table.get("frames"), list) or not table["frames"]:
+            raise ValueError("it has no frames")
+        return table
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: not a transforms.json, or damaged ({reason(error)}); "
+                         "export or copy it again") from None
+
+
+def _posed_photos(path: Path, table: Mapping[str, Any], held_out: bool) -> list[PosedPhoto]:
+    photos = []
+    for number, frame in enumerate(table["frames"]):
+        try:
+            photos.append(_posed_photo(path.parent, _own(table, frame), held_out))
+        except (ValueError, TypeError, OverflowError, OSError) as error:
+            raise InputError(f"{path}: frame {number} is damaged ({reason(error)}); "
+                             "export it again") from None
+    return photos
+
+
+def _own(table: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a frame, and those of the table that these leave open.
+
+    A focal length and an angle of view mean the same, as do the two ways to name a fisheye: if
+    the frame has one, the table's other one does not count. The table's y belongs to its x, and its
+    coefficients to its camera model.
+    """
+    if not isinstance(frame, Mapping):
+        raise ValueError("it is not an object")
+    x, y = FOCAL_X, FOCAL_Y
+    replaced: set[str] = set()
+    if frame.keys() & {*x, *y}:
+        replaced |= {*y} if frame.keys() & {*y} or table.keys() & {*x} else set()
+        replaced |= {*x} if frame.keys() & {*x} else set()
+    if frame.keys() & {*MODEL}:
+        replaced |= {*MODEL, *COEFFICIENTS}
+    return {**{key: value for key, value in table.items() if key not in replaced}, **frame}
+
+
+def _posed_photo(folder: Path, frame: Mapping[str, Any], held_out: bool) -> PosedPhoto:
+    """The photo of a frame, which includes the keys that the file gives for all frames."""
+    pose, file_path = _pose(frame)
+    name, source = _photo(folder, file_path)
+    if "w" in frame and "h" in frame:
+        size = _side(frame, "w"), _side(frame, "h")
+    else:
+        size = image_size(source)
+    focal_x = _focal(frame, *FOCAL_X, size[0])
+    focal_y = _focal(frame, *FOCAL_Y, size[1], focal_x)
+    centre = (_number(frame, "cx", size[0] / 2), _number(frame, "cy", size[1] / 2))
+    mask = frame.get("mask_path")
+    return PosedPhoto(name, source, size, (focal_x, focal_y), centre, pose, held_out,
+                      _lens(frame, size, (focal_x, focal_y, *centre)),
+                      None if mask is None else folder / native(_text(mask, "mask_path")))
+
+
+def _pose(frame: Mapping[str, Any]) -> tuple[NDArray[np.float64], Any]:
+    """The pose float64[3, 4], and the path of the photo, unchecked."""
+    if "rot_mat" not in frame:
+        return _matrix(frame, "transform_matrix"), frame.get("file_path")
+    pose = _matrix(frame, "rot_mat")
+    pose[:, :3] *= MATRIXCITY_UNIT
+    pose[:, 3] /= MATRIXCITY_UNIT
+    return pose, f"{_number(frame, 'frame_index'):04.0f}.png"
+
+
+def _matrix(table: Mapping[str, Any], key: str) -> NDArray[np.float64]:
+    matrix = np.array(table.get(key), np.float64)
+    if matrix.shape not in ((3, 4), (4, 4)):
+        raise ValueError(f"{key} is not a 3x4 or 4x4 matrix")
+    if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise ValueError(f"the last row of {key} is not 0 0 0 1; is it transposed?")
+    return matrix[:3]
+
+
+def _photo(folder: Path, file_path: object) -> tuple[str, Path]:
+    """(name of the view, path) of a photo that may lack its suffix."""
+    photo = _text(file_path, "file_path").replace("\\", "/")
+    if not isfile(folder / native(photo)):
+        photo += next((suffix for suffix in SUFFIXES if isfile(folder / native(photo + suffix))),
+                      "")
+    parts = [part for part in PurePosixPath(photo).parts if part not in ("..", "/")]
+    return "/".join(parts), folder / native(photo)
+
+
+def _text(value: object, key: str) -> str:
+    if not isinstance(value, str) or CONTROL.search(value):
+        raise ValueError(f"{key} is not valid text")
+    return value
+
+
+def _lens(frame: Mapping[str, Any], size: tuple[int, int], pinhole: tuple[float, ...]
+          ) -> Model | None:
+    """The camera model of a frame; None for a pinhole camera."""
+    if "ftheta_p0" in frame:
+        raise ValueError("the lens F-theta is not read; export with OPENCV_FISHEYE")
+    name = frame.get("camera_model")
+    name = "OPENCV" if name is None else name
+    if frame.get("is_fisheye"):
+        name = FISHEYE
+    if name == PANORAMA:
+        return PANORAMA, tuple(map(float, size))
+    if not isinstance(name, str) or name not in LENSES:
+        raise ValueError(f"camera_model is {str(name)[:40]!r}, not {', '.join(LENSES)} "
+                         f"or {PANORAMA}")
+    value = {key: _number(frame, key, 0) for key in COEFFICIENTS}
+    others = [key for key in COEFFICIENTS if value[key] and key not in LENSES[name]]
+    if others:
+        raise ValueError(f"its camera_model {name} has no coefficient {others[0]}; leave that out, "
+                         f"or name {RATIONAL} if it divides")
+    if name == FISHEYE:
+        return name, (*pinhole, *(value[key] for key in LENSES[name]))
+    if name == RATIONAL and any(value[key] for key in ("k4", "k5", "k6")):
+        return name, (*pinhole, *(value[key] for key in (
+            "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")))
+    return brown_model(pinhole, [value[key] for key in COEFFICIENTS[:4]],
+                       (value["p1"], value["p2"]))
+
+
+def _focal(frame: Mapping[str, Any], key: str, angle_key: str, side: int,
+           default: float | None = None) -> float:
+    """Focal length in pixels, directly or from the angle of view in radians."""
+    if key in frame:
+        return _number(frame, key)
+    if angle_key not in frame:
+        if default is None:
+            raise ValueError(f"it has neither {key} nor {angle_key}")
+        return default
+    angle = _number(frame, angle_key)
+    if not 0 < angle < np.pi:
+        raise ValueError(f"{angle_key} is not an angle of view")
+    return float(side / 2 / np.tan(angle / 2))
+
+
+def _side(frame: Mapping[str, Any], key: str) -> int:
+    value = _number(frame, key)
+    if value != int(value) or not 0 < value < LONGEST_SIDE:
+        raise ValueError(f"{key} is not a number of pixels")
+    return int(value)
+
+
+def _number(frame: Mapping[str, Any], key: str, default: float | None = None) -> float:
+    value = frame.get(key, default)
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        raise ValueError(f"{key} is not a number" if key in frame else f"it has no {key}")
+    return float(value)
+
+
+def _cloud(path: Path, table: Mapping[str, Any]) -> Cloud | None:
+    """The points and colours of `read_cloud`, in the coordinates of the poses."""
+    file_path = table.get("ply_file_path")
+    try:
+        ply = None if file_path is None else path.parent / native(_text(file_path, "ply_file_path"))
+        # nerfstudio applies this to COLMAP's world before it writes poses and PLY
+        transform = (_matrix(table, "applied_transform") if "applied_transform" in table
+                     else np.eye(3, 4)) * _number(table, "applied_scale", 1)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise InputError(f"{path}: damaged ({reason(error)}); export it again") from None
+    return read_cloud(path.parent, ply, transform)

@@ -1,0 +1,93 @@
+"""Points of laser scanners come into the scene from whatever CRS their file names."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.georeference import Georeference
+from clsplat.io.models.formats import read_model
+from clsplat.io.scenes.read import read_scene
+from tests.io.shared_cases import CASES, needs_cases
+
+laspy = pytest.importorskip("laspy", reason="laspy is an extra: pip install 'clsplat[geo]'")
+pyproj = pytest.importorskip("pyproj", reason="pyproj is an extra: pip install 'clsplat[geo]'")
+PLACE = Georeference("EPSG:32755", (686696.0, 6090238.0, 100.0), "GPS", 0.1)
+POINTS = np.random.default_rng(0).uniform(0, 50, (40, 3))  # original coordinates
+COMPOUND = "EPSG:32755+5773"
+FOOT = 1200 / 3937
+
+
+def write(path, points, crs=None, version="1.4"):
+    header = laspy.LasHeader(version=version, point_format=2 if version == "1.2" else 7)
+    fine = 1e-8 if np.abs(points[:, :2]).max() < 400 else 1e-3
+    header.scales = np.array([fine, fine, 1e-3])
+    header.offsets = np.floor(points.min(axis=0))
+    if crs is not None:
+        header.add_crs(pyproj.CRS.from_user_input(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.write(str(path))
+    return path
+
+
+def in_crs(crs, scale=1.0):
+    """POINTS in another CRS, east first; heights divided by the metres of their unit."""
+    places = POINTS + PLACE.offset
+    to = pyproj.Transformer.from_crs(PLACE.crs, crs, always_xy=True)
+    return np.column_stack([*to.transform(*places[:, :2].T), places[:, 2] / scale])
+
+
+@needs_cases
+def test_case():
+    scene = read_scene(CASES / "las/scene")
+    found = read_model(CASES / "las/lonlat.las", scene.offset, scene.georeference)
+    known = json.loads(Path(CASES / "las/scene/georeference.json").read_text())
+    assert known["crs"] == "EPSG:32755"
+    # in the same place as the sparse points of the scene
+    low, high = np.percentile(scene.points, (5, 95), axis=0)
+    middle = np.median(found.positions, axis=0)
+    assert (middle[:2] > low[:2]).all() and (middle[:2] < high[:2]).all()
+
+
+@pytest.mark.parametrize("crs, scale", [
+    ("EPSG:4326", 1), ("EPSG:4979", 1), ("EPSG:28355", 1), ("EPSG:7855", 1), ("EPSG:3857", 1),
+    ("EPSG:32756", 1), ("EPSG:7844", 1), ("EPSG:32755+5773", 1), ("EPSG:4326+5773", 1),
+    ("EPSG:32755+6360", FOOT), ("+proj=utm +zone=55 +south +units=us-ft", FOOT)])
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_files_of_another_crs_are_converted(tmp_path, crs, scale, suffix, caplog):
+    flat = crs.partition("+")[0] if crs.startswith("EPSG") else crs
+    path = write(tmp_path / f"a{suffix}", in_crs(flat, scale), crs)
+    found = read_model(path, georeference=PLACE)
+    assert np.abs(found.positions + found.offset - POINTS).max() < 0.01
+    assert ("its points are converted from" in caplog.text) == (crs != "EPSG:32755+5773")
+
+
+@pytest.mark.parametrize("version, crs, own", [
+    ("1.2", "EPSG:32755", PLACE.crs), ("1.2", None, PLACE.crs), ("1.4", "EPSG:32755", PLACE.crs),
+    ("1.4", None, PLACE.crs), ("1.4", "EPSG:32755", COMPOUND), ("1.4", COMPOUND, COMPOUND)])
+def test_files_of_the_scenes_crs_or_of_none_stay(tmp_path, version, crs, own, caplog):
+    path = write(tmp_path / "a.las", POINTS + PLACE.offset, crs, version)
+    found = read_model(path, georeference=replace(PLACE, crs=own))
+    assert np.abs(found.positions + found.offset - POINTS).max() < 0.01 and not caplog.records
+    alone = read_model(write(tmp_path / "b.las", in_crs("EPSG:4326"), "EPSG:4326"))
+    assert abs((alone.positions + alone.offset)[0, 0] - 149) < 1  # without a scene, its own
+
+
+def test_places_that_the_scenes_crs_cannot_hold(tmp_path):
+    path = write(tmp_path / "a.las", POINTS % 1 + (149, 120, 0), "EPSG:4326")  # no latitude
+    with pytest.raises(InputError, match=r"a\.las: CRS: some places .* have no coordinates in"):
+        read_model(path, georeference=PLACE)
+
+
+def test_a_record_of_the_crs_that_is_damaged_is_none(tmp_path):
+    path = write(tmp_path / "a.las", POINTS + PLACE.offset, "EPSG:32755")
+    data = path.read_bytes()
+    for word in (b"PROJCRS", b"PROJCS", b"METHOD", b"UNIT"):
+        data = data.replace(word, b"\xff" * len(word))
+    path.write_bytes(data)
+    found = read_model(path, georeference=PLACE)
+    assert np.abs(found.positions + found.offset - POINTS).max() < 0.01

@@ -1,0 +1,134 @@
+"""SPZ of versions that clsplat does not write: 1, and 4 with its streams of Zstandard."""
+
+import gzip
+import struct
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.models.formats import count_of, read_model, read_notes, write_model
+from tests.io.models.test_ply import equal, random_gaussians
+from tests.io.shared_cases import CASES, needs_cases
+
+zstandard = pytest.importorskip("zstandard", reason="an extra: pip install 'clsplat[spz]'")
+SAFE_ORBIT, OTHER_AXES = 0xADBE0002, 0xADBE0003
+NO_ZSTD = "SPZ of version 4 needs zstandard; `pip install zstandard`"
+
+
+def parts_of(folder, count, degree):
+    """The parts of a SPZ of version 3 that clsplat wrote, and its header."""
+    write_model(folder / "v3.spz", random_gaussians(count, degree))
+    data = gzip.decompress((folder / "v3.spz").read_bytes())
+    widths = (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1))
+    ends = 16 + np.cumsum([count * width for width in widths])
+    return data[:16], [data[end - count * width:end] for end, width in zip(ends, widths)]
+
+
+def version_4(folder, count=7, degree=3, *, extra=b"", flags=0, change=lambda table: table,
+              number=None, fourth=False, frames=None):
+    """Write a file of version 4, as its README has it."""
+    head, parts = parts_of(folder, count, degree)
+    if fourth:
+        rows = np.frombuffer(parts[5], np.uint8).reshape(count, 45)
+        parts[5] = np.pad(rows, ((0, 0), (0, 27)), constant_values=77).tobytes()
+    parts = [part for part in parts if part]
+    packed = frames or [zstandard.ZstdCompressor(level=12).compress(part) for part in parts]
+    table = change([(len(p), len(part)) for p, part in zip(packed, parts)])
+    header = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, count, 4 if fourth else degree, head[13],
+                         flags, len(parts) if number is None else number, 32 + len(extra))
+    path = folder / "v4.spz"
+    path.write_bytes(header + extra + b"".join(struct.pack("<QQ", *row) for row in table)
+                     + b"".join(packed))
+    return path
+
+
+@pytest.mark.parametrize("count, degree", [(7, 3), (1, 2), (40, 1), (5, 0), (0, 0)])
+def test_version_4_holds_what_version_3_does(tmp_path, count, degree):
+    path = version_4(tmp_path, count, degree, flags=1)
+    assert equal(read_model(path), read_model(tmp_path / "v3.spz"))
+    assert count_of(path) == count and read_notes(path).antialiased
+
+
+def test_harmonics_of_the_fourth_degree_are_left_out(tmp_path, caplog):
+    found = read_model(version_4(tmp_path, fourth=True))
+    assert equal(found, read_model(tmp_path / "v3.spz"))
+    assert "harmonics of degree 4 are left out: degree 3 is the highest" in caplog.text
+
+
+def test_extensions_are_skipped(tmp_path):
+    extra = struct.pack("<II3f", SAFE_ORBIT, 12, 0, 1, 2) + struct.pack("<II", 0x12340001, 0)
+    assert read_model(version_4(tmp_path, flags=2, extra=extra)).count == 7
+    data = gzip.decompress((tmp_path / "v3.spz").read_bytes())
+    data = data[:14] + b"\2" + data[15:] + extra
+    (tmp_path / "v3.spz").write_bytes(gzip.compress(data))
+    assert read_model(tmp_path / "v3.spz").count == 7
+
+
+@needs_cases
+@pytest.mark.parametrize("name, step", [("v1_sh0", 0.01), ("v4_plain", 2e-4)])
+def test_cases(name, step):
+    """Version 1, with positions of half precision; and a file without any compression."""
+    found, exact = read_model(CASES / f"{name}.spz"), read_model(CASES / "ply/inf_opacity.ply")
+    assert np.abs(found.positions - exact.positions).max() < step
+    assert np.abs(found.log_scales - exact.log_scales).max() < 1 / 31
+    unit = exact.quaternions / np.linalg.norm(exact.quaternions, axis=1, keepdims=True)
+    assert np.abs((found.quaternions * unit).sum(axis=1)).min() > 0.99
+
+
+def frame(content):
+    """A frame that does not state its size."""
+    packer = zstandard.ZstdCompressor(write_content_size=False).compressobj()
+    return packer.compress(content) + packer.flush()
+
+
+@pytest.mark.parametrize("options, words", [
+    ({"number": 5}, "table of 5 streams"), ({"number": 7}, "table of 7 streams"),
+    ({"number": 255}, "table of 255 streams"),
+    ({"change": lambda t: [(1 << 60, 63), *t[1:]]}, "claims to hold"),
+    ({"change": lambda t: [(t[0][0], 1 << 50), *t[1:]]}, "claims to hold 1125899906842624"),
+    ({"change": lambda t: [(0, 63), *t[1:]]}, "damaged"),
+    ({"change": lambda t: t[::-1]}, "claims to hold"),
+    ({"flags": 2, "extra": struct.pack("<II", OTHER_AXES, 4) + b"\1\0\0\0"}, "other axes"),
+    ({"flags": 2, "extra": struct.pack("<II", 1, 1 << 31)}, "extensions are cut short"),
+    ({"flags": 2, "extra": b"abc"}, "extensions are cut short"),
+    ({"frames": 6 * [b"no Zstandard"]}, "damaged"),
+    ({"frames": 6 * [frame(bytes(7 * 3))]}, "more or less"),
+    ({"frames": 6 * [frame(bytes(1 << 26))]}, "more or less"),
+])
+def test_damage(tmp_path, options, words):
+    path = version_4(tmp_path, **options)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=rf"v4\.spz: .*{words}"):
+        read_model(path)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 22
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("cut", [0, 3, 15, 16, 20, 31, 32, 60, 127, 130, -1])
+def test_a_file_that_is_cut(tmp_path, cut):
+    path = version_4(tmp_path)
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(InputError, match=r"v4\.spz"):
+        read_model(path)
+
+
+@pytest.mark.parametrize("version", [0, 5, 1 << 31])
+def test_other_versions_are_named(tmp_path, version):
+    data = bytearray(gzip.decompress(gzip.compress(version_4(tmp_path).read_bytes())))
+    data[4:8] = struct.pack("<I", version)
+    for content in (data, gzip.compress(data)):
+        (tmp_path / "a.spz").write_bytes(content)
+        with pytest.raises(InputError, match=f"versions 1 to 4 are read, not {version}"):
+            read_model(tmp_path / "a.spz")
+
+
+def test_the_library_that_is_missing_is_named(tmp_path, monkeypatch):
+    path = version_4(tmp_path)
+    monkeypatch.setitem(sys.modules, "zstandard", None)
+    with pytest.raises(InputError) as caught:
+        read_model(path)
+    assert str(caught.value) == f"{path}: {NO_ZSTD}"
+    assert read_notes(path).antialiased is False

@@ -1,0 +1,151 @@
+"""Photos are written and read without loss, and messages name damaged ones."""
+
+import subprocess
+import sys
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.photos.images import image_size, read_image, write_image
+from clsplat.io.photos.resample import resample
+
+
+def smooth(height, width):
+    """A smooth uint8[height, width, 3], which JPEG keeps well."""
+    y, x = np.mgrid[:height, :width] / max(height, width)
+    return (np.stack([x, y, (x + y) / 2], axis=2) * 200 + 20).astype(np.uint8)
+
+
+def write_raw(path, array, kind):
+    """Write any channels and sample type, which `write_image` does not."""
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), oiio.ImageSpec(array.shape[1], array.shape[0],
+                                                 array.shape[2], kind))
+    assert output.write_image(array) and output.close()
+
+
+def test_png_is_exact_and_size_is_width_first(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (17, 31, 3), dtype=np.uint8)
+    write_image(tmp_path / "a.png", pixels)
+    read = read_image(tmp_path / "a.png")
+    assert read.dtype == np.uint8 and np.array_equal(read, pixels)
+    assert image_size(tmp_path / "a.png") == (31, 17)
+
+
+def test_float_is_clipped_and_rounded(tmp_path):
+    pixels = np.array([[[-1.0, 0.5, 2.0], [np.nan, 0.1, 254.6 / 255]]], np.float32)
+    write_image(tmp_path / "a.png", pixels)
+    assert read_image(tmp_path / "a.png").tolist() == [[[0, 128, 255], [0, 26, 255]]]
+
+
+def test_jpeg_quality_and_bytes_source(tmp_path):
+    pixels = smooth(40, 64)
+    for quality in (30, 96):
+        write_image(tmp_path / f"{quality}.jpg", pixels, quality=quality)
+    fine, coarse = ((tmp_path / f"{q}.jpg").read_bytes() for q in (96, 30))
+    assert len(fine) > len(coarse)
+    assert np.abs(read_image(fine).astype(int) - pixels).mean() < 1
+    assert image_size(fine) == (64, 40)
+    write_image(tmp_path / "again.jpg", pixels, quality=96)
+    assert (tmp_path / "again.jpg").read_bytes() == fine
+
+
+def test_grey_alpha_and_deep_samples(tmp_path):
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4, 1)
+    write_raw(tmp_path / "grey.png", grey, oiio.UINT8)
+    assert np.array_equal(read_image(tmp_path / "grey.png"), np.repeat(grey, 3, axis=2))
+    deep = np.full((3, 4, 3), 200 * 257, np.uint16)
+    write_raw(tmp_path / "deep.png", deep, oiio.UINT16)
+    assert np.array_equal(read_image(tmp_path / "deep.png"), np.full((3, 4, 3), 200))
+    spec = oiio.ImageSpec(4, 3, 4, oiio.UINT8)
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    output = oiio.ImageOutput.create(str(tmp_path / "alpha.png"))
+    assert output.open(str(tmp_path / "alpha.png"), spec)
+    assert output.write_image(np.full((3, 4, 4), (200, 100, 50, 10), np.uint8)) and output.close()
+    assert np.array_equal(read_image(tmp_path / "alpha.png"),
+                          np.full((3, 4, 3), (200, 100, 50)))
+
+
+def area_mean(pixels, size):
+    """`resample` by its definition, a pixel at a time, in float64."""
+    height, width = pixels.shape[:2]
+    out = np.zeros((size[1], size[0], 3))
+    for axis_y in range(size[1]):
+        y = np.clip(np.minimum((axis_y + 1) * height / size[1], np.arange(height) + 1)
+                    - np.maximum(axis_y * height / size[1], np.arange(height)), 0, None)
+        for axis_x in range(size[0]):
+            x = np.clip(np.minimum((axis_x + 1) * width / size[0], np.arange(width) + 1)
+                        - np.maximum(axis_x * width / size[0], np.arange(width)), 0, None)
+            out[axis_y, axis_x] = np.einsum("y,x,yxc->c", y, x, pixels) / (y.sum() * x.sum())
+    return out
+
+
+@pytest.mark.parametrize("size", [(15, 10), (30, 20), (31, 7), (45, 30), (1, 1), (60, 40)])
+def test_resampling_is_the_mean_over_the_covered_area(tmp_path, size):
+    pixels = np.random.default_rng(1).integers(0, 256, (30, 45, 3), dtype=np.uint8)
+    write_image(tmp_path / "a.png", pixels)
+    read = read_image(tmp_path / "a.png", size)
+    assert read.shape == (size[1], size[0], 3) and read.flags.c_contiguous
+    assert np.abs(read - area_mean(pixels, size)).max() <= 0.5 + 1e-3
+
+
+def test_resampling_keeps_a_constant():
+    assert (resample(np.full((767, 1019, 3), 255, np.uint8), (203, 153)) == 255).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.99])
+@pytest.mark.parametrize("suffix", ["jpg", "tif"])
+def test_truncated_is_refused(tmp_path, suffix, share):
+    path = tmp_path / f"photo.{suffix}"
+    write_image(path, np.random.default_rng(2).integers(0, 256, (64, 48, 3), dtype=np.uint8))
+    data = path.read_bytes()
+    path.write_bytes(data[:int(len(data) * share)])
+    with pytest.raises(InputError, match=f"photo.{suffix}") as caught:
+        read_image(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_not_an_image(tmp_path):
+    (tmp_path / "text.jpg").write_text("hello " * 99)
+    for path in (tmp_path / "text.jpg", tmp_path / "missing.jpg", tmp_path):
+        for function in (read_image, image_size):
+            with pytest.raises(InputError, match=path.name):
+                function(path)
+    with pytest.raises(InputError, match="packed image"):
+        read_image(b"hello " * 99)
+
+
+def test_unwritable(tmp_path):
+    pixels = smooth(4, 4)
+    with pytest.raises(InputError, match="nowhere"):
+        write_image(tmp_path / "nowhere" / "a.png", pixels)
+    with pytest.raises(InputError, match="a.xyz"):
+        write_image(tmp_path / "a.xyz", pixels)
+
+
+SMALL_PIPES = """
+import fcntl, os
+import numpy as np
+from clsplat.io.photos.images import encode_image
+
+made = os.pipe
+
+
+def small():
+    ends = made()
+    fcntl.fcntl(ends[1], fcntl.F_SETPIPE_SZ, 4096)
+    return ends
+
+
+os.pipe = small
+pixels = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
+for suffix in 30 * ("jpg", "png"):
+    assert len(encode_image(pixels, suffix, 95, "made")) > 4096
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has pipes of another size")
+def test_the_end_of_a_file_does_not_wait_for_the_reader_of_its_beginning():
+    subprocess.run([sys.executable, "-c", SMALL_PIPES], check=True, timeout=300)

@@ -1,0 +1,106 @@
+"""Grey photos with 16 bits of which few are used are stretched alike, whatever reads them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from clsplat.io.photos.levels import common_levels, is_deep, levels_note
+from clsplat.io.scenes.linked import write_linked
+from clsplat.io.scenes.packed import read_packed, write_packed
+from clsplat.io.scenes.read import read_scene
+from clsplat.sfm.photos import find_photos
+from tests.data.tiny_model import HEIGHT, WIDTH, write_scene
+from tests.io.shared_cases import CASES, needs_cases
+
+LOW, HIGH = 29000, 29800
+
+
+def ramp(number, low=LOW, high=HIGH):
+    """Samples of a photo, whose own range is a part of that of the set."""
+    part = np.linspace(low + number * (high - low) / 8, high - (3 - number) * (high - low) / 8,
+                       HEIGHT * WIDTH)
+    return part.round().astype(np.uint16).reshape(HEIGHT, WIDTH)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A scene whose photos have 16 bits."""
+    folder = write_scene(tmp_path / "town")
+    for number in range(4):
+        Image.fromarray(ramp(number)).save(folder / f"images/photo_{number}.png")
+    return folder
+
+
+def levels_of(paths):
+    return common_levels(paths, map(is_deep, paths))
+
+
+@needs_cases
+def test_case():
+    photos, _ = find_photos(CASES / "photos_thermal_16bit")
+    levels = levels_of([photo.path for photo in photos])
+    assert set(levels) == {(29097.0, 29705.0)}
+    assert levels_note(levels) == ("6 of 6 photos are grey with 16 bits, of which they use 29097 "
+                                   "to 29705: all are stretched alike to 8 bits")
+
+
+def test_a_scene_is_stretched_as_a_whole(folder):
+    scene = read_scene(folder)
+    low, high = scene.views[0].levels
+    assert LOW <= low < LOW + 5 and HIGH - 5 < high <= HIGH
+    assert any("4 of 4 photos are grey with 16 bits" in note for note in scene.notes)
+    for number, view in enumerate(scene.views):
+        expected = np.clip((ramp(number) - low) / (high - low) * 255, 0, 255)
+        assert np.abs(view.photo().astype(float) - expected[..., None]).max() <= 0.51
+    small = scene.reduced(2).views[1].photo()
+    assert abs(small.mean() - scene.views[1].photo().mean()) < 1
+
+
+def test_parts_and_packed_scenes_keep_the_levels(folder, tmp_path):
+    scene = read_scene(folder)
+    photos = [view.photo() for view in scene.views]
+    (tmp_path / "block").mkdir()
+    write_linked(tmp_path / "block", replace(scene, views=scene.views[:2], observations=None))
+    write_packed(scene, tmp_path / "town.npz")
+    for path, tolerance in ((tmp_path / "block", 0), (tmp_path / "town.npz", 12)):
+        read = read_scene(path) if path.is_dir() else read_packed(path)
+        for view, photo in zip(read.views, photos):
+            assert view.levels is None
+            assert np.abs(view.photo().astype(int) - photo).max() <= tolerance
+
+
+@pytest.mark.parametrize("samples", [
+    ramp(0, 0, 65535), ramp(0, 0, 32000),  # which fill 8 bits well enough
+    np.full((HEIGHT, WIDTH), 29000, np.uint16), ramp(0).astype(np.uint8),
+    np.repeat(ramp(0)[..., None], 3, 2), ramp(0).astype(np.float32) / 65535])
+def test_other_photos_are_read_as_they_were(tmp_path, samples):
+    tifffile.imwrite(tmp_path / "a.tif", samples)
+    assert levels_of([tmp_path / "a.tif"]) == [None]
+
+
+def test_only_deep_photos_of_a_mixed_set_are_stretched(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", ramp(0))
+    Image.fromarray(ramp(1).astype(np.uint8)).save(tmp_path / "b.png")
+    Image.fromarray(ramp(1).astype(np.uint8)).save(tmp_path / "c.jpg")
+    found = levels_of([tmp_path / name for name in ("a.tif", "b.png", "c.jpg")])
+    assert found[0] and found[1:] == [None, None] and levels_note(found).startswith("1 of 3")
+
+
+@pytest.mark.parametrize("options", [{"tile": (16, 16)}, {"rowsperstrip": 5}, {"byteorder": ">"},
+                                     {"compression": "zlib"}, {"photometric": "miniswhite"}])
+def test_files_of_every_layout(tmp_path, options):
+    tifffile.imwrite(tmp_path / "a.tif", ramp(2), **options)
+    tifffile.imwrite(tmp_path / "b.tif", ramp(2))
+    a, b = levels_of([tmp_path / "a.tif", tmp_path / "b.tif"])
+    assert a == b and a is not None
+
+
+def test_dead_pixels_do_not_count(tmp_path):
+    samples = np.tile(ramp(0), (6, 6))
+    samples[3, 5], samples[7, 9] = 0, 65535
+    tifffile.imwrite(tmp_path / "a.tif", samples)
+    low, high = levels_of([tmp_path / "a.tif"])[0]
+    assert LOW <= low < high <= HIGH

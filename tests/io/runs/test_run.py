@@ -1,0 +1,218 @@
+"""A run folder loses no data, and names the file that somebody else damaged."""
+
+import json
+import resource
+import signal
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import clsplat
+from clsplat.errors import InputError
+from clsplat.gaussians import Gaussians
+from clsplat.io.runs.run import RunFolder
+
+ARRAYS = {"positions": np.arange(12, dtype=np.float32).reshape(4, 3),
+          "adam/first": np.full((4, 3), np.pi), "count": np.array(7, np.uint32),
+          "empty": np.zeros((0, 15, 3), np.float32)}
+STATE = {"iteration": 500, "random": {"state": 2**127 + 1}, "best": 0.1, "level": None}
+
+
+@pytest.fixture
+def run(tmp_path):
+    return RunFolder.create(tmp_path / "out" / "run")
+
+
+def refused(call, *words):
+    with pytest.raises(InputError) as caught:
+        call()
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+def same(loaded):
+    arrays, state = loaded
+    assert state == STATE and list(arrays) == list(ARRAYS)
+    for name, array in ARRAYS.items():
+        assert arrays[name].dtype == array.dtype and np.array_equal(arrays[name], array)
+        assert arrays[name].shape == array.shape
+
+
+def test_create_open_overwrite(run):
+    refused(lambda: RunFolder.open(run.path), "run", "holds no run")
+    (run.path / "mine.txt").write_text("keep")
+    RunFolder.create(run.path)  # a folder without a run is fine
+    run.write_options({})
+    run.log({"iteration": 1})
+    run.save_checkpoint(ARRAYS, STATE)
+    run.save_model(Gaussians.from_points(np.eye(3), np.zeros((3, 3), np.uint8), 0), np.zeros(3))
+    run.renders.note("test", ["a/b.jpg"])
+    run.renders.path("test", "a/b.jpg").write_bytes(b"png")
+    (run.path / "renders" / "test" / "mine.png").write_bytes(b"png")
+    (run.path / "renders" / "note.txt").write_text("keep")
+    (run.path / "checkpoint.npz.part").write_bytes(b"left by a kill")
+    refused(lambda: RunFolder.create(run.path), "--resume", "--overwrite")
+    assert RunFolder.open(run.path).has_checkpoint
+    new = RunFolder.create(run.path, overwrite=True)
+    assert RunFolder.open(run.path).has_checkpoint  # what comes next may still refuse its input
+    new.write_options({})
+    (run.path / "options.json").unlink()
+    left = sorted(p.relative_to(run.path).as_posix() for p in run.path.rglob("*"))
+    assert left == ["mine.txt", "renders", "renders/note.txt", "renders/test",
+                    "renders/test/mine.png"]
+
+
+def test_each_file_of_a_run_protects_it(run):
+    for name in ("options.json", "metrics.jsonl", "checkpoint.npz", "point_cloud.ply"):
+        (run.path / name).write_text("x")
+        refused(lambda: RunFolder.create(run.path), name)
+        (run.path / name).unlink()
+
+
+def test_unusable_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    refused(lambda: RunFolder.create(tmp_path / "file"), "file", "--output")
+    refused(lambda: RunFolder.create(tmp_path / "file" / "run"), "file", "--output")
+    refused(lambda: RunFolder.create(Path("/proc/run")), "/proc/run", "--output")
+
+
+def test_options(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run.write_options({"scene": "town", "options": {"seed": np.int64(3), "init": Path("a.ply")},
+                       "fingerprint": "f00", "device": "cpu"})
+    record = RunFolder.open(run.path).read_options()
+    assert record.pop("date") and record.pop("command", None) is None
+    assert record.pop("commit") is None or len(record) == 6
+    assert record == {"scene": "../../town", "scene_absolute": str(tmp_path / "town"),
+                      "options": {"seed": 3, "init": "a.ply"}, "fingerprint": "f00",
+                      "device": "cpu", "version": clsplat.__version__}
+    for text in ("{", "[]", ""):
+        (run.path / "options.json").write_text(text)
+        refused(run.read_options, "options.json")
+
+
+def test_metrics(run):
+    run.log({"event": "start"})
+    for iteration in range(1, 6):
+        run.log({"iteration": iteration, "loss": np.float32(0.5), "bad": float("nan"),
+                 "sizes": np.arange(2)})
+        assert len(RunFolder(run.path).records()) == iteration + 1  # flushed
+    assert run.records()[1] == {"iteration": 1, "loss": 0.5, "bad": None, "sizes": [0, 1]}
+    run.rewind(3)
+    assert [r.get("iteration") for r in run.records()] == [None, 1, 2, 3]
+    run.log({"iteration": 4})
+    assert [r.get("iteration") for r in run.records()] == [None, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("resume", [lambda run: run.log({"iteration": 3}),
+                                    lambda run: (run.rewind(2), run.log({"iteration": 3}))])
+def test_a_metrics_line_cut_by_a_kill(run, resume):
+    for iteration in (1, 2):
+        run.log({"iteration": iteration})
+    with open(run.path / "metrics.jsonl", "ab") as file:
+        file.write(b'{"iteration": 3, "lo')
+    again = RunFolder(run.path)
+    assert len(again.records()) == 2
+    resume(again)
+    assert [r["iteration"] for r in again.records()] == [1, 2, 3]
+
+
+def test_damaged_metrics(run):
+    run.rewind(5)  # nothing was logged yet: fine
+    refused(run.records, "metrics.jsonl")
+    (run.path / "metrics.jsonl").write_text('{"iteration": 1}\nhello\n{"iteration": 2}\n')
+    refused(run.records, "metrics.jsonl", "line 2")
+
+
+def test_checkpoint(run):
+    assert not run.has_checkpoint
+    refused(run.load_checkpoint, "checkpoint.npz", "no checkpoint")
+    run.save_checkpoint({"positions": np.zeros(3)}, {})
+    run.save_checkpoint(ARRAYS, STATE)
+    assert run.has_checkpoint
+    same(run.load_checkpoint())
+    data = (run.path / "checkpoint.npz").read_bytes()
+    run.save_checkpoint(ARRAYS, STATE)
+    assert (run.path / "checkpoint.npz").read_bytes() == data
+    with zipfile.ZipFile(run.path / "checkpoint.npz") as archive:
+        assert {i.compress_type for i in archive.infolist()} == {zipfile.ZIP_STORED}
+    plain = np.load(run.path / "checkpoint.npz", allow_pickle=False)
+    assert json.loads(plain["state.json"].tobytes()) == STATE
+
+
+def test_checkpoint_cut_short(run):
+    run.save_checkpoint(ARRAYS, STATE)
+    path = run.path / "checkpoint.npz"
+    data = path.read_bytes()
+    for length in (0, 1, 30, len(data) // 3, len(data) // 2, len(data) - 30, len(data) - 1):
+        path.write_bytes(data[:length])
+        refused(run.load_checkpoint, "checkpoint.npz", "cut short")
+
+
+def test_every_flipped_byte_is_detected_or_harmless(run):
+    run.save_checkpoint(ARRAYS, STATE)
+    path = run.path / "checkpoint.npz"
+    data = path.read_bytes()
+    noticed = 0
+    for position in range(0, len(data), 3):
+        damaged = bytearray(data)
+        damaged[position] ^= 0x55
+        path.write_bytes(damaged)
+        try:
+            same(run.load_checkpoint())  # dates and attributes of the archive do not matter
+        except InputError as error:
+            noticed += 1
+            assert "checkpoint.npz" in str(error) and "\n" not in str(error)
+    assert noticed > len(data) / 3 * 0.6
+
+
+def test_no_pickle(run):
+    run.save_checkpoint(ARRAYS, STATE)
+    with pytest.raises(ValueError, match="objects"):
+        run.save_checkpoint({"a": np.array([{}], object)}, STATE)
+    same(run.load_checkpoint())
+    assert not list(run.path.glob("*.part"))
+    np.savez(run.path / "checkpoint.npz", a=np.array([{}], object))
+    refused(run.load_checkpoint, "checkpoint.npz")
+
+
+@pytest.fixture
+def full_disk():
+    """No file may grow past 64 KiB, which fails as a full disk does."""
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (65536, limit[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize("count", [16_300, 17_000, 1_000_000])
+def test_full_disk_keeps_the_old_checkpoint(run, full_disk, count):
+    run.save_checkpoint(ARRAYS, STATE)
+    big = {"a": np.zeros(count, np.float32), "b": np.zeros(count, np.float32)}
+    refused(lambda: run.save_checkpoint(big, {}), "checkpoint.npz", "space")
+    assert [p.name for p in run.path.iterdir()] == ["checkpoint.npz"]
+    same(run.load_checkpoint())
+
+
+def test_full_disk_while_logging(run, full_disk):
+    (run.path / "metrics.jsonl").write_bytes(b'{"iteration": 1}\n' * 3855)
+    refused(lambda: run.log({"iteration": 2, "text": "x" * 99}), "metrics.jsonl", "space")
+    assert len(run.records()) == 3855
+
+
+def test_model_and_renders(run):
+    refused(run.load_model, "point_cloud.ply", "no model")
+    gaussians = Gaussians.from_points(np.eye(3), np.zeros((3, 3), np.uint8), 1)
+    run.save_model(gaussians, np.array([1e6, 0, 0]), ["SplatRenderMode: default"])
+    assert np.allclose(run.load_model().positions, gaussians.positions, atol=1e-3)
+    assert b"comment SplatRenderMode: default\n" in (run.path / "point_cloud.ply").read_bytes()
+    path = run.renders.path("test", "left/0001.jpg")
+    assert path == run.path / "renders" / "test" / "left" / "0001.jpg.png"
+    assert path.parent.is_dir()
+    refused(lambda: run.renders.path("test", "../../../0001.jpg"), "0001.jpg")

@@ -1,0 +1,104 @@
+"""CityGS's data sets: COLMAP folders train/ and val/ in one world become one scene."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.scenes.read import read_scene
+from tests.data.layouts import (
+    assert_same_cameras,
+    every_fourth,
+    world_points,
+    write_citygs,
+)
+from tests.data.tiny_model import reconstruction, write_scene
+
+CITY = Path(__file__).resolve().parents[3] / "data_samples/city"
+HELD_OUT = {"000.jpg", "012.jpg", "028.jpg"}
+
+
+@pytest.fixture(scope="module")
+def city():
+    return every_fourth(read_scene(CITY))
+
+
+def name(old):
+    return f"val/{old}" if old in HELD_OUT else f"train/{old}"
+
+
+@pytest.mark.parametrize("photos", ["images", "rgbs"])
+def test_both_parts_share_one_world(tmp_path, city, photos):
+    write_citygs(tmp_path, city, HELD_OUT, photos)
+    scene = read_scene(tmp_path)
+    assert_same_cameras(scene, city, name)
+    np.testing.assert_allclose(world_points(scene), world_points(city), atol=1e-9)
+    assert np.array_equal(scene.colours, city.colours)
+    assert scene.held_out == {f"val/{old}" for old in HELD_OUT}
+    assert scene.path == tmp_path and scene.name == tmp_path.name
+    train, test = scene.split(8)
+    assert len(train) == 5 and {view.name for view in test} == scene.held_out
+    assert scene.split(0) == (scene.views, ())
+
+
+def test_tracks_are_those_of_train(tmp_path, city):
+    write_citygs(tmp_path, city, HELD_OUT)
+    scene = read_scene(tmp_path)
+
+    def pairs(scene):
+        return {(point, Path(scene.views[view].name).name) for point, view in scene.observations}
+
+    assert pairs(scene) == {pair for pair in pairs(city) if pair[1] not in HELD_OUT}
+
+
+def test_val_needs_no_points(tmp_path):
+    tiny(tmp_path)
+    (tmp_path / "val/sparse/0/points3D.bin").write_bytes(bytes(8))
+    assert len(read_scene(tmp_path).points) == 30
+    (tmp_path / "train/sparse/0/points3D.bin").write_bytes(bytes(8))
+    with pytest.raises(InputError, match="train.*holds no points3D"):
+        read_scene(tmp_path)
+
+
+def tiny(folder):
+    """train/ and val/ of the four photos of the tiny model."""
+    made = reconstruction()
+    for part in ("train", "val"):
+        for image in made.images.values():
+            image.name = f"{part}_{image.name[-5:]}"
+        write_scene(folder / part, made)
+    return folder
+
+
+def absolute(folder):
+    made = reconstruction()
+    next(iter(made.images.values())).name = str(folder / "outside.png")
+    shutil.copyfile(folder / "train/images/train_0.png", folder / "outside.png")
+    shutil.rmtree(folder / "val")
+    write_scene(folder / "val", made)
+
+
+@pytest.mark.parametrize("spoil, words", [
+    (lambda f: shutil.rmtree(f / "val"), "val: missing beside train/.*give .*train"),
+    (lambda f: shutil.rmtree(f / "val/sparse"), "val: no COLMAP model"),
+    (lambda f: (f / "val/sparse/0/images.bin").write_bytes(b"\1\0\0"), "images.bin: empty or cut"),
+    (lambda f: (f / "val/images/val_2.png").unlink(), "val/images/val_2.png: no such image"),
+    (lambda f: shutil.rmtree(f / "train/images"), "train/images/train_0.png: no such image"),
+    (absolute, "town/val/images/.*outside.png: no such image"),
+])
+def test_unusable_scenes(tmp_path, spoil, words):
+    folder = tiny(tmp_path / "town")
+    assert len(read_scene(folder).views) == 8
+    spoil(folder)
+    with pytest.raises(InputError, match=words) as caught:
+        read_scene(folder)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_colmap_folder_stays_one(tmp_path):
+    """A folder named train beside a scene's own model is not one of its parts."""
+    tiny(tmp_path)
+    write_scene(tmp_path)
+    assert len(read_scene(tmp_path).views) == 4 and read_scene(tmp_path).held_out is None

@@ -1,0 +1,309 @@
+"""COLMAP models are read as pycolmap reads them, and messages name the damaged file."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.photos.images import write_image
+from clsplat.io.scenes.colmap import read_colmap
+from clsplat.io.scenes.colmap_format import CAMERA_MODELS
+from clsplat.io.scenes.read import fingerprint, read_scene
+from tests.data.tiny_model import CENTRE, FOCAL, HEIGHT, WIDTH, reconstruction, write_scene
+
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no photo data sets at {DATA}")
+
+
+def refused(path, *words):
+    """The one-line message that refuses a scene, which contains all of the words."""
+    with pytest.raises(InputError) as caught:
+        read_scene(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+    return message
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("model", ["sparse/0", "sparse", "."])
+def test_reads_what_pycolmap_wrote(tmp_path, text, model):
+    made = reconstruction()
+    scene = read_colmap(write_scene(tmp_path / "town", made, text, model))
+    assert scene.name == "town"
+    assert [view.name for view in scene.views] == [f"photo_{i}.png" for i in range(4)]
+    assert np.allclose(np.median(scene.points, axis=0), 0, atol=1e-12)
+    points = np.array([p.xyz for _, p in sorted(made.points3D.items())])
+    assert np.allclose(scene.points + scene.offset, points)
+    colours = np.array([p.color for _, p in sorted(made.points3D.items())])
+    assert scene.colours.dtype == np.uint8 and np.array_equal(scene.colours, colours)
+    for view in scene.views:
+        image = next(i for i in made.images.values() if i.name == view.name)
+        assert view.source == tmp_path / "town" / "images" / view.name
+        assert (view.camera.width, view.camera.height) == (WIDTH, HEIGHT)
+        assert view.camera.focal == FOCAL and view.camera.centre == CENTRE
+        pixels, _ = view.camera.project(scene.points)
+        expected = np.array([image.project_point(p) for p in points])
+        assert np.allclose(pixels, expected, atol=1e-6)
+
+
+def tracks(made):
+    """{(point, view)} of a reconstruction: points by number, views by name."""
+    names = sorted(image.name for image in made.images.values())
+    points = {number: place for place, number in enumerate(sorted(made.points3D))}
+    return {(points[seen.point3D_id], names.index(image.name)) for image in made.images.values()
+            for seen in image.points2D if seen.has_point3D()}
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_observations_are_the_tracks(tmp_path, text):
+    made = reconstruction()
+    images = {image.name: number for number, image in made.images.items()}
+    first, *_, last = sorted(made.points3D)
+    for element in made.points3D[first].track.elements[:2]:
+        made.delete_observation(element.image_id, element.point2D_idx)
+    made.delete_point3D(last - 3)
+    photo = made.images[images["photo_2.png"]]
+    again = max(place for place, seen in enumerate(photo.points2D)
+                if seen.point3D_id == last)
+    loose = next(place for place, seen in enumerate(photo.points2D) if not seen.has_point3D())
+    assert again != loose
+    made.add_observation(last, pycolmap.TrackElement(photo.image_id, loose))  # seen there twice
+    scene = read_colmap(write_scene(tmp_path / "town", made, text))
+    expected = np.array(sorted(tracks(made)))
+    assert len(expected) == 30 * 4 - 2 - 4
+    assert scene.observations.dtype == np.int32
+    assert np.array_equal(scene.observations, expected)
+    assert scene.reduced(2).recentred().observations is scene.observations
+
+
+def test_a_model_without_tracks_has_no_observations(tmp_path):
+    made = reconstruction()
+    for point in made.points3D.values():
+        for element in list(point.track.elements):
+            made.images[element.image_id].reset_point3D_for_point2D(element.point2D_idx)
+        point.track = pycolmap.Track()
+    scene = read_colmap(write_scene(tmp_path / "town", made))
+    assert len(scene.points) == 30 and scene.observations is None
+
+
+def test_simple_pinhole_has_one_focal_length(tmp_path):
+    made = reconstruction("SIMPLE_PINHOLE", (50.0, *CENTRE))
+    assert read_colmap(write_scene(tmp_path, made)).views[0].camera.focal == (50.0, 50.0)
+
+
+def test_fingerprint_tells_scenes_apart(tmp_path):
+    made = reconstruction()
+    write_scene(tmp_path / "a", made)
+    write_scene(tmp_path / "b", made)
+    same = fingerprint(read_scene(tmp_path / "a"))
+    assert len(same) == 64 and fingerprint(read_scene(tmp_path / "b")) == same
+    point = next(iter(made.points3D.values()))
+    point.xyz = point.xyz + 1e-9
+    assert fingerprint(read_scene(write_scene(tmp_path / "b", made))) != same
+
+
+@pytest.mark.slow
+@needs_data
+@pytest.mark.parametrize("name, views, points", [
+    ("boruszyn", 28, 15689), ("caliterra", 75, 25683), ("lund", 29, 5552)])
+def test_real_data(name, views, points):
+    scene = read_colmap(DATA / name)
+    assert (len(scene.views), len(scene.points)) == (views, points)
+    inside = 0
+    for view in scene.views:
+        pixels, depths = view.camera.project(scene.points)
+        limits = (view.camera.width, view.camera.height)
+        inside += np.sum((depths > 0) & (pixels > 0).all(axis=1) & (pixels < limits).all(axis=1))
+    assert inside > 2 * points  # every point was seen by two photos or more
+    assert np.bincount(scene.observations[:, 0]).min() >= 2
+    point, view = scene.observations[::97].T
+    for number, camera in ((n, scene.views[n].camera) for n in np.unique(view)):
+        pixels, depths = camera.project(scene.points[point[view == number]])
+        assert (depths > 0).all() and (pixels > -9).all()
+        assert (pixels < (camera.width + 9, camera.height + 9)).all()
+
+
+@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+@pytest.mark.parametrize("share", [0, 0.1, 0.5, 0.9, 1])
+def test_a_truncated_file_is_named(tmp_path, part, share):
+    path = write_scene(tmp_path) / "sparse" / "0" / f"{part}.bin"
+    data = path.read_bytes()
+    path.write_bytes(data[:min(int(share * len(data)), len(data) - 1)])
+    refused(tmp_path, f"{part}.bin", "cut short")
+
+
+@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+def test_a_missing_or_empty_file_is_named(tmp_path, part):
+    for kind in ("bin", "txt"):
+        folder = write_scene(tmp_path / kind, text=kind == "txt")
+        path = folder / "sparse" / "0" / f"{part}.{kind}"
+        path.write_bytes(bytes(8) if kind == "bin" else b"# only a comment\n\n")
+        refused(folder, path.name, f"holds no {part}")
+        path.unlink()
+        refused(folder, path.name, "missing")
+
+
+@pytest.mark.parametrize("part", ["images", "points3D"])
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 1])
+def test_a_truncated_text_file_is_named(tmp_path, part, share):
+    path = write_scene(tmp_path, text=True) / "sparse" / "0" / f"{part}.txt"
+    data = path.read_bytes()
+    path.write_bytes(data[:min(int(share * len(data)), len(data) - 1)])
+    refused(tmp_path, f"{part}.txt", "cut short")
+
+
+def put(path, offset, layout, *values):
+    data = bytearray(path.read_bytes())
+    struct.pack_into(layout, data, offset, *values)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("part, offset, layout, values, words", [
+    ("cameras", 0, "<Q", [2**60], ["cut short"]),
+    ("cameras", 12, "<i", [-1], ["camera 1", "model", "(-1)"]),
+    ("cameras", 12, "<i", [99], ["camera 1", "model", "(99)"]),
+    ("cameras", 16, "<Q", [0], ["no size"]), ("cameras", 16, "<Q", [2**63], ["2147483648x36"]),
+    ("images", 8 + 60, "<I", [77], ["has camera 77", "not in the model"]),
+    ("images", 8 + 64, "<B", [255], ["not UTF-8"]),
+    ("images", 8 + 4, "<4d", [0, 0, 0, 0], ["pose", "not finite"]),
+    ("images", 8 + 64 + 12, "<Q", [2**62], ["cut short"]),
+    ("points3D", 8 + 43, "<Q", [2**61], ["cut short"]),
+    ("points3D", 8 + 43, "<Q", [2**64 - 1], ["cut short"])])
+def test_a_damaged_record_is_named(tmp_path, part, offset, layout, values, words):
+    path = write_scene(tmp_path) / "sparse" / "0" / f"{part}.bin"
+    put(path, offset, layout, *values)
+    refused(tmp_path, *words)
+
+
+def test_duplicate_ids(tmp_path):
+    folder = write_scene(tmp_path / "town") / "sparse" / "0"
+    whole = {part: (folder / f"{part}.bin").read_bytes() for part in ("images", "points3D")}
+    first, = struct.unpack_from("<I", whole["images"], 8)
+    second = whole["images"].index(b"\0", 72) + 1
+    second += 8 + 24 * struct.unpack_from("<Q", whole["images"], second)[0]
+    put(folder / "images.bin", second, "<I", first)
+    refused(tmp_path / "town", f"images holds id {first} twice")
+    (folder / "images.bin").write_bytes(whole["images"])
+    first, = struct.unpack_from("<Q", whole["points3D"], 8)
+    put(folder / "points3D.bin", 8 + 51 + 8 * 4, "<Q", first)
+    refused(tmp_path / "town", f"points3D holds id {first} twice")
+
+
+@pytest.mark.parametrize("part, old, new, words", [
+    ("cameras", b" PINHOLE ", b" PINHOL ", ["'PINHOL'", "not a camera model"]),
+    ("cameras", b" 48 36 ", b" 48 ", ["not a camera model"]),
+    ("cameras", b" 48 36 ", b" 48 x ", ["line", "'x'"]),
+    ("images", b" photo_0.png", b"", ["an image has 9 fields"]),
+    ("points3D", b" 254 ", b" 256 ", ["0 to 255"]),
+    ("points3D", b" ", b" nan ", ["line"]), ("points3D", b"0", b"\0", ["not a text file"])])
+def test_a_damaged_line_is_named(tmp_path, part, old, new, words):
+    path = write_scene(tmp_path, text=True) / "sparse" / "0" / f"{part}.txt"
+    lines = path.read_bytes().splitlines(keepends=True)
+    at = next(i for i, line in enumerate(lines) if not line.startswith(b"#") and old in line)
+    lines[at] = lines[at].replace(old, new, 1)
+    path.write_bytes(b"".join(lines))
+    refused(tmp_path, f"{part}.txt", *words)
+
+
+def test_a_pose_without_one_of_its_numbers(tmp_path):
+    """Of whole numbers only, so that the camera's id could be one of the pose, too."""
+    path = write_scene(tmp_path, text=True) / "sparse" / "0" / "images.txt"
+    path.write_text("1 1 0 0 0 0 0 1 photo_0.png\n\n")
+    refused(tmp_path, "images.txt: line 1 is damaged (an image has 9 fields)")
+
+
+@pytest.mark.parametrize("line, words", [
+    (f"{10**30} 1 0 0 0 0 0 1 1 a.png", "images.txt: line 1 is damaged (an id is not a number of"),
+    (f"1 1 0 0 0 0 0 1 7 {'a' * 5000}.png", f"image {'a' * 80} has camera 7, which is not in")])
+def test_an_image_with_a_huge_id_or_name(tmp_path, line, words):
+    """numpy raised OverflowError, and the message had as many characters as the name."""
+    path = write_scene(tmp_path, text=True) / "sparse" / "0" / "images.txt"
+    path.write_text(f"{line}\n\n")
+    assert len(refused(tmp_path, words)) < 1000
+
+
+def test_unit_quaternions_keep_their_digits_and_others_are_scaled(tmp_path):
+    folder = write_scene(tmp_path)
+    path = folder / "sparse" / "0" / "images.bin"
+    before = read_colmap(folder).views
+    images = pycolmap.Reconstruction(str(path.parent)).images.values()
+    for view in before:
+        image = next(image for image in images if image.name == view.name)
+        assert np.array_equal(view.camera.rotation, image.cam_from_world().matrix()[:, :3])
+    quaternion = struct.unpack_from("<4d", path.read_bytes(), 12)
+    put(path, 12, "<4d", *(3.0 * value for value in quaternion))
+    for view, other in zip(read_colmap(folder).views, before):
+        assert np.allclose(view.camera.rotation, other.camera.rotation, atol=1e-15)
+
+
+def test_every_camera_model_of_pycolmap_is_known():
+    create = getattr(pycolmap.Camera, "create_from_model_id", None) or pycolmap.Camera.create
+    for name, number in pycolmap.CameraModelId.__members__.items():
+        if int(number.value) >= 0:
+            made = create(0, number, 50.0, 40, 30)
+            assert list(CAMERA_MODELS)[number.value] == name
+            assert CAMERA_MODELS[name] == len(made.params)
+
+
+def test_names_with_spaces(tmp_path):
+    for text in (False, True):
+        made = reconstruction()
+        for image in made.images.values():
+            image.name = f"a  photo {image.name}"
+        scene = read_colmap(write_scene(tmp_path / str(text), made, text))
+        assert scene.views[0].name == "a  photo photo_0.png"
+
+
+def test_points_that_cannot_be_trained_on(tmp_path):
+    for name, value, words in (("nan", np.nan, ("1 of 30 points", "not finite")),
+                               ("inf", np.inf, ("1 of 30 points", "not finite")),
+                               ("far", 2e15, ("1 of 30 points", "not below 1e+15"))):
+        made = reconstruction()
+        next(iter(made.points3D.values())).xyz = np.array([0, value, 0])
+        refused(write_scene(tmp_path / name, made), *words)
+    made = reconstruction()
+    for point in made.points3D.values():
+        point.xyz = np.ones(3)
+    refused(write_scene(tmp_path / "one", made), "30 points all lie at one place")
+
+
+def test_a_pose_that_is_not_finite(tmp_path):
+    path = write_scene(tmp_path) / "sparse" / "0" / "images.bin"
+    for offset in (4, 4 + 32):  # a quaternion, a translation
+        data = bytearray(path.read_bytes())
+        struct.pack_into("<d", data, 8 + offset, np.nan)
+        (tmp_path / "sparse" / "0" / "images.bin").write_bytes(data)
+        refused(tmp_path, "the pose of image photo_", "1 of 4 images")
+        write_scene(tmp_path)
+
+
+def test_no_registered_image(tmp_path):
+    made = reconstruction()
+    for frame in list(made.reg_frame_ids()):
+        made.deregister_frame(frame)
+    refused(write_scene(tmp_path, made), "images.bin", "holds no images")
+
+
+def test_photos(tmp_path):
+    folder = write_scene(tmp_path)
+    photo = folder / "images" / "photo_1.png"
+    for size, word in (((24, 18), "rescaled"), ((36, 48), "rotated"), ((48, 30), "cropped")):
+        write_image(photo, np.zeros((size[1], size[0], 3), np.uint8))
+        refused(folder, "photo_1.png", word, f"{size[0]}x{size[1]}", "48x36")
+    photo.write_bytes(b"")
+    refused(folder, "photo_1.png", "not an image")
+    for number in (1, 3):
+        (folder / "images" / f"photo_{number}.png").unlink()
+    refused(folder, "photo_1.png", "2 of 4 images")
+
+
+def test_no_model(tmp_path):
+    refused(tmp_path, str(tmp_path), "no COLMAP model")
+    refused(tmp_path / "nowhere", "nowhere", "no such scene")
+    (tmp_path / "town.zip").write_bytes(b"")
+    refused(tmp_path / "town.zip", "town.zip", "not a scene")

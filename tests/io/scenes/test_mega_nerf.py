@@ -1,0 +1,97 @@
+"""Mega-NeRF folders are refused with a cure, and can be read once the example converted them."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clsplat.errors import InputError
+from clsplat.io.scenes.read import read_scene
+from tests.data.layouts import (
+    assert_same_cameras,
+    every_fourth,
+    world_points,
+    write_mega_nerf,
+    write_model,
+)
+
+ROOT = Path(__file__).resolve().parents[3]
+HELD_OUT = {"004.jpg", "024.jpg"}  # the second and the seventh
+# stands for PyTorch where that is not installed; metadata are JSON then
+STUB = """import json
+def load(path, map_location, weights_only):
+    assert map_location == "cpu" and weights_only is True
+    return json.load(open(path))
+"""
+
+
+@pytest.fixture(scope="module")
+def city():
+    return every_fourth(read_scene(ROOT / "data_samples/city"))
+
+
+def save_json(table, path):
+    path.write_text(json.dumps(table, default=lambda value: value.tolist()))
+
+
+def save_torch(table, path):
+    import torch
+
+    torch.save({key: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+                for key, value in table.items()}, path)
+
+
+def name(old):
+    """A Mega-NeRF folder of every fourth photo of the city, numbered in order."""
+    part = "val" if old in HELD_OUT else "train"
+    return f"{part}/rgbs/{int(old[:3]) // 4:06d}.jpg"
+
+
+def described(folder, stub):
+    (stub / "torch.py").write_text(STUB)
+    return subprocess.run([sys.executable, ROOT / "docs/examples/from_mega_nerf.py", folder],
+                          check=True, capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": str(stub)}).stdout
+
+
+@pytest.mark.parametrize("dtype, tolerance", [(np.float64, 1e-9), (np.float32, 1e-6)])
+def test_cameras_and_held_out_views(tmp_path, city, dtype, tolerance):
+    folder = tmp_path / "rubble"
+    write_mega_nerf(folder, city, HELD_OUT, save_json, dtype=dtype)
+    assert described(folder, tmp_path) == "train: 6 photos\nval: 2 photos\n"
+    scene = read_scene(folder)
+    assert_same_cameras(scene, city, name, tolerance=tolerance)
+    assert scene.held_out == {name(old) for old in HELD_OUT}
+    assert scene.path == folder and scene.name == "rubble" and len(scene.points) == 4000
+
+
+def test_without_held_out_photos_and_with_the_model_of_the_poses(tmp_path, city):
+    folder = tmp_path / "rubble"
+    write_mega_nerf(folder, city, HELD_OUT, save_json)
+    shutil.rmtree(folder / "val")
+    for path in (folder / "train/rgbs").iterdir():
+        path.rename(path.with_suffix(".JPG"))
+    write_model(folder / "colmap/sparse/0", city, city.views, np.arange(300))
+    assert described(folder, tmp_path) == "train: 6 photos\nval: 0 photos\n"
+    scene = read_scene(folder)
+    assert scene.held_out is None and {view.source.suffix for view in scene.views} == {".JPG"}
+    np.testing.assert_allclose(world_points(scene), world_points(city)[:300], atol=1e-9)
+
+
+def test_what_pytorch_writes(tmp_path, city):
+    pytest.importorskip("torch", reason="PyTorch is not installed; it is no dependency")
+    write_mega_nerf(tmp_path, city, HELD_OUT, save_torch, dtype=np.float32)
+    subprocess.run([sys.executable, ROOT / "docs/examples/from_mega_nerf.py", tmp_path], check=True)
+    assert_same_cameras(read_scene(tmp_path), city, name, tolerance=1e-6)
+
+
+def test_a_folder_that_is_not_converted_is_refused_with_the_command(tmp_path, city):
+    write_mega_nerf(tmp_path, city, HELD_OUT, save_json)
+    with pytest.raises(InputError, match=r"a Mega-NeRF folder.*from_mega_nerf\.py") as caught:
+        read_scene(tmp_path)
+    assert len(str(caught.value).splitlines()) == 1

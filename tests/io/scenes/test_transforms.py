@@ -1,0 +1,301 @@
+"""transforms.json of nerfstudio, instant-ngp and MatrixCity is read as it was written."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clsplat.camera import Camera
+from clsplat.errors import InputError
+from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.scenes.cloud import sample_points
+from clsplat.io.scenes.read import read_scene
+from clsplat.scene import View
+from tests.data.layouts import (
+    assert_same_cameras,
+    camera_angle,
+    every_fourth,
+    intrinsics,
+    world_points,
+    write_export,
+    write_json,
+    write_model,
+    write_ply,
+    write_splits,
+    write_transforms,
+)
+
+CITY = Path(__file__).resolve().parents[3] / "data_samples/city"
+HELD_OUT = {"004.jpg", "016.jpg"}
+
+
+@pytest.fixture(scope="module")
+def city():
+    return every_fourth(read_scene(CITY))
+
+
+def images(name):
+    return f"images/{name}"
+
+
+def changed(folder, table, **changes):
+    """Write transforms.json with changed values; None removes a key."""
+    table = {**table, **changes}
+    write_json(folder / "transforms.json", {k: v for k, v in table.items() if v is not None})
+    return folder
+
+
+def test_nerfstudio(tmp_path, city):
+    write_transforms(tmp_path, city)
+    scene = read_scene(tmp_path)
+    assert_same_cameras(scene, city, images)
+    np.testing.assert_allclose(world_points(scene), world_points(city), atol=1e-9)
+    assert np.array_equal(scene.colours, city.colours)
+    assert scene.held_out is None and scene.observations is None
+    assert scene.path == tmp_path and scene.name == tmp_path.name
+    assert [v.source.name for v in scene.views] == [v.name for v in city.views]
+
+
+def test_intrinsics_of_each_frame(tmp_path, city):
+    table = write_transforms(tmp_path, city)
+    views = tuple(replace(view, camera=replace(view.camera, focal=(200.0 + i, 210.0),
+                                               centre=(150.0, 121.0 + i)))
+                  for i, view in enumerate(city.views))
+    frames = [{**frame, **intrinsics(view.camera)} for frame, view in zip(table["frames"], views)]
+    changed(tmp_path, table, frames=frames, fl_x=1.0)
+    assert_same_cameras(read_scene(tmp_path), replace(city, views=views), images)
+
+
+def test_angle_of_view_and_names_without_suffix(tmp_path, city):
+    table = write_transforms(tmp_path, city)
+    frames = [{**frame, "file_path": "./" + frame["file_path"].removesuffix(".jpg")}
+              for frame in table["frames"]]
+    write_json(tmp_path / "transforms.json", {**camera_angle(city), "frames": frames})
+    assert_same_cameras(read_scene(tmp_path), city, images)
+    write_json(tmp_path / "transforms.json", {
+        **camera_angle(city), "camera_angle_y": 1.2, "frames": frames})
+    focal = read_scene(tmp_path).views[0].camera.focal
+    np.testing.assert_allclose(focal[1], 120 / np.tan(0.6))
+
+
+def test_photos_by_their_whole_path(tmp_path, city):
+    table = write_transforms(tmp_path, city)
+    frames = [{**frame, "file_path": str(tmp_path / frame["file_path"])}
+              for frame in table["frames"]]
+    scene = read_scene(changed(tmp_path, table, frames=frames))
+    assert_same_cameras(scene, city, lambda name: str(tmp_path / "images" / name)[1:])
+    assert scene.views[0].source == tmp_path / "images/000.jpg"
+
+
+def test_rounded_rotations_far_from_the_origin(tmp_path, city):
+    """Six digits of a rotation, at UTM coordinates: cameras stay where the file says."""
+    far = replace(city, offset=city.offset + (5e5, 5e6, 300))
+    table = write_transforms(tmp_path, far)
+    for frame in table["frames"]:
+        matrix = np.array(frame["transform_matrix"])
+        matrix[:3, :3] = matrix[:3, :3].round(6)
+        frame["transform_matrix"] = matrix.tolist()
+    scene = read_scene(changed(tmp_path, table))
+    for view, old in zip(scene.views, far.views):
+        np.testing.assert_allclose(view.camera.position + scene.offset,
+                                   old.camera.position + far.offset, rtol=0, atol=1e-8)
+        assert np.abs(view.camera.rotation - old.camera.rotation).max() < 1e-6
+
+
+def test_matrixcity_splits(tmp_path, city):
+    scene = read_scene(write_splits(tmp_path, city, HELD_OUT))
+
+    def name(old):
+        return f"test/block_1_test/{old}" if old in HELD_OUT else f"train/block_1/{old}"
+
+    assert_same_cameras(scene, city, name)
+    assert scene.held_out == {name(old) for old in HELD_OUT}
+    train, test = scene.split(8)
+    assert {view.name for view in test} == scene.held_out and len(train) == 6
+
+
+def test_matrixcity_export(tmp_path, city):
+    """It is read in units of 100 m, as the splits are."""
+    names = write_export(tmp_path, city)
+    scene = read_scene(tmp_path)
+    assert_same_cameras(scene, city, names.get, unit=100)
+    np.testing.assert_allclose(world_points(scene), world_points(city) / 100, atol=1e-9)
+    assert scene.views[1].source == tmp_path / "0001.png" and scene.held_out is None
+
+
+def test_points_of_a_colmap_model_that_nerfstudio_rotated(tmp_path, city):
+    table = write_transforms(tmp_path, city)
+    (tmp_path / "sparse_pc.ply").unlink()
+    some = np.arange(0, 400)
+    write_model(tmp_path / "colmap/sparse/0", city, city.views, some)
+    scene = read_scene(changed(tmp_path, table, ply_file_path=None))
+    np.testing.assert_allclose(world_points(scene), world_points(city)[some], atol=1e-9)
+    assert np.array_equal(scene.colours, city.colours[some])
+    turn = [[1, 0, 0, 5], [0, 0, 1, 0], [0, -1, 0, 0]]
+    scene = read_scene(changed(tmp_path, table, ply_file_path=None, applied_transform=turn,
+                               applied_scale=2.0))
+    x, y, z = world_points(city)[some].T
+    np.testing.assert_allclose(world_points(scene), 2 * np.stack([x + 5, z, -y], axis=1),
+                               atol=1e-9)
+
+
+def test_points_without_colour_get_the_mean_of_the_photos(tmp_path, city):
+    table = write_transforms(tmp_path, city)
+    write_ply(tmp_path / "sparse_pc.ply", world_points(city))
+    scene = read_scene(changed(tmp_path, table))
+    mean = np.mean([read_image(v.source).mean(axis=(0, 1)) for v in city.views], axis=0)
+    assert np.abs(scene.colours - mean).max() <= 1 and len(np.unique(scene.colours, axis=0)) == 1
+
+
+def test_points_are_sampled_where_two_cameras_look(tmp_path, city, caplog):
+    table = write_transforms(tmp_path, city)
+    (tmp_path / "sparse_pc.ply").unlink()
+    with caplog.at_level(logging.WARNING):
+        scene = read_scene(changed(tmp_path, table, ply_file_path=None))
+    assert "no sparse points: 4000 are sampled" in caplog.text
+    assert_same_cameras(scene, city, images)
+    sees = np.zeros(len(scene.points), int)
+    for view in scene.views:
+        pixels, depths = view.camera.project(scene.points)
+        sees += (depths > 0) & ((pixels >= 0) & (pixels <= (320, 240))).all(axis=1)
+    assert len(scene.points) == 4000 and sees.min() >= 2
+    # and not only right before the cameras
+    low, high = np.percentile(world_points(city), (5, 95), axis=0)
+    middle = ((world_points(scene) > low) & (world_points(scene) < high)).all(axis=1)
+    assert middle.sum() > 100
+    assert np.array_equal(scene.points, read_scene(tmp_path).points)
+
+
+def looking(positions, side=1):
+    """Views at those positions, looking along x, left or right."""
+    rotation = np.array([(0, -side, 0), (0, 0, -1), (side, 0, 0)], float)
+    return [View(str(i), Camera(64, 48, (50.0, 50.0), (32.0, 24.0), rotation,
+                                -rotation @ np.array(p, float)), b"")
+            for i, p in enumerate(positions)]
+
+
+def test_sampled_points_follow_the_unit_and_need_two_places():
+    views = looking([(0, 0, 0), (0, 1, 0), (0, 2, 0)])
+    points = sample_points("a", views)
+    assert len(points) == 1500
+    pixels, depths = views[1].camera.project(points)
+    inside = pixels[((pixels > 0) & (pixels < (64, 48))).all(axis=1)]
+    assert (inside.min(axis=0) < (6, 5)).all() and (inside.max(axis=0) > (58, 43)).all()
+    assert 0.7 < depths.min() < 2 and 10 < depths.max() < 17  # 0.5 to 8 times 1 or 2
+    large = sample_points("a", looking([(0, 0, 0), (0, 1e3, 0), (0, 2e3, 0)]))
+    np.testing.assert_allclose(large, 1e3 * points, rtol=1e-9)
+    for blind in (looking([(0, 0, 0)]), looking([(0, 0, 0)] * 3),
+                  looking([(9, 0, 0)]) + looking([(-9, 0, 0)], -1)):
+        with pytest.raises(InputError, match="a: no points, and no two cameras.*points3D.ply"):
+            sample_points("a", blind)
+
+
+def test_a_colmap_model_is_preferred(tmp_path, city):
+    write_transforms(tmp_path, city)
+    write_model(tmp_path / "sparse/0", city, city.views, np.arange(len(city.points)))
+    assert read_scene(tmp_path).observations is not None
+
+
+def first(**changes):
+    """The frames, the first one changed."""
+    return lambda table: {"frames": [{**table["frames"][0], **changes}, *table["frames"][1:]]}
+
+
+@pytest.mark.parametrize("change, model, views", [
+    ({"k1": -0.1, "p2": 0.01}, "OPENCV", 1),
+    ({"camera_model": "OPENCV", "k1": -0.1, "k3": 0.01}, "FULL_OPENCV", 1),
+    ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1}, "OPENCV_FISHEYE", 1),
+    ({"is_fisheye": True}, "OPENCV_FISHEYE", 1),
+    ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR", 6),
+    ({"camera_model": "SIMPLE_RADIAL", "k1": 0}, None, 1)])
+def test_lenses(tmp_path, city, change, model, views):
+    table = write_transforms(tmp_path, city)
+    scene = read_scene(changed(tmp_path, table, **change))
+    assert len(scene.views) == views * len(city.views)
+    lens = scene.views[0].lens
+    assert (lens and lens.model) == model
+    if model == "OPENCV":
+        assert lens.parameters[4:] == (-0.1, 0, 0, 0.01)
+    if model == "FULL_OPENCV":
+        assert lens.parameters[4:] == (-0.1, 0, 0, 0, 0.01, 0, 0, 0)
+    assert scene.views[0].photo().shape[:2] == (scene.views[0].camera.height,
+                                                scene.views[0].camera.width)
+
+
+def test_masks_that_frames_name(tmp_path, city):
+    table = write_transforms(tmp_path, city)
+    changed(tmp_path, table, **first(mask_path="stencils/a.png")(table))
+    (tmp_path / "stencils").mkdir()
+    camera = city.views[0].camera
+    valid = np.zeros((camera.height, camera.width, 3))
+    valid[5:] = 1
+    write_image(tmp_path / "stencils/a.png", valid)
+    scene = read_scene(tmp_path)
+    assert [view.mask is None for view in scene.views].count(False) == 1
+    assert np.array_equal(scene.views[0].valid(), valid[..., 0] == 1)
+
+
+def tilted(table):
+    matrix = np.array(table["frames"][0]["transform_matrix"])
+    matrix[:3, :3] *= 1.2
+    return first(transform_matrix=matrix.tolist())(table)
+
+
+@pytest.mark.parametrize("change, words", [
+    ({"k1": 1e9}, "camera of image images/000.jpg cannot be undistorted"),
+    ({"camera_model": "SPIRAL"}, "frame 0.*camera_model is 'SPIRAL', not OPENCV_FISHEYE"),
+    ({"k1": "0.1"}, "frame 0.*k1 is not a number"),
+    ({"frames": []}, "no frames.*copy it again"),
+    ({"frames": {"a": 1}}, "no frames"),
+    ({"fl_x": None}, "frame 0.*neither fl_x nor camera_angle_x"),
+    ({"fl_x": None, "camera_angle_x": 4.0}, "camera_angle_x is not an angle of view"),
+    ({"fl_x": "270"}, "fl_x is not a number"),
+    ({"fl_x": True}, "fl_x is not a number"),
+    ({"fl_x": -3.0}, "no focal length"),
+    ({"fl_y": 0}, "no focal length"),
+    ({"w": 320.5}, "w is not a number of pixels"),
+    ({"w": 640, "h": 480}, "000.jpg.*rescaled"),
+    ({"ply_file_path": 3}, "ply_file_path is not valid text"),
+    ({"ply_file_path": "none.ply"}, "none.ply.*no such file"),
+    ({"applied_transform": [[1, 2]]}, "applied_transform is not a 3x4 or 4x4 matrix"),
+    (first(file_path=None), "frame 0.*file_path is not valid text"),
+    (first(file_path="images/\n.jpg"), "frame 0.*file_path is not valid text"),
+    ({"fl_x": 10**400}, "frame 0 is damaged"),
+    (first(file_path="images/lost.jpg"), "lost.jpg: no such image"),
+    (first(file_path="images/004.jpg"), "004.jpg occurs twice"),
+    (first(transform_matrix=[[1, 0], [0, 1]]), "frame 0.*transform_matrix is not a 3x4"),
+    (first(transform_matrix=[["a"] * 4] * 4), "frame 0 is damaged"),
+    (first(transform_matrix=[[0.0] * 4] * 3), "000.jpg is not a rotation"),
+    (first(rot_mat=[[0.01, 0, 0, 0]] * 3), "frame 0.*it has no frame_index"),
+    (tilted, "000.jpg is not a rotation"),
+])
+def test_unusable_scenes(tmp_path, city, change, words):
+    table = write_transforms(tmp_path, city)
+    changed(tmp_path, table, **(change(table) if callable(change) else change))
+    refused(tmp_path, words)
+
+
+def refused(folder, words):
+    with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")) as caught:
+        read_scene(folder)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("text, words", [
+    ("{", "transforms.json: not a transforms.json, or damaged"),
+    ('{"frames": [1, NaN]}', "NaN is not a finite number"),
+    ('{"frames": [3]}', "frame 0 is damaged"),
+    ("[]", "not a JSON object"),
+])
+def test_damaged_files(tmp_path, text, words):
+    (tmp_path / "transforms.json").write_text(text)
+    refused(tmp_path, words)
+
+
+def test_a_ply_without_positions(tmp_path, city):
+    write_transforms(tmp_path, city)
+    path = tmp_path / "sparse_pc.ply"
+    path.write_bytes(path.read_bytes().replace(b"double x", b"double u"))
+    refused(tmp_path, "sparse_pc.ply: its vertices have no x, y, z")
