@@ -76,7 +76,8 @@ PATCHES: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
 # mechanism -> flags; those that are of use with a joint training alone, or without one alone
 FLAGS = {"none": (), "backdrops": ("--surroundings", "gaussians"),
          "backdrops-on": ("--surroundings", "layers"), "sharing": ("--workers", "1"),
-         "thinning": ("--workers", "1"), "exchanges": ("--exchanges", "0"), "exchanges-on": ("--exchanges", "3")}
+         "thinning": ("--workers", "1"), "exchanges": ("--exchanges", "0"),
+         "exchanges-on": ("--exchanges", "3")}
 ONLY = {"exchanges": False, "exchanges-on": True}  # with a joint training, or without one
 MECHANISMS = tuple(dict.fromkeys((*FLAGS, *PATCHES)))
 
