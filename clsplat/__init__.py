@@ -9,21 +9,21 @@ from importlib import import_module
 TYPE_CHECKING = False  # type checkers take it for true; `typing` would take a while to import
 if TYPE_CHECKING:
     from clsplat.api.device import Device as Device
+    from clsplat.api.gaussians import Gaussians as Gaussians
     from clsplat.api.renderer import Frame as Frame
     from clsplat.api.renderer import Renderer as Renderer
     from clsplat.api.renderer import render as render
+    from clsplat.api.run import Run as Run
+    from clsplat.api.scene import Scene as Scene
+    from clsplat.api.scene import View as View
+    from clsplat.api.score import Score as Score
     from clsplat.api.score import evaluate as evaluate
     from clsplat.api.train import train as train
     from clsplat.camera import Camera as Camera
     from clsplat.config.option import option as option
     from clsplat.errors import ClsplatError as ClsplatError
     from clsplat.errors import StopTraining as StopTraining
-    from clsplat.evaluation.run import Run as Run
-    from clsplat.evaluation.score import Score as Score
-    from clsplat.gaussians import Gaussians as Gaussians
     from clsplat.georeference import Georeference as Georeference
-    from clsplat.scene import Scene as Scene
-    from clsplat.scene import View as View
     from clsplat.schedule.plan import Plan as Plan
     from clsplat.schedule.plan import Schedule as Schedule
 
@@ -31,11 +31,11 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Camera": "clsplat.camera", "ClsplatError": "clsplat.errors", "Device": "clsplat.api.device",
-    "Frame": "clsplat.api.renderer", "Gaussians": "clsplat.gaussians",
+    "Frame": "clsplat.api.renderer", "Gaussians": "clsplat.api.gaussians",
     "Georeference": "clsplat.georeference",
     "Plan": "clsplat.schedule.plan", "Renderer": "clsplat.api.renderer",
-    "Run": "clsplat.evaluation.run", "Scene": "clsplat.scene", "Schedule": "clsplat.schedule.plan",
-    "Score": "clsplat.evaluation.score", "StopTraining": "clsplat.errors", "View": "clsplat.scene",
+    "Run": "clsplat.api.run", "Scene": "clsplat.api.scene", "Schedule": "clsplat.schedule.plan",
+    "Score": "clsplat.api.score", "StopTraining": "clsplat.errors", "View": "clsplat.api.scene",
     "evaluate": "clsplat.api.score", "render": "clsplat.api.renderer",
     "option": "clsplat.config.option", "train": "clsplat.api.train"}
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from os import PathLike
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +12,9 @@ from scipy.spatial import cKDTree
 
 from clsplat.constants import SH_C0
 from clsplat.errors import InputError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 INITIAL_OPACITY = 0.1
 MINIMUM_DISTANCE = 1e-7  # share of the cloud's size; coincident points get this scale, not zero
@@ -102,7 +103,7 @@ class Gaussians:
             raise InputError(f"offset {self.offset!r}: expects three finite numbers")
 
     @classmethod
-    def padded(cls, rows: Mapping[str, NDArray[Any]]) -> Gaussians:
+    def padded(cls, rows: Mapping[str, NDArray[Any]]) -> Self:
         """Gaussians of degree 0 for which only some fields count: the others are zero.
 
         Parameters
@@ -112,41 +113,6 @@ class Gaussians:
         count = len(rows["positions"])
         zeros = {each.name: np.zeros((count, *each.row_shape(0)), np.float32) for each in LEARNED}
         return cls({**zeros, **rows}, 0)
-
-    @classmethod
-    def load(cls, path: str | PathLike[str]) -> Gaussians:
-        """Read a model.
-
-        Parameters
-        ----------
-        path : a file of gaussians, by its suffix .ply, .compressed.ply, .sog, .spz, .splat or .glb,
-            or of points, .ply, .las or .laz, which become the gaussians that a training starts
-            from.
-
-        Raises
-        ------
-        clsplat.ClsplatError : if it is not such a file, or is damaged.
-        """
-        from clsplat.io.models.formats import read_model
-
-        return read_model(Path(path))
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write a file in original coordinates.
-
-        Parameters
-        ----------
-        path : the file, which is replaced as a whole; its suffix selects the format: .ply keeps
-            every number, .glb keeps single precision, .compressed.ply, .sog, .spz and .splat are
-            smaller, .las and .laz hold the centres as points.
-
-        Raises
-        ------
-        clsplat.ClsplatError : if it cannot be written, or its suffix is another one.
-        """
-        from clsplat.io.models.formats import write_model
-
-        write_model(Path(path), self)
 
     @property
     def count(self) -> int:
@@ -162,7 +128,7 @@ class Gaussians:
 
     @classmethod
     def from_points(cls, points: NDArray[np.floating], colours: NDArray[np.uint8],
-                    sh_degree: int = 3) -> Gaussians:
+                    sh_degree: int = 3) -> Self:
         """Initial gaussians on a sparse point cloud (Kerbl et al. 2023, section 5.1).
 
         They are isotropic, with the root mean square distance to the three nearest neighbours as
@@ -191,7 +157,7 @@ class Gaussians:
         }
         return cls(rows, sh_degree)
 
-    def scaled(self, factor: float) -> Gaussians:
+    def scaled(self, factor: float) -> Self:
         """The same gaussians in a frame with larger coordinates.
 
         Parameters
@@ -203,9 +169,9 @@ class Gaussians:
             if name in rows:
                 rows[name] = (rows[name] * np.float64(factor)).astype(np.float32)
         rows["log_scales"] = (rows["log_scales"] + np.log(factor)).astype(np.float32)
-        return Gaussians(rows, self.sh_degree, self.offset)
+        return replace(self, rows=rows)
 
-    def with_sh_degree(self, sh_degree: int) -> Gaussians:
+    def with_sh_degree(self, sh_degree: int) -> Self:
         """The same gaussians with spherical harmonics (SH) of another degree.
 
         Parameters
@@ -217,23 +183,23 @@ class Gaussians:
         rest = np.zeros((self.count, (sh_degree + 1) ** 2 - 1, 3), np.float32)
         shared = min(rest.shape[1], self.sh_rest.shape[1])
         rest[:, :shared] = self.sh_rest[:, :shared]
-        return Gaussians({**self.rows, "sh_rest": rest}, sh_degree, self.offset)
+        return replace(self, rows={**self.rows, "sh_rest": rest}, sh_degree=sh_degree)
 
-    def without_spheres(self) -> Gaussians:
+    def without_spheres(self) -> Self:
         """The same gaussians without the fields of SPHERE."""
         rows = {field.name: self.rows[field.name] for field in LEARNED}
-        return Gaussians(rows, self.sh_degree, self.offset)
+        return replace(self, rows=rows)
 
-    def located(self, offset: ArrayLike) -> Gaussians:
+    def located(self, offset: ArrayLike) -> Self:
         """The same local coordinates with another origin, so that the gaussians move.
 
         Parameters
         ----------
         offset : float64[3], original coordinates of the new origin.
         """
-        return Gaussians(self.rows, self.sh_degree, np.asarray(offset, np.float64))
+        return replace(self, offset=np.asarray(offset, np.float64))
 
-    def moved(self, offset: ArrayLike) -> Gaussians:
+    def moved(self, offset: ArrayLike) -> Self:
         """Local coordinates with another origin, so that the gaussians stay where they are.
 
         Parameters
@@ -243,15 +209,10 @@ class Gaussians:
         away = self.offset - np.asarray(offset, np.float64)
         rows = {name: (values + away).astype(np.float32) if name in ("positions", "anchors")
                 else values for name, values in self.rows.items()}
-        return Gaussians(rows, self.sh_degree, np.asarray(offset, np.float64))
+        return replace(self, rows=rows, offset=np.asarray(offset, np.float64))
 
     def __repr__(self) -> str:
         return f"<clsplat.Gaussians: {self.count:,}, SH degree {self.sh_degree}>"
-
-    def _repr_html_(self) -> str:
-        from clsplat.export.notebook import model_frame
-
-        return model_frame(self)
 
 
 def check_field(known: Field, values: Any, count: int, sh_degree: int) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,8 @@ from clsplat.placement.up import up_axis
 from clsplat.response import Response
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from clsplat.partition.region import Region
 
 NEAR_SHARE = 1 / 500  # of the extent, so that it suits scenes in any unit
@@ -64,7 +65,7 @@ class View:
 
     @property
     def may_have_mask(self) -> bool:
-        """Whether `valid` may leave out pixels."""
+        """Whether a mask, its alpha or its lens may leave out pixels."""
         return self.mask is not None or self.transparent or self.lens is not None
 
     def sees(self, points: ArrayLike) -> NDArray[np.bool_]:
@@ -82,44 +83,8 @@ class View:
         inside: NDArray[np.bool_] = (depths > 0) & self.camera.contains(pixels)
         return inside
 
-    def photo(self) -> NDArray[np.uint8]:
-        """Read the photo.
-
-        Returns
-        -------
-        uint8[H, W, 3], resampled to the camera's size.
-
-        Raises
-        ------
-        clsplat.ClsplatError : if it does not exist, or is not an image that can be read.
-        """
-        from clsplat.io.photos.views import read_photo
-
-        pixels: NDArray[np.uint8] = read_photo(self)
-        return pixels
-
-    def valid(self) -> NDArray[np.bool_] | None:
-        """Read which pixels of the photo count, from its mask, its alpha and its lens.
-
-        Returns
-        -------
-        bool[H, W] at the camera's size; None: all.
-
-        Raises
-        ------
-        clsplat.ClsplatError : if the mask is not an image that can be read, or does not fit.
-        """
-        from clsplat.io.photos.views import read_valid
-
-        valid: NDArray[np.bool_] | None = read_valid(self)
-        return valid
-
     def __repr__(self) -> str:
         return f"<clsplat.View {self.name!r}: {self.camera.width} x {self.camera.height}>"
-
-    def _repr_html_(self) -> str:
-        from clsplat.report.notebook import view_card
-        return view_card(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,24 +131,6 @@ class Scene:
     georeference: Georeference | None = None
     given_up: NDArray[np.float64] | None = None
 
-    @classmethod
-    def read(cls, path: str | PathLike[str], images: str = "") -> Scene:
-        """Read a scene.
-
-        Parameters
-        ----------
-        path : a folder with a COLMAP model, transforms.json, the layout of CityGaussian or the
-            project of another program, such as Metashape; the file of such a project; or a file of
-            `clsplat pack`.
-        images : the folder of its photos, relative to the scene's folder; "": images.
-
-        Raises
-        ------
-        clsplat.ClsplatError : if it is not a scene, or is damaged; one line with the cure.
-        """
-        from clsplat.io.scenes.read import read_scene
-        return read_scene(Path(path).absolute(), images)  # also if the current folder changes
-
     @cached_property
     def up(self) -> NDArray[np.float64]:
         """float64[3], the unit vector that points up: the one that was given, else the z axis of a
@@ -207,7 +154,7 @@ class Scene:
         """The cameras of the photos as they are shown, not as they are stored."""
         return [view.camera.turned(view.quarter_turns) for view in self.views]
 
-    def corrected(self, corrections: Mapping[str, Correction]) -> Scene:
+    def corrected(self, corrections: Mapping[str, Correction]) -> Self:
         """The scene with corrected poses.
 
         Parameters
@@ -216,7 +163,7 @@ class Scene:
         """
         return replace(self, views=corrected_views(self.views, corrections), given_up=self.up)
 
-    def with_up(self, up: ArrayLike) -> Scene:
+    def with_up(self, up: ArrayLike) -> Self:
         """The same scene, in which a direction points up.
 
         Parameters
@@ -307,7 +254,7 @@ class Scene:
             self.unit * np.asarray(spread))
         return inside
 
-    def part(self, indices: Iterable[int]) -> Scene:
+    def part(self, indices: Iterable[int]) -> Self:
         """The scene with some of its views, and the points that these see.
 
         Parameters
@@ -329,7 +276,7 @@ class Scene:
         return replace(self, views=views, points=self.points[seen], colours=self.colours[seen],
                        observations=known, given_up=self.up)
 
-    def cropped(self, windows: dict[str, tuple[int, int, int, int]]) -> Scene:
+    def cropped(self, windows: dict[str, tuple[int, int, int, int]]) -> Self:
         """The scene with views cropped to parts of their photos, and observations only in these.
 
         Parameters
@@ -350,7 +297,7 @@ class Scene:
             known = known[inside]
         return replace(self, views=views, observations=known)
 
-    def reduced(self, downscale: float, max_resolution: float = 0) -> Scene:
+    def reduced(self, downscale: float, max_resolution: float = 0) -> Self:
         """The scene with smaller images.
 
         Parameters
@@ -361,14 +308,14 @@ class Scene:
         return replace(self, views=tuple(
             replace(v, camera=v.camera.reduced(downscale, max_resolution)) for v in self.views))
 
-    def recentred(self) -> Scene:
+    def recentred(self) -> Self:
         """The scene with its origin at the median point, for the precision of float32."""
         offset = np.median(self.points, axis=0)
         return replace(
             self, points=self.points - offset, offset=self.offset + offset,
             views=tuple(replace(v, camera=v.camera.shifted(offset)) for v in self.views))
 
-    def normalised(self) -> Scene:
+    def normalised(self) -> Self:
         """The scene in units of its extent, so that computations in float32 do not depend on the
         unit of the original coordinates."""
         extent = self.extent
@@ -381,10 +328,6 @@ class Scene:
     def __repr__(self) -> str:
         return (f"<clsplat.Scene {self.name!r}: {len(self.views)} views, "
                 f"{len(self.points):,} points>")
-
-    def _repr_html_(self) -> str:
-        from clsplat.report.notebook import scene_page
-        return scene_page(self)
 
 
 def corrected_views(views: Iterable[View], corrections: Mapping[str, Correction]

@@ -6,6 +6,7 @@ mkdocs calls the functions, and griffe, which reads the docstrings, the class.
 import inspect
 import logging
 import re
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -78,6 +79,9 @@ class OneLineItems(griffe.Extension):
 
     def on_object(self, *, obj, **others):
         """Rewrite the docstring of a module, class, function or attribute."""
+        if obj.is_class and obj.docstring is None:  # `__doc__ = noun.__doc__` of clsplat.api
+            text = inspect.getdoc(getattr(import_module(obj.module.path), obj.name, None))
+            obj.docstring = text and griffe.Docstring(text, parent=obj)
         if obj.docstring is not None:
             obj.docstring.value = numpydoc(obj.docstring.value)
 

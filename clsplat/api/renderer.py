@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsplat.api import gaussians as api
 from clsplat.api.device import opened_device
 from clsplat.camera import Camera, numbers, shown
 from clsplat.constants import NO_ROW
@@ -133,10 +134,10 @@ class Renderer:
         for name, array in arrays.items():
             self._rows[name].write(array)
 
-    def download(self) -> Gaussians:
+    def download(self) -> api.Gaussians:
         """The current gaussians, in host memory."""
         rows = {name: array.download().astype(np.float32) for name, array in self._rows.items()}
-        return Gaussians(rows, self.model.sh_degree, self.model.offset)
+        return api.Gaussians(rows, self.model.sh_degree, self.model.offset)
 
     def forward(self, camera: Camera, *, depth: bool = False) -> Frame:
         """Render from a camera.

@@ -1,15 +1,33 @@
-"""`clsplat.evaluate`: how well a model renders the photos of a scene."""
+"""`clsplat.evaluate` and `clsplat.Score`: how well a model renders the photos of a scene."""
 
 from os import PathLike
 
 from clsplat.api.device import opened_device
 from clsplat.device import Device as OpenedDevice
 from clsplat.errors import InputError
-from clsplat.evaluation.score import Score
+from clsplat.evaluation import score
 from clsplat.evaluation.views import depth_to_align, evaluate_views, final_metrics
 from clsplat.gaussians import Gaussians
 from clsplat.rendering.slabs import open_model
+from clsplat.report.notebook import table
 from clsplat.scene import Scene
+
+
+class Score(score.Score):
+    __doc__ = score.Score.__doc__
+
+    def _repr_html_(self) -> str:
+        rows = {"held-out views": str(self.views),
+                "PSNR": f"{self.psnr:.2f} dB ({self.psnr_cc:.2f} after the colour fit)",
+                "SSIM": f"{self.ssim:.4f} ({self.ssim_cc:.4f} after the colour fit)"}
+        for name, plain, fitted in (("FLIP", self.flip, self.flip_cc),
+                                    ("LPIPS", self.lpips, self.lpips_cc)):
+            if plain is not None and fitted is not None:
+                rows[name] = f"{plain:.4f} ({fitted:.4f} after the colour fit), lower is better"
+        if self.psnr_aligned is not None:
+            rows["PSNR from aligned poses"] = (
+                f"{self.psnr_aligned:.2f} dB ({self.psnr_cc_aligned:.2f} after the colour fit)")
+        return table(rows)
 
 
 def evaluate(model: Gaussians, scene: Scene, *, device: OpenedDevice | None = None,

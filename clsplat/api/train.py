@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from clsplat.api.device import opened_device
+from clsplat.api.run import Run
 from clsplat.device import Device as OpenedDevice
 from clsplat.device import choose_device
 from clsplat.errors import Interrupted
-from clsplat.evaluation.run import Run
 from clsplat.io.runs.run import RunFolder
+from clsplat.io.scenes.read import read_scene
 from clsplat.options import resolve
 from clsplat.scene import Scene
 from clsplat.training import loop
@@ -45,7 +46,8 @@ def train(scene: Scene | str | PathLike[str], output: str | PathLike[str] | None
     clsplat.ClsplatError : if the scene, an option or the folder cannot be used.
     """
     chosen = resolve({}, options)
-    data = scene if isinstance(scene, Scene) else Scene.read(scene, chosen.images)
+    data = scene if isinstance(scene, Scene) else read_scene(Path(scene).absolute(),
+                                                                  chosen.images)
     opened = opened_device(device) if device else choose_device("auto", form=chosen.form)
     # absolute, as a callback may change the current folder
     folder = Path(output or tempfile.mkdtemp(prefix="clsplat-run-")).absolute()

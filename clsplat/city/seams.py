@@ -31,6 +31,7 @@ from clsplat.evaluation.colour import fit_colour
 from clsplat.evaluation.views import Image, opened, photo_of, render_view, scored_at_once
 from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead
+from clsplat.io.photos.views import read_valid
 from clsplat.options import TrainOptions
 from clsplat.partition.partition import Partition
 from clsplat.partition.region import Space
@@ -221,7 +222,7 @@ def inspect_views(device: Device, partition: Partition, scene: Scene, views: Seq
     def inspect(index: int, image: Image, place: NDArray[np.float64], reference: Image
                 ) -> list[tuple[int, Shown | None, tuple[int, NDArray[np.float64]]]]:
         """(border, its strip, errors) for each border that the view shows, and for all."""
-        known, valid = np.isfinite(place).all(axis=-1), views[index].valid()
+        known, valid = np.isfinite(place).all(axis=-1), read_valid(views[index])
         if valid is not None and not (known := known & valid).any():
             return []
         coordinates = space.to(place[known] + scene.offset)

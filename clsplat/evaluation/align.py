@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from clsplat.constants import TRANSFORM_REALS
 from clsplat.device import Array
 from clsplat.errors import InputError
-from clsplat.io.photos.views import read_photo
+from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.loss.exposure import Exposures
 from clsplat.loss.image_loss import image_loss, loss_value
 from clsplat.loss.options import ImageLossOptions
@@ -56,7 +56,7 @@ def aligned(renderer: ModelRenderer, rows: Any, degree: int, view: View, depth: 
                          "device; leave --align out")
     device, camera, weight = renderer.device, view.camera, ImageLossOptions.ssim_weight
     size = camera.width, camera.height
-    pixels, valid = read_photo(view), view.valid()
+    pixels, valid = read_photo(view), read_valid(view)
     planes = [*pixels.transpose(2, 0, 1), *([] if valid is None else [255 * valid])]
     photo = device.upload(np.array(planes, np.uint8), np.uint8)
     poses, colours = Poses(device, [camera], depth, pull=0.0), Exposures(device, 1)

@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import replace
-from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsplat.camera import Camera
-from clsplat.device import Device, choose_device
-from clsplat.errors import InputError, Interrupted
-from clsplat.evaluation.score import Score
-from clsplat.evaluation.views import evaluate_run, final_metrics, opened
+from clsplat.device import Device
+from clsplat.errors import InputError
+from clsplat.evaluation.views import opened
 from clsplat.gaussians import Gaussians
 from clsplat.georeference import Georeference
 from clsplat.io.models.formats import is_model, read_model, read_notes
 from clsplat.io.photos.undistort import undistorted
-from clsplat.io.reason import reason
 from clsplat.io.runs.poses import read_poses
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import TrainOptions, recorded
 from clsplat.rendering.slabs import ModelRenderer
 from clsplat.scene import Scene
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 def shown(model: Gaussians, path: Path) -> Gaussians:
@@ -100,7 +98,7 @@ class Run:
         self.path: Path = folder.path
 
     @classmethod
-    def open(cls, path: str | Path) -> Run:
+    def open(cls, path: str | Path) -> Self:
         """The run in a folder.
 
         Parameters
@@ -132,21 +130,6 @@ class Run:
     def metrics(self) -> list[dict[str, Any]]:
         """The records of metrics.jsonl, each with `event`, `iteration` and `train_seconds`."""
         return list(self.folder.past_records())
-
-    @property
-    def model(self) -> Gaussians:
-        """Its gaussians: the finished model, or else those of the last checkpoint."""
-        if self.folder.has_model:
-            return self.finished_model
-        from clsplat.training.checkpoint import saved_gaussians
-
-        record = self.record
-        gaussians = saved_gaussians(self.folder, record, *self.folder.load_checkpoint())
-        try:
-            return gaussians.scaled(float(record["extent"])).located(record["offset"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{self.path}: options.json is damaged ({reason(error)}); start again "
-                             "with overwrite=True") from None
 
     @property
     def finished_model(self) -> Gaussians:
@@ -190,17 +173,12 @@ class Run:
         return camera.shifted(-camera.offset)
 
     def scene(self, path: str | Path | None = None, *, whole: bool = False) -> Scene:
-        """The scene of the training, at the size of the training.
+        """The scene of the training, as `clsplat.Run.scene` says.
 
         Parameters
         ----------
-        path : where the scene is now; None: where the run has recorded it.
-        whole : at the size of its photos instead, and with the poses that it brings; otherwise
-            training views have the poses that the run has corrected.
-
-        Raises
-        ------
-        clsplat.ClsplatError : the scene is missing, or is another one.
+        path : where it is now; None: where the run has recorded it.
+        whole : at the size of its photos, and with the poses that it brings.
         """
         place = self.folder.scene_path(None if path is None else Path(path))
         scene = self.folder.placed(read_scene(place, self.options.images))
@@ -244,60 +222,6 @@ class Run:
         renderer, rows, degree = opened(device, model, scene, self.options)
         return renderer, rows, degree
 
-    def resume(self, *, device: Device | None = None,
-               callbacks: Iterable[Callable[[dict[str, Any]], object]] = ()) -> None:
-        """Continue a training that was stopped, from its last checkpoint to its end.
-
-        Parameters
-        ----------
-        device : an open device; None: that of the run's option.
-        callbacks : as for `clsplat.train`.
-
-        Raises
-        ------
-        clsplat.ClsplatError : its scene is missing or its checkpoint is damaged.
-        """
-        from clsplat.training.loop import resume
-
-        options = replace(self.options, stop_at=0)
-        device = device or choose_device(options.device, form=options.form)
-        with self.folder.locked():
-            try:
-                resume(self.scene(whole=True), options, device, self.folder, callbacks=callbacks)
-            except Interrupted as error:
-                if not error.planned:
-                    raise
-
-    def evaluate(self, device: Device | None = None, *,
-                 lpips: str | PathLike[str] | None = None, align: bool = False) -> Score:
-        """Compare the finished model with the held-out photos.
-
-        Parameters
-        ----------
-        device : an open device; None: the best that works.
-        lpips : an ONNX file with an LPIPS network, whose score is wanted too.
-        align : whether the held-out photos are also compared from poses that are aligned with them
-            (`clsplat eval --align`).
-
-        Returns
-        -------
-        The Score.
-
-        Raises
-        ------
-        clsplat.ClsplatError : the run has no model or holds out no view.
-        """
-        if not self.folder.has_model:
-            raise InputError(f"{self.path}: has no finished model yet; resume it first, or give "
-                             "Run.model to clsplat.evaluate")
-        return Score.of(evaluate_run(self, device or choose_device("auto"), save_images=False,
-                                     metrics=final_metrics(lpips), align=align))
-
     def __repr__(self) -> str:
         state = "finished" if self.is_finished else "not finished"
         return f"<clsplat.Run {str(self.path)!r}, {state}>"
-
-    def _repr_html_(self) -> str:
-        from clsplat.report.notebook import run_page
-
-        return run_page(self)

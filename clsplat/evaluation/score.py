@@ -1,9 +1,12 @@
-"""`clsplat.Score`: the result of an evaluation on held-out views."""
+"""The result of an evaluation on held-out views."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class Score:
     aligned_shift: float | None = None
 
     @classmethod
-    def of(cls, result: dict[str, Any]) -> Score:
+    def of(cls, result: dict[str, Any]) -> Self:
         """The Score from the result of `evaluate_views`.
 
         Parameters
@@ -65,18 +68,3 @@ class Score:
     def __repr__(self) -> str:
         return (f"<clsplat.Score of {self.views} views: PSNR {self.psnr:.2f} dB "
                 f"({self.psnr_cc:.2f} after the colour fit), SSIM {self.ssim:.4f}>")
-
-    def _repr_html_(self) -> str:
-        from clsplat.report.notebook import table
-
-        rows = {"held-out views": str(self.views),
-                "PSNR": f"{self.psnr:.2f} dB ({self.psnr_cc:.2f} after the colour fit)",
-                "SSIM": f"{self.ssim:.4f} ({self.ssim_cc:.4f} after the colour fit)"}
-        for name, plain, fitted in (("FLIP", self.flip, self.flip_cc),
-                                    ("LPIPS", self.lpips, self.lpips_cc)):
-            if plain is not None and fitted is not None:
-                rows[name] = f"{plain:.4f} ({fitted:.4f} after the colour fit), lower is better"
-        if self.psnr_aligned is not None:
-            rows["PSNR from aligned poses"] = (
-                f"{self.psnr_aligned:.2f} dB ({self.psnr_cc_aligned:.2f} after the colour fit)")
-        return table(rows)

@@ -30,7 +30,7 @@ from clsplat.gaussians import Gaussians
 from clsplat.io.ahead import called_ahead
 from clsplat.io.folders import make_folder
 from clsplat.io.photos.images import write_image
-from clsplat.io.photos.views import read_photo
+from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.io.regular import native
 from clsplat.options import TrainOptions
 from clsplat.placement.corrections import typical_depth
@@ -97,7 +97,7 @@ def evaluate_views(renderer: ModelRenderer, rows: Any, degree: int, views: Seque
 
     def rendered() -> Iterator[tuple[View, list[Image], Valid, list[float]]]:
         for view in views:
-            valid, response = view.valid(), responses.get(view.name)
+            valid, response = read_valid(view), responses.get(view.name)
             if valid is not None and not valid.any():
                 continue
             renders, sizes = [render_view(renderer, rows, degree, view.camera, response)], []

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from clsplat.errors import ClsplatError
 from clsplat.evaluation.survey import survey_of
+from clsplat.io.photos.views import read_photo
 from clsplat.report.drawing import drawn
 from clsplat.report.figures import score_figure
 from clsplat.report.page import as_utf8, html_of
@@ -49,7 +50,7 @@ def view_card(view: View) -> str:
 def _card(view: View, size: int, more: str = "") -> str:
     """A photo of at most `size` pixels a side with its name."""
     try:
-        shown = jpeg(replace(view, camera=view.camera.reduced(1.0, size)).photo(),
+        shown = jpeg(read_photo(replace(view, camera=view.camera.reduced(1.0, size))),
                      escape(view.name))
     except (ClsplatError, OSError) as error:  # without its photo, the rest is still seen
         shown = f"<em>{escape(str(error))}</em>"

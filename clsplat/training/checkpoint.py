@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from clsplat.errors import InputError
 from clsplat.gaussians import FIELDS, LEARNED, Field, Gaussians
+from clsplat.io.reason import reason
 from clsplat.io.runs.run import CHECKPOINT, OPTIONS, RunFolder
 from clsplat.optimise.adam import LAG
 from clsplat.optimise.pose import LEARNED as POSES
@@ -156,6 +157,28 @@ def saved_gaussians(run: RunFolder, record: dict[str, Any], arrays: Arrays,
     except (KeyError, ValueError) as error:
         raise InputError(f"{run.path}: its checkpoint lacks a good {error}; "
                          "start again with --overwrite") from None
+
+
+def latest_model(run: RunFolder) -> Gaussians:
+    """The finished model of a run, or else that of its last checkpoint, in original units.
+
+    Parameters
+    ----------
+    run : the folder.
+
+    Raises
+    ------
+    InputError : there is no checkpoint, or it or options.json is damaged.
+    """
+    if run.has_model:
+        return run.load_model()
+    record = run.read_options()
+    gaussians = saved_gaussians(run, record, *run.load_checkpoint())
+    try:
+        return gaussians.scaled(float(record["extent"])).located(record["offset"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{run.path}: options.json is damaged ({reason(error)}); start again with "
+                         "overwrite=True") from None
 
 
 def gaussians_of(arrays: Arrays, sh_degree: int, moments: bool = True) -> Gaussians:

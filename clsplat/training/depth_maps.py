@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.io.photos.depth import read_depth
+from clsplat.io.photos.views import read_valid
 from clsplat.scene import View
 
 DEVICE_SHARE = 0.125  # of the device's memory that depth maps may take
@@ -48,7 +49,7 @@ class DepthMapsOnDevice:
         if view.depth is None:
             return None
         depth: NDArray[np.float32] = read_depth(view) / np.float32(self.unit)
-        valid = view.valid()
+        valid = read_valid(view)
         if valid is not None:
             depth[~valid] = 0
         return self.device.upload(depth)

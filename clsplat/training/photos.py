@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clsplat.device import Array, ArraySpec, Device
 from clsplat.io.ahead import called_ahead
 from clsplat.io.photos.resample import BAND_BYTES
-from clsplat.io.photos.views import photo_bands
+from clsplat.io.photos.views import photo_bands, read_valid
 from clsplat.options import TrainOptions
 from clsplat.scene import View
 from clsplat.training.photo_store import MEMORY_BYTES, PhotoStore
@@ -57,7 +57,7 @@ def decode(view: View) -> NDArray[np.uint8]:
     for band in photo_bands(view):
         planes[:3, row:row + len(band)] = band.transpose(2, 0, 1)
         row += len(band)
-    valid = view.valid()
+    valid = read_valid(view)
     if valid is None and not view.weighed:
         return planes[:3]
     planes[3] = 255 if valid is None else np.uint8(255) * valid
@@ -278,7 +278,7 @@ class Photos:
 
 def _own_mask(view: View) -> NDArray[np.uint8]:
     """The last plane of `decode` of a view that is `weighed`."""
-    valid = view.valid()
+    valid = read_valid(view)
     if valid is None:
         valid = np.ones((view.camera.height, view.camera.width), bool)
     return valid * np.uint8(255)

@@ -18,6 +18,7 @@ from clsplat.io.models.tree import Tree
 from clsplat.rendering.slabs import ModelRenderer, open_model
 from clsplat.report.groups import full_name
 from clsplat.scene import Scene
+from clsplat.training.checkpoint import latest_model
 from clsplat.training.progress import SilentProgress
 from clsplat.training.session import Session
 from clsplat.view.frames import FrameRequest, FrameRequests
@@ -55,7 +56,7 @@ def show_run(run: Run, device: Device, opened: Callable[[str], object], port: in
         renderer, rows = open_tree(run, device, near_of(run), streaming)
         model, positions = rows, rows.read(len(rows.nodes) - 1, "positions")  # of the root
     else:
-        model, options = shown(run.model, run.path), run.options
+        model, options = shown(latest_model(run.folder), run.path), run.options
         positions = model.positions
         renderer, rows = open_model(device, model, near_of(run), options.antialiased,
                                     options.background)

@@ -254,7 +254,18 @@ def test_objects_show_themselves_in_notebooks(run, scene, item_device):
     frame = clsplat.Renderer(item_device, blob()).forward(CAMERA)
     assert frame._repr_png_().startswith(b"\x89PNG")
     assert "dB" in run.evaluate(item_device)._repr_html_()
-    assert "30, SH degree 1" in repr(blob())
+    assert "30, SH degree 1" in repr(blob()) and "30 gaussians" in blob()._repr_html_()
+    assert "data:image/jpeg" in scene.views[0]._repr_html_()
+
+
+def test_what_public_objects_make_is_public(run, scene):
+    """So that its pixels can be read, and it can be saved and shown."""
+    for made in (scene, scene.reduced(2), scene.part([0, 3]).normalised(), run.scene()):
+        views = (*made.views, *made.split(8)[1])
+        assert type(made) is clsplat.Scene and {type(view) for view in views} == {clsplat.View}
+    assert scene.reduced(8).views[0].photo().shape == (30, 40, 3)
+    for model in (run.model, blob().moved((1, 2, 3)).scaled(2).with_sh_degree(0)):
+        assert type(model) is clsplat.Gaussians
 
 
 def test_a_camera_looks_at_its_target():

@@ -5,6 +5,7 @@ import pytest
 
 from clsplat.bench.workloads import city, in_unit, scene_of, with_hidden
 from clsplat.errors import InputError
+from clsplat.io.photos.views import read_photo
 from clsplat.rendering.pipeline import Renderer
 
 SIZE = (96, 64)
@@ -40,7 +41,7 @@ def test_views_in_all_directions_can_hide_nothing():
 def test_a_made_scene_shows_the_same_in_its_unit(item_device):
     gaussians, cameras = city(300, SIZE)
     scene = scene_of(gaussians, cameras).normalised()
-    assert [view.photo().shape for view in scene.views] == [(64, 96, 3)] * len(cameras)
+    assert [read_photo(view).shape for view in scene.views] == [(64, 96, 3)] * len(cameras)
     counts = seen(item_device, in_unit(gaussians, scene.unit),
                   [view.camera for view in scene.views], 0.01 / scene.unit)
     np.testing.assert_allclose(counts, seen(item_device, gaussians, cameras), atol=1)

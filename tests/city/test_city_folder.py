@@ -17,10 +17,12 @@ from clsplat.georeference import Georeference
 from clsplat.io.models.ply import read_ply
 from clsplat.io.photos.depth import read_depth, with_depths
 from clsplat.io.photos.images import write_image
+from clsplat.io.photos.views import read_valid
 from clsplat.io.runs import city as module
 from clsplat.io.runs.city import OTHERS, BlockFolder, CityFolder, attached
+from clsplat.io.scenes import linked
 from clsplat.io.scenes.packed import write_packed
-from clsplat.io.scenes.read import fingerprint, linked, read_scene
+from clsplat.io.scenes.read import fingerprint, read_scene
 from clsplat.options import resolve
 from clsplat.partition.region import Region, Space
 from clsplat.response import Response
@@ -153,7 +155,7 @@ def test_masks_and_depth_maps_of_a_block(city, scene, gaussians, tmp_path):
     block = written(city, replace(scene, views=tuple(views)), gaussians)
     read = check_part(block, scene)
     assert [view.mask is not None for view in read.views] == [True, False, False, False]
-    assert np.array_equal(read.views[0].valid(), views[3].valid())
+    assert np.array_equal(read_valid(read.views[0]), read_valid(views[3]))
     held = with_depths(read, options_of_blocks({"depth": "elsewhere"}, {})["depth"])
     assert [view.depth is not None for view in held.views] == [False, False, True, False]
     assert (read_depth(held.views[2]) == 7).all()

@@ -6,6 +6,7 @@ import pytest
 from clsplat.cli.main import main
 from clsplat.evaluation.run import Run
 from clsplat.io.photos.depth import read_depth, with_depths
+from clsplat.io.photos.views import read_valid
 from clsplat.io.runs.city import CityFolder
 from clsplat.io.runs.run import RunFolder
 from clsplat.io.scenes.read import read_scene
@@ -42,7 +43,7 @@ def test_a_city_of_lenses_masks_and_a_depth_map(tmp_path):
 
     views = Run.open(city.path).scene().views  # an evaluation uses the city's files
     assert all(view.lens is None and view.source.parent == city.undistorted for view in views)
-    shares = [1.0 if valid is None else valid.mean() for valid in (view.valid() for view in views)]
+    shares = [1.0 if valid is None else valid.mean() for valid in map(read_valid, views)]
     assert all((share < 0.9) == (number % MASKED_EVERY == 0)
                for number, share in enumerate(shares)), shares
 

@@ -6,6 +6,7 @@ import pycolmap
 from scipy.ndimage import map_coordinates
 
 from clsplat.io.photos.images import write_image
+from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from clsplat.synth.geometry import load
 from clsplat.synth.raycast import cast
@@ -36,7 +37,7 @@ def write_lens_city(folder, with_depth):
     lens = pycolmap.Camera(model="OPENCV", width=camera.width, height=camera.height, params=values)
     random = np.random.default_rng(0)
     for number, view in enumerate(scene.views):
-        pixels, (x, y) = view.photo(), _pinhole_pixels(lens, view.camera)
+        pixels, (x, y) = read_photo(view), _pinhole_pixels(lens, view.camera)
         photo = np.stack([map_coordinates(plane, (y - 0.5, x - 0.5), order=1, mode="nearest")
                           for plane in pixels.transpose(2, 0, 1)], axis=2)
         if number % MASKED_EVERY == 0:

@@ -11,6 +11,7 @@ from clsplat.evaluation.align import aligned
 from clsplat.evaluation.views import evaluate_views, render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import write_image
+from clsplat.io.photos.views import read_photo
 from clsplat.placement.corrections import Correction
 from clsplat.rendering.slabs import open_model
 from clsplat.scene import View
@@ -70,7 +71,7 @@ def test_masked_pixels_do_not_count(seen, tmp_path):
     write_image(tmp_path / "mask.png", np.repeat(mask[:, :, None], 3, 2))
     results = []
     for value in (0, 255):
-        photo = np.array(view.photo())
+        photo = np.array(read_photo(view))
         photo[:, 60:] = value
         write_image(tmp_path / "b.png", photo)
         masked = replace(view, source=tmp_path / "b.png", mask=tmp_path / "mask.png")

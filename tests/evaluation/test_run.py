@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from clsplat.api.run import Run
+from clsplat.api.score import Score
 from clsplat.cli.evaluate import summary
 from clsplat.cli.main import main
 from clsplat.errors import InputError
 from clsplat.evaluation import run as run_module
 from clsplat.evaluation.metrics import psnr
-from clsplat.evaluation.run import Run, to_render
-from clsplat.evaluation.score import Score
+from clsplat.evaluation.run import to_render
 from clsplat.evaluation.views import evaluate_run, photo_of, render_view
 from clsplat.gaussians import Gaussians
 from clsplat.io.models.formats import write_model

@@ -28,7 +28,7 @@ def page_of(shown):
 
 
 def test_a_model_shows_its_page_in_a_frame():
-    shown = ground()._repr_html_()
+    shown = model_frame(ground())
     assert shown.startswith("<iframe srcdoc=") and 'sandbox="allow-scripts"' in shown
     assert page_of(shown).lstrip().lower().startswith("<!doctype html>")
     assert "<p>500 gaussians, SH degree 1</p>" in shown
@@ -76,7 +76,7 @@ def test_up_is_the_thin_side(axes, up):
 @pytest.mark.slow
 def test_the_frame_is_drawn(tmp_path):
     """The sandbox of the frame lets its scripts and its worker run."""
-    shown = ground()._repr_html_()
+    shown = model_frame(ground())
     said = html.escape("""<script>setInterval(() => {
         if (viewer?.ordered) parent.postMessage("drawn", "*"); }, 100);</script>""")
     shown = shown.replace('" sandbox', f'{said}" sandbox')

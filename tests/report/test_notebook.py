@@ -9,6 +9,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.evaluation.score import Score
 from clsplat.io.photos.images import write_image
+from clsplat.report.notebook import scene_page, view_card
 from clsplat.scene import Scene, View
 from tests.report.test_survey_hostile import flight, words_of
 
@@ -32,11 +33,11 @@ def test_objects_are_one_short_line(photo):
 
 
 def test_a_view_shows_its_photo_and_its_camera(photo):
-    html = View("a <b>.jpg", CAMERA, photo)._repr_html_()
+    html = view_card(View("a <b>.jpg", CAMERA, photo))
     assert "data:image/jpeg;base64," in html and "width=64 height=48" in html
     assert "a &lt;b&gt;.jpg<br>64 x 48, focal length 50 pixels" in words_of(html)
     large = replace(CAMERA, width=6400, height=4800, focal=(5e3, 5e3))
-    assert "width=320 height=240" in View("a", large, photo)._repr_html_()  # never the whole photo
+    assert "width=320 height=240" in view_card(View("a", large, photo))  # never the whole photo
 
 
 @pytest.mark.parametrize("change", [
@@ -44,7 +45,7 @@ def test_a_view_shows_its_photo_and_its_camera(photo):
     {"source": Path(__file__).parent}, {"name": "\udcff.jpg", "source": b""},
     {"name": "x" * 5000, "source": Path("gone.jpg")}], ids=range(6))
 def test_a_view_without_its_photo_shows_the_rest(change, photo):
-    html = replace(View("a.jpg", CAMERA, photo), **change)._repr_html_()
+    html = view_card(replace(View("a.jpg", CAMERA, photo), **change))
     assert "<em>" in html and "focal length 50" in html
     html.encode()  # a notebook stores UTF-8
     words_of(html)
@@ -52,7 +53,7 @@ def test_a_view_without_its_photo_shows_the_rest(change, photo):
 
 def test_a_part_of_a_photo_is_shown(photo):
     part = View("a.jpg", CAMERA.cropped(8, 8, 40, 32), photo)
-    assert "width=32 height=24" in part._repr_html_()
+    assert "width=32 height=24" in view_card(part)
 
 
 @pytest.mark.parametrize("count, photos", [(0, 0), (1, 1), (12, 12), (13, 7), (60, 12)])
@@ -60,7 +61,7 @@ def test_a_part_of_a_photo_is_shown(photo):
 def test_a_scene_shows_a_map_and_some_photos(count, photos, photo):
     scene = flight(max(1, count))
     scene = replace(scene, views=tuple(replace(view, source=photo) for view in scene.views[:count]))
-    html = scene._repr_html_()
+    html = scene_page(scene)
     words_of(html)
     assert html.count("<figure") == photos and ("<picture>" in html) is (count > 0)
     if count:
@@ -69,4 +70,4 @@ def test_a_scene_shows_a_map_and_some_photos(count, photos, photo):
 
 def test_a_scene_without_points_and_photos_shows_its_cameras():
     scene = Scene("<s>", flight(3).views, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    assert "&lt;s&gt;" in words_of(scene._repr_html_())
+    assert "&lt;s&gt;" in words_of(scene_page(scene))

@@ -8,6 +8,7 @@ import pytest
 from clsplat.evaluation.views import evaluate_views
 from clsplat.gaussians import Gaussians
 from clsplat.io.photos.images import encode_image
+from clsplat.io.photos.views import read_photo
 from clsplat.io.scenes.read import read_scene
 from clsplat.loss.term import TrainingSample
 from clsplat.options import TrainOptions
@@ -27,7 +28,7 @@ def masked_city(every, fill):
     scene = read_scene(CITY)
     rng, views = np.random.default_rng(fill), []
     for number, view in enumerate(scene.views):
-        pixels = view.photo()
+        pixels = read_photo(view)
         if number % every == 0:
             valid = np.ones(pixels.shape[:2], bool)
             valid[60:160, 40:200] = False

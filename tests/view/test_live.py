@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clsplat.api.run import Run
 from clsplat.estimate.trial_steps import sampled
-from clsplat.evaluation.run import Run
 from clsplat.evaluation.streamed import Streaming
 from clsplat.evaluation.views import render_view
 from clsplat.export.page import view_record
@@ -222,7 +222,8 @@ def test_a_page_goes_on_after_a_frame_that_cannot_be_drawn(city, monkeypatch):
     def no_memory(*_):
         raise MemoryError("too large")
     model = sampled(city, 9, 0)
-    run = SimpleNamespace(model=model, options=options_of(near=1.0), first_view=city.first_view,
+    folder = SimpleNamespace(has_model=True, load_model=lambda: model)
+    run = SimpleNamespace(folder=folder, options=options_of(near=1.0), first_view=city.first_view,
                           up=city.up, path=Path("run"), record={}, scene=lambda _: city)
     monkeypatch.setattr(live, "open_model", lambda *_: (None, None))
     monkeypatch.setattr(FrameRequest, "draw", no_memory)

@@ -26,6 +26,7 @@ from clsplat.evaluation.metrics import psnr
 from clsplat.evaluation.run import Run
 from clsplat.export.map_grid import TILE, map_grid
 from clsplat.export.orthophoto import MapPainter
+from clsplat.io.photos.views import read_photo
 from clsplat.rendering.slabs import open_model
 
 WINDOW, LEVEL = 33, 12  # flat: heights in a square of WINDOW pixels differ by less than LEVEL
@@ -116,7 +117,7 @@ def mean_photo(scene, grid, heights):
         size = view.camera.width, view.camera.height
         inside = (depths > 0) & (pixels > 1).all(1) & (pixels < np.subtract(size, 1)).all(1)
         if inside.any():
-            total[inside] += sampled(view.photo() / 255, pixels[inside])
+            total[inside] += sampled(read_photo(view) / 255, pixels[inside])
             number += inside
     return (total / np.maximum(number, 1)[:, None]).reshape(*shape, 3), number.reshape(shape)
 
@@ -156,7 +157,7 @@ def distances(scene, grid, colours, heights):
             continue
         image = photos.setdefault(view.name, None)
         if image is None:
-            image = photos[view.name] = view.photo().mean(axis=-1)[..., None] / 255
+            image = photos[view.name] = read_photo(view).mean(axis=-1)[..., None] / 255
         rows, columns = (each.ravel() for each in np.mgrid[
             row - PATCH:row + PATCH + 1, column - PATCH:column + PATCH + 1])
         places = local_places(scene, grid, rows, columns,

@@ -118,12 +118,6 @@ def test_unknown_suffix(tmp_path):
         write_model(tmp_path / "a.obj", random_gaussians())
 
 
-def test_load_and_save(tmp_path):
-    gaussians = model()
-    gaussians.save(tmp_path / "a.glb")
-    compare(Gaussians.load(tmp_path / "a.glb"), gaussians, BOUNDS[".glb"])
-
-
 @pytest.mark.parametrize("suffix", [".spz", ".sog", ".compressed.ply"])
 def test_unused_harmonics_are_not_written(tmp_path, suffix):
     gaussians = model(50, 3)

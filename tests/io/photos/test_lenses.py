@@ -9,6 +9,7 @@ from clsplat.errors import InputError
 from clsplat.io.photos.brown import NAME, Brown
 from clsplat.io.photos.images import write_image
 from clsplat.io.photos.lenses import FACES, undistorted_model
+from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.io.scenes.colmap_format import CAMERA_MODELS, PINHOLES
 from clsplat.scene import View
 
@@ -69,7 +70,7 @@ def views_of(arrays, source):
 def check_colours(view, share=1.0):
     """Whether the undistorted photo shows what the view's pinhole camera sees, in a share of its
     pixels; returns how many count."""
-    found, valid = view.photo(), view.valid()
+    found, valid = read_photo(view), read_valid(view)
     camera = view.camera
     assert found.shape == (camera.height, camera.width, 3)
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)

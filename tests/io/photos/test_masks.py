@@ -6,6 +6,7 @@ from PIL import Image
 
 from clsplat.errors import InputError
 from clsplat.io.photos.images import write_image
+from clsplat.io.photos.views import read_valid
 from clsplat.io.scenes.packed import read_packed, write_packed
 from clsplat.io.scenes.read import read_scene
 from clsplat.training.photos import decode
@@ -34,7 +35,7 @@ def test_a_mask_is_found_by_name(folder, name):
     scene = read_scene(folder)
     assert [view.mask is not None for view in scene.views] == [False, True, False, False]
     assert any("1 of 4 photos have a mask" in note for note in scene.notes)
-    assert np.array_equal(scene.views[1].valid(), half()) and scene.views[0].valid() is None
+    assert np.array_equal(read_valid(scene.views[1]), half()) and read_valid(scene.views[0]) is None
     planes = decode(scene.views[1])
     assert planes.shape == (4, HEIGHT, WIDTH) and np.array_equal(planes[3] == 255, half())
     assert not planes[3][~half()].any() and decode(scene.views[0]).shape[0] == 3
@@ -44,18 +45,18 @@ def test_a_reduced_pixel_counts_if_all_that_it_covers_do(folder):
     valid = np.ones((HEIGHT, WIDTH), bool)
     valid[7, 9] = False
     put_mask(folder, "photo_1.png", valid)
-    small = read_scene(folder).reduced(3).views[1].valid()
+    small = read_valid(read_scene(folder).reduced(3).views[1])
     expected = np.ones((HEIGHT // 3, WIDTH // 3), bool)
     expected[2, 3] = False
     assert np.array_equal(small, expected)
     put_mask(folder, "photo_1.png", np.ones((HEIGHT, WIDTH), bool))
-    assert read_scene(folder).views[1].valid() is None  # a mask of all is none
+    assert read_valid(read_scene(folder).views[1]) is None  # a mask of all is none
 
 
 def test_windows_take_their_part_of_a_mask(folder):
     put_mask(folder, "photo_1.png", half())
     part = read_scene(folder).cropped({"photo_1.png": (20, 2, 30, 12)}).views[1]
-    assert np.array_equal(part.valid(), half()[2:12, 20:30])
+    assert np.array_equal(read_valid(part), half()[2:12, 20:30])
 
 
 def test_transparent_pixels_do_not_count(folder):
@@ -66,7 +67,7 @@ def test_transparent_pixels_do_not_count(folder):
         np.arange(HEIGHT) > 5)[:, None])
     scene = read_scene(folder)
     assert any("1 of 4 photos have an alpha channel" in note for note in scene.notes)
-    assert np.array_equal(scene.views[2].valid(), half() & (np.arange(HEIGHT) > 5)[:, None])
+    assert np.array_equal(read_valid(scene.views[2]), half() & (np.arange(HEIGHT) > 5)[:, None])
 
 
 @pytest.mark.parametrize("downscale", [1, 2])
@@ -74,8 +75,9 @@ def test_masks_of_packed_scenes(folder, tmp_path, downscale):
     put_mask(folder, "photo_1.png", half())
     write_packed(read_scene(folder), tmp_path / "town.npz", downscale)
     packed = read_packed(tmp_path / "town.npz")
-    assert [view.valid() is None for view in packed.views] == [True, False, True, True]
-    assert np.array_equal(packed.views[1].valid(), half(WIDTH // downscale, HEIGHT // downscale))
+    assert [read_valid(view) is None for view in packed.views] == [True, False, True, True]
+    small = half(WIDTH // downscale, HEIGHT // downscale)
+    assert np.array_equal(read_valid(packed.views[1]), small)
 
 
 @pytest.mark.parametrize("spoil, words", [
@@ -89,4 +91,4 @@ def test_masks_that_do_not_fit(folder, spoil, words):
     (folder / "masks").mkdir()
     spoil(folder)
     with pytest.raises(InputError, match=words):
-        read_scene(folder).views[1].valid()
+        read_valid(read_scene(folder).views[1])

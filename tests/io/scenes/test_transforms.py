@@ -10,6 +10,7 @@ import pytest
 from clsplat.camera import Camera
 from clsplat.errors import InputError
 from clsplat.io.photos.images import read_image, write_image
+from clsplat.io.photos.views import read_photo, read_valid
 from clsplat.io.scenes.cloud import sample_points
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
@@ -220,7 +221,7 @@ def test_lenses(tmp_path, city, change, model, views):
         assert lens.parameters[4:] == (-0.1, 0, 0, 0.01)
     if model == "FULL_OPENCV":
         assert lens.parameters[4:] == (-0.1, 0, 0, 0, 0.01, 0, 0, 0)
-    assert scene.views[0].photo().shape[:2] == (scene.views[0].camera.height,
+    assert read_photo(scene.views[0]).shape[:2] == (scene.views[0].camera.height,
                                                 scene.views[0].camera.width)
 
 
@@ -234,7 +235,7 @@ def test_masks_that_frames_name(tmp_path, city):
     write_image(tmp_path / "stencils/a.png", valid)
     scene = read_scene(tmp_path)
     assert [view.mask is None for view in scene.views].count(False) == 1
-    assert np.array_equal(scene.views[0].valid(), valid[..., 0] == 1)
+    assert np.array_equal(read_valid(scene.views[0]), valid[..., 0] == 1)
 
 
 def tilted(table):
