@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from clsplat.evaluation.run import Run
-from clsplat.io.run import RunFolder
+from clsplat.io.runs.run import RunFolder
 from tools.studies.evidence import flags_after
 from tools.studies.runs import Scene
 
