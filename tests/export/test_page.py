@@ -294,10 +294,10 @@ def test_the_reader_stays_where_photos_looked(tmp_path, city):
     text = written(tmp_path / "page.html", city, colourful(city, 500), photos=photos)
     steps = """
       const view = page.viewer, camera = view.camera, surface = view.canvas, found = {};
-      const { ground, middle, reach, pitches } = camera.view;
+      const { middle, reach, pitches } = camera.view;
       const height = () => camera.position.reduce((sum, x, k) => sum + x * camera.up[k], 0);
       const away = () => Math.hypot(...camera.position.map((x, k) => x - middle[k]));
-      const inside = () => height() >= ground - 1e-3 && away() <= reach * 1.01
+      const inside = () => height() >= camera.ground(camera.position) - 1e-3 && away() <= reach * 1.01
         && camera.pitch >= pitches[0] - 1e-9 && camera.pitch <= pitches[1] + 1e-9;
       const moves = {
         "dragged up": () => camera.orbit(0, 0.3), "dragged down": () => camera.orbit(0.1, -0.3),
