@@ -139,7 +139,8 @@ def view_record(camera: Camera, up: NDArray[np.float64], points: NDArray[np.floa
             "centre": list(camera.centre), "rotation": camera.rotation.tolist(),
             "position": camera.position.tolist(), "up": up.tolist(), "distance": distance,
             "middle": (camera.position + distance * camera.rotation[2]).tolist(),
-            "reach": FARTHEST * distance, "ground": _ground(camera, up, points, CLEARANCE * distance),
+            "reach": FARTHEST * distance,
+            "ground": _ground(camera, up, points, CLEARANCE * distance),
             "pitches": np.radians([max(-90, pitches.min() - FREEDOM),
                                    min(90, pitches.max() + FREEDOM)]).tolist()}
 

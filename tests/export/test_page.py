@@ -298,7 +298,8 @@ def test_the_reader_stays_where_photos_looked(tmp_path, city):
       const height = () => camera.position.reduce((sum, x, k) => sum + x * camera.up[k], 0);
       const away = () => Math.hypot(...camera.position.map((x, k) => x - middle[k]));
       const inside = () => height() >= camera.ground(camera.position) - 1e-3
-        && away() <= reach * 1.01 && camera.pitch >= pitches[0] - 1e-9 && camera.pitch <= pitches[1] + 1e-9;
+        && away() <= reach * 1.01 && camera.pitch >= pitches[0] - 1e-9
+        && camera.pitch <= pitches[1] + 1e-9;
       const moves = {
         "dragged up": () => camera.orbit(0, 0.3), "dragged down": () => camera.orbit(0.1, -0.3),
         "looked up": () => camera.look(0.1, 0.5), "looked down": () => camera.look(0, -0.5),
