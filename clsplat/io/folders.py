@@ -45,6 +45,27 @@ def new_folder(path: Path) -> Iterator[Path]:
         raise
 
 
+def link_file(source: Path, place: Path, symbolic: bool = True) -> None:
+    """Link to a file, or copy it if the file system has no links; what is at the place stays.
+
+    Parameters
+    ----------
+    place : of the link; its folder is created.
+    symbolic : whether the link ends with its source; else it is a hard one.
+    """
+    make_folder(place.parent)
+    source = source.resolve()
+    if place.exists():
+        return
+    for link in (os.symlink, os.link) if symbolic else (os.link,):
+        with suppress(OSError):
+            link(source, place)
+            return
+    partial = place.with_name(place.name + PARTIAL)
+    shutil.copyfile(source, partial)
+    os.replace(partial, place)
+
+
 def remove_files(paths: list[Path], root: Path) -> None:
     """Remove files below `root`, then the folders that this leaves empty, `root` included."""
     for path in paths:

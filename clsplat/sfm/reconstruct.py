@@ -46,7 +46,7 @@ from clsplat.sfm.photos import (
 )
 from clsplat.sfm.progress import Progress
 from clsplat.sfm.record import reasons, record_of
-from clsplat.sfm.undistort import write_scene
+from clsplat.sfm.scene import write_scene
 from clsplat.sfm.unfinished import Unfinished
 from clsplat.sfm.video import check_video, extract_frames
 
@@ -144,8 +144,7 @@ def reconstruct(source: Path, output: Path, options: SfmOptions, progress: Progr
         mapped, matching = _mapped(unfinished, photos, refused, cameras, options, times, progress,
                                    is_video(source))
         model, placed, refused_place = _placed(mapped, unfinished, photos, cameras, control)
-        unfinished.keep_photos_of(model)
-        with times.of("undistortion"):
+        with times.of("scene"):
             names = write_scene(output, model, photos, progress)
         write_orientation(output, placed.up)
         write_georeference(output, placed.georeference)

@@ -2,10 +2,10 @@
 
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pycolmap
 
 from clsplat.errors import InputError
@@ -19,7 +19,6 @@ from clsplat.sfm.photos import UNFINISHED, SourcePhoto
 from clsplat.sfm.video import DONE as FRAMES_DONE
 
 STATE, MODEL, MAPPED = "state.json", "model", "mapped.json"
-CAMERAS = "cameras.json"  # those for which photos are undistorted
 
 
 class Unfinished:
@@ -59,8 +58,9 @@ class Unfinished:
         path = self.folder / STATE
         self.folder.mkdir(exist_ok=True)
         if path.exists():
-            if self._recorded(STATE) == state:
-                return True
+            with suppress(OSError, ValueError):
+                if object_of(read_regular(path)) == state:
+                    return True
             if not overwrite:
                 raise InputError(f"{self.folder.parent}: holds an unfinished reconstruction of "
                                  "other photos or with other options; give another folder, or "
@@ -70,13 +70,6 @@ class Unfinished:
         write_object(path, state)
         return False
 
-    def _recorded(self, name: str) -> dict[str, Any]:
-        """The object of a JSON file of the folder; {} if it is missing or damaged."""
-        try:
-            return object_of(read_regular(self.folder / name))
-        except (OSError, ValueError):
-            return {}
-
     def _forget(self) -> None:
         """Remove everything but the frames of a video, the state first."""
         (self.folder / STATE).unlink(missing_ok=True)
@@ -84,9 +77,6 @@ class Unfinished:
             if path.is_file() and path.name != FRAMES_DONE:
                 path.unlink()
         shutil.rmtree(self.folder / MODEL, ignore_errors=True)
-        self._forget_photos()
-
-    def _forget_photos(self) -> None:
         for name in (IMAGES, MASKS, "sparse"):
             shutil.rmtree(self.folder.parent / name, ignore_errors=True)
 
@@ -108,19 +98,6 @@ class Unfinished:
         kept = self.folder / MODEL
         record = object_of(read_regular(kept / MAPPED))
         return Mapped(pycolmap.Reconstruction(kept), record["method"], tuple(record["elsewhere"]))
-
-    def keep_photos_of(self, reconstruction: Any) -> None:
-        """Remove the photos of the scene that an earlier command has undistorted for other cameras,
-        such as those before ground control points were corrected."""
-        cameras = {str(number): [camera.model_name, camera.params.tolist()]
-                   for number, camera in reconstruction.cameras.items()}
-        known = self._recorded(CAMERAS)
-        # two adjustments in several threads differ in the last digits
-        if known.keys() != cameras.keys() or not all(
-                known[key][0] == model and np.allclose(known[key][1], values, rtol=1e-6)
-                for key, (model, values) in cameras.items()):
-            self._forget_photos()
-            write_object(self.folder / CAMERAS, cameras)
 
     def remove(self) -> None:
         """Remove the folder, when the scene is complete."""

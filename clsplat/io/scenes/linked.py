@@ -1,7 +1,5 @@
 """A part of a scene as a folder of its own, whose photos are links."""
 
-import os
-import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from clsplat.errors import InputError
+from clsplat.io.folders import link_file
 from clsplat.io.georeference.files import write_placement
 from clsplat.io.photos.images import encode_image, read_image
 from clsplat.io.photos.mask_files import MASKS
@@ -39,8 +38,7 @@ def write_linked(folder: Path, scene: Scene) -> None:
     write_colmap(folder / "sparse" / "0", views, points, scene.colours,
                  Tracks(known[:, 0], known[:, 1], pixels))
     for photo, link in _photo_links(folder, views):
-        link.parent.mkdir(parents=True, exist_ok=True)
-        _link(photo, link)
+        link_file(photo, link)
     for view in views:
         if view.levels:  # those of the whole scene, not those of a part
             link = folder / "images" / view.name
@@ -69,16 +67,4 @@ def link_again(folder: Path, views: Iterable[View]) -> None:
             except OSError as error:
                 raise InputError(f"{link}: cannot be replaced ({error.strerror}); check that its "
                                  "folder may be written") from None
-            _link(photo, link)
-
-
-def _link(photo: Path, link: Path) -> None:
-    """Link to a photo, or copy it if the file system has no links."""
-    source = photo.resolve()
-    try:
-        link.symlink_to(source)
-    except OSError:
-        try:
-            os.link(source, link)
-        except OSError:
-            shutil.copyfile(source, link)
+            link_file(photo, link)

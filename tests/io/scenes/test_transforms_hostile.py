@@ -7,7 +7,8 @@ import pytest
 
 from clsplat.errors import InputError
 from clsplat.io.photos.lenses import pixel_map
-from clsplat.io.scenes.read import read_scene, transforms
+from clsplat.io.scenes import transforms
+from clsplat.io.scenes.read import read_scene
 from tests.data.layouts import every_fourth, write_transforms
 from tests.io.scenes.test_transforms import CITY, changed, first
 from tests.io.shared_cases import CASES, needs_cases
