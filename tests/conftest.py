@@ -127,6 +127,15 @@ class ExactBuffers:
         return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
 
+@pytest.fixture(scope="session")
+def city():
+    """The scene of data_samples/city, read."""
+    from clsplat.io.scenes.read import read_scene
+    from tests.data.tiny_training import CITY
+
+    return read_scene(CITY)
+
+
 @pytest.fixture
 def device(request, opened):
     return _open(request, opened)

@@ -12,13 +12,7 @@ from clsplat.io.scenes.colmap_write import Tracks, write_colmap
 from clsplat.io.scenes.packed import write_packed
 from clsplat.io.scenes.read import read_scene
 from clsplat.scene import View
-from tests.data.tiny_training import CITY
 from tests.io.photos.test_metadata import photo
-
-
-@pytest.fixture(scope="module")
-def city():
-    return read_scene(CITY)
 
 
 def held_out(scene, *division):

@@ -1,1 +1,1 @@
-"""Hostile cases, two processes at once, full disks and interrupts: see README.md here."""
+"""Hostile files and extreme numbers: one case a class; the campaign is marked `nightly`."""

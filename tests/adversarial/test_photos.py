@@ -93,10 +93,6 @@ def twelve_bits(path):
         ">u2").tobytes())
 
 
-def text_netpbm(path):
-    path.write_text("P3\n# a comment\n32 24\n255\n" + " ".join(map(str, PICTURE.ravel())))
-
-
 PALETTE = Image.fromarray(PICTURE).quantize(256)
 FEW = np.asarray(PALETTE.convert("RGB"))
 ONE_BIT = np.repeat((PICTURE[..., :1] > 127) * np.uint8(255), 3, axis=2)
@@ -104,78 +100,39 @@ BIG = np.tile(PICTURE, (4, 4, 1))
 
 # name -> (file name, writes it, what it shows, grey levels it may be off on average)
 READ = {
-    "baseline": ("a.jpg", pillow(quality=95, subsampling=0), PICTURE, 1.5),
     "progressive": ("a.jpg", pillow(quality=95, progressive=True, subsampling=0), PICTURE, 1.5),
-    "restart intervals": ("a.jpg", pillow(quality=95, subsampling=0, restart_marker_rows=1),
-                          PICTURE, 1.5),
     "CMYK JPEG": ("a.jpg", pillow("CMYK", quality=95), PICTURE, 2),
     "grey JPEG": ("a.jpg", pillow(array=PICTURE[..., 0], mode="L", quality=95), GREY, 1.5),
-    "upper case suffix": ("a.JPG", pillow(quality=95, subsampling=0), PICTURE, 1.5),
-    "no suffix": ("photo", under_another_suffix(".png", pillow()), PICTURE, 0),
     "PNG called JPEG": ("a.jpg", under_another_suffix(".png", pillow()), PICTURE, 0),
-    "TIFF called PNG": ("a.png", under_another_suffix(".tif", tiff()), PICTURE, 0),
     "interlaced PNG": ("a.png", interlaced, PICTURE, 0),
     "1-bit PNG": ("a.png", pillow("1", (PICTURE[..., 0] > 127) * np.uint8(255)), ONE_BIT, 0),
-    "palette PNG": ("a.png", PALETTE.save, FEW, 0),
     "palette with transparency": ("a.png", lambda p: PALETTE.save(p, transparency=3), FEW, 0),
     "grey with alpha": ("a.png", lambda p: Image.fromarray(np.dstack(
         [PICTURE[..., :1], ALPHA]), "LA").save(p), GREY, 0),
     "alpha PNG": ("a.png", pillow("RGBA", np.dstack([PICTURE, ALPHA])), PICTURE, 0),
-    "alpha WebP": ("a.webp", pillow("RGBA", np.dstack([PICTURE, ALPHA]), lossless=True,
-                                    exact=True), PICTURE, 0),
-    "alpha TIFF": ("a.tif", tiff(np.dstack([PICTURE, ALPHA]), extrasamples=["unassalpha"]),
-                   PICTURE, 0),
     "16-bit PNG": ("a.png", library(PICTURE.astype(np.uint16) * 257, "uint16"), PICTURE, 0),
-    "ICC profile": ("a.png", pillow(icc_profile=b"\0" * 128), PICTURE, 0),
     "PNG of gamma 0.45": ("a.png", png(chunk(b"gAMA", struct.pack(">I", 45455))), PICTURE, 0),
     "linear PNG": ("a.png", png(chunk(b"gAMA", struct.pack(">I", 100000)), body=b"".join(
         b"\0" + row.tobytes() for row in (LIGHT * 255).round().astype(np.uint8))), PICTURE, 4),
-    "unknown chunk": ("a.png", png(chunk(b"teSt", b"x" * 70000)), PICTURE, 0),
-    "trailing bytes": ("a.png", lambda p: (pillow()(p), p.write_bytes(
-        p.read_bytes() + b"PK\3\4" * 999)), PICTURE, 0),
-    "EXIF of no sense": ("a.jpg", pillow(quality=95, subsampling=0, exif=exif(99)), PICTURE, 1.5),
     "EXIF turned": ("a.jpg", pillow(quality=95, subsampling=0, exif=exif(6)), PICTURE, 1.5),
     "TIFF in strips": ("a.tif", tiff(BIG, rowsperstrip=7), BIG, 0),
-    "tiled TIFF": ("a.tif", tiff(BIG, tile=(32, 48)), BIG, 0),
-    "planar TIFF": ("a.tif", tiff(BIG.transpose(2, 0, 1), planarconfig="separate"), BIG, 0),
     "tiled planar TIFF": ("a.tif", tiff(BIG.transpose(2, 0, 1), planarconfig="separate",
                                         tile=(32, 48)), BIG, 0),
-    "deflated TIFF": ("a.tif", tiff(BIG, compression="zlib", predictor=True), BIG, 0),
-    "big-endian TIFF": ("a.tif", tiff(byteorder=">"), PICTURE, 0),
-    "BigTIFF": ("a.tif", tiff(bigtiff=True), PICTURE, 0),
     "TIFF of pages": ("a.tif", tiff(np.stack([PICTURE, 255 - PICTURE])), PICTURE, 0),
-    "16-bit TIFF": ("a.tif", tiff(PICTURE.astype(np.uint16) * 257), PICTURE, 0),
-    "32-bit TIFF": ("a.tif", tiff(PICTURE.astype(np.uint32) * 16843009), PICTURE, 0),
     "white is zero": ("a.tif", tiff(255 - PICTURE[..., 0], "miniswhite"), GREY, 0),
-    "CMYK TIFF": ("a.tif", pillow("CMYK"), PICTURE, 1),
     "five channels": ("a.tif", tiff(np.dstack([PICTURE, PICTURE[..., :2]]),
                                     planarconfig="contig"), PICTURE, 0),
     "float TIFF": ("a.tif", tiff(LIGHT), PICTURE, 0.01),
-    "half TIFF": ("a.tif", tiff(LIGHT.astype(np.float16)), PICTURE, 0.1),
-    "deflated in one strip": ("a.tif", tiff(BIG, compression="zlib", rowsperstrip=96), BIG, 0),
-    "EXR": ("a.exr", library(LIGHT, "half"), PICTURE, 0.1),
     "EXR with alpha": ("a.exr", library(np.dstack([LIGHT, ALPHA / 255]).astype(np.float32),
                                         "float"), PICTURE, 0.01),
-    "EXR in tiles": ("a.exr", library(np.tile(LIGHT, (4, 4, 1)), "float", tiles=1), BIG, 0.01),
     "EXR of a layer": ("a.exr", library(LIGHT, "float", ("beauty.R", "beauty.G", "beauty.B")),
                        PICTURE, 0.01),
     "EXR of luminance": ("a.exr", library(LIGHT[..., :1].copy(), "float", ("Y",)), GREY, 0.01),
     "EXR that says sRGB": ("a.exr", library((PICTURE / 255).astype(np.float32), "float", **{
         "oiio:ColorSpace": "sRGB"}), PICTURE, 0.01),
-    "Radiance HDR": ("a.hdr", library(LIGHT, "float"), PICTURE, 2),
-    "portable float map": ("a.pfm", lambda p: p.write_bytes(
-        b"PF\n32 24\n-1.0\n" + LIGHT[::-1].tobytes()), PICTURE, 0.01),
     "netpbm of 12 bits": ("a.ppm", twelve_bits, PICTURE, 0.5),
-    "netpbm as text": ("a.ppm", text_netpbm, PICTURE, 0),
-    "bitmap": ("a.bmp", pillow(), PICTURE, 0),
-    "Targa": ("a.tga", pillow(compression="tga_rle"), PICTURE, 0),
-    "JPEG 2000": ("a.jp2", pillow(), PICTURE, 0),
-    "JPEG XL": ("a.jxl", library(PICTURE, "uint8"), PICTURE, 1),
     "animated GIF": ("a.gif", lambda p: PALETTE.save(
         p, save_all=True, append_images=[PALETTE.rotate(180)]), FEW, 0),
-    "animated WebP": ("a.webp", lambda p: Image.fromarray(PICTURE).save(
-        p, save_all=True, append_images=[Image.fromarray(255 - PICTURE)], lossless=True),
-        PICTURE, 0),
 }
 
 
@@ -234,55 +191,27 @@ BAD[3, 4, 1] = np.nan
 # name -> (file name, writes it, words of the line)
 REFUSED = {
     "nothing": ("a.jpg", lambda p: None, ("no such image",)),
-    "empty": ("a.png", lambda p: p.write_bytes(b""), ("not an image",)),
-    "one byte": ("a.png", lambda p: p.write_bytes(b"\x89"), ("not an image",)),
     "text": ("a.jpg", lambda p: p.write_text("hello"), ("not an image", "convert it")),
-    "a web page": ("a.jpg", lambda p: p.write_text("<!doctype html>" * 99), ("not an image",)),
-    "zeros": ("a.jpg", lambda p: p.write_bytes(bytes(9999)), ("not an image",)),
-    "a Git LFS pointer": ("a.jpg", lambda p: p.write_text(
-        "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n"), ("not an image",)),
     "a folder": ("a.png", lambda p: p.mkdir(), ("a folder",)),
     "a pipe": ("a.png", os.mkfifo if hasattr(os, "mkfifo") else None, ("a pipe",)),
     "a device": ("a.png", lambda p: p.symlink_to("/dev/zero"), ("a device",)),
-    "a link to itself": ("a.png", lambda p: p.symlink_to(p), ("cannot be read",)),
-    "a broken link": ("a.png", lambda p: p.symlink_to("gone"), ("no such image",)),
-    "a file as folder": ("b/a.png", lambda p: p.parent.write_text(""), ("cannot be read",)),
     "null format": ("a.null", lambda p: p.write_bytes(b"x"), ("null are not read",)),
     "DPX": ("a.dpx", library(PICTURE, "uint8"), ("format dpx", "convert it")),
-    "an icon": ("a.ico", pillow(), ("format ico", "convert it")),
-    "PNG of 2^31 x 2^31": ("a.png", claims(2**31 - 1, 2**31 - 1), ("a.png", ";")),
     "PNG of 60000 x 60000": ("a.png", claims(60000, 60000), ("a.png", ";")),
-    "PNG of no height": ("a.png", claims(32, 0), ("a.png", ";")),
     "PNG taller than its data": ("a.png", claims(32, 48), ("damaged or cut short",)),
-    "PNG wider than its data": ("a.png", claims(64, 24), ("damaged or cut short",)),
-    "PNG cut": ("a.png", cut(library(NOISE, "uint8"), 0.6), ("cut short",)),
     "interlaced PNG cut": ("a.png", cut(interlaced, 0.6), ("cut short",)),
     "PNG bit flipped": ("a.png", damaged(library(NOISE, "uint8"), lambda d: (
         d[:4000] + bytes([d[4000] ^ 255]) + d[4001:])), ("damaged or cut short",)),
-    "JPEG cut": ("a.jpg", cut(pillow(array=NOISE), 0.7), ("cut short",)),
     "progressive JPEG cut": ("a.jpg", cut(pillow(array=NOISE, progressive=True), 0.7),
                              ("cut short",)),
-    "JPEG header only": ("a.jpg", cut(pillow(array=NOISE), 0.03), ("a.jpg", ";")),
-    "WebP cut": ("a.webp", cut(pillow(array=NOISE, lossless=True), 0.6), ("a.webp", ";")),
-    "GIF cut": ("a.gif", cut(pillow("P", NOISE), 0.4), ("a.gif", ";")),
-    "TIFF cut": ("a.tif", cut(tiff(NOISE), 0.6), ("a.tif", ";")),
     "TIFF of 2^31 rows": ("a.tif", tiff_claims(257, 2**31 - 1), ("a.tif", ";")),
-    "TIFF of no width": ("a.tif", tiff_claims(256, 0), ("a.tif", ";")),
-    "TIFF strip elsewhere": ("a.tif", tiff_claims(273, 2**32 - 9), ("a.tif", ";")),
     "Lab TIFF": ("a.tif", tiff(photometric="cielab"), ("CIELAB", "convert it to RGB")),
-    "ICC Lab TIFF": ("a.tif", tiff(photometric="icclab"), ("a.tif", ";")),
     "EXR of depth": ("a.exr", library(LIGHT[..., :1].copy(), "float", ("Z",)), ("channels are Z",)),
-    "EXR of normals": ("a.exr", library(LIGHT, "float", ("N.X", "N.Y", "N.Z")), ("N.X",)),
     "EXR with NaN": ("a.exr", library(BAD, "float"), ("1 of its samples", "NaN")),
-    "float TIFF with NaN": ("a.tif", tiff(BAD), ("1 of its samples", "NaN")),
     "double TIFF": ("a.tif", tiff(LIGHT.astype(np.float64)), ("64 bits", "convert it")),
     "TIFF in LZMA": ("a.tif", tiff(compression="lzma"), ("LZMA", "convert it")),
-    "EXR cut": ("a.exr", cut(library(NOISE / np.float32(255), "float"), 0.6), ("a.exr", ";")),
-    "netpbm cut": ("a.ppm", cut(pillow(array=NOISE), 0.6), ("a.ppm", ";")),
     "netpbm of huge size": ("a.ppm", lambda p: p.write_bytes(b"P6 99999999 99999999 255\n"),
                             ("a.ppm", ";")),
-    "bitmap of huge size": ("a.bmp", damaged(pillow(), lambda d: (
-        d[:18] + struct.pack("<ii", 2**30, 2**30) + d[26:])), ("a.bmp", ";")),
 }
 
 
@@ -302,15 +231,14 @@ def test_refused_in_one_line(tmp_path, case):
 
 def test_what_a_header_says(tmp_path):
     found = {}
-    for case in ("EXR", "float TIFF", "linear PNG", "PNG of gamma 0.45", "alpha PNG", "16-bit PNG",
-                 "animated GIF", "EXIF turned", "five channels", "palette with transparency"):
+    for case in ("EXR with alpha", "linear PNG", "PNG of gamma 0.45", "alpha PNG", "EXIF turned",
+                 "five channels", "palette with transparency"):
         name, write, _, _ = READ[case]
         write(tmp_path / name)
         with opened(tmp_path / name) as photo:
             found[case] = photo.linear, photo.has_alpha, photo.orientation, photo.extra
     assert found == {
-        "EXR": (True, False, 1, 0), "float TIFF": (True, False, 1, 0),
-        "linear PNG": (True, False, 1, 0), "PNG of gamma 0.45": (False, False, 1, 0),
-        "alpha PNG": (False, True, 1, 0), "16-bit PNG": (False, False, 1, 0),
-        "animated GIF": (False, False, 1, 0), "EXIF turned": (False, False, 6, 0),
-        "five channels": (False, False, 1, 2), "palette with transparency": (False, True, 1, 0)}
+        "EXR with alpha": (True, True, 1, 0), "linear PNG": (True, False, 1, 0),
+        "PNG of gamma 0.45": (False, False, 1, 0), "alpha PNG": (False, True, 1, 0),
+        "EXIF turned": (False, False, 6, 0), "five channels": (False, False, 1, 2),
+        "palette with transparency": (False, True, 1, 0)}

@@ -7,17 +7,10 @@ import pytest
 
 from clsplat.camera import Camera
 from clsplat.gaussians import Gaussians
-from clsplat.io.scenes.read import read_scene
 from clsplat.partition.blocks import block_start, filled, largest_sizes, seen_pixels
 from clsplat.partition.region import Region, Space
 from clsplat.scene import Scene, View
-from tests.data.tiny_training import CITY
 from tests.training.test_block import region_of
-
-
-@pytest.fixture(scope="module")
-def city():
-    return read_scene(CITY)
 
 
 def test_shares_of_pixels_add_up(city):

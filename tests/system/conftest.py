@@ -1,15 +1,8 @@
-"""What the system tests share: the sample city, one device in its item form, and a run."""
-
+"""What the system tests share: a run of the whole method."""
 
 import pytest
 
-from clsplat.io.scenes.read import read_scene
-from tests.data.tiny_training import CITY, LEVELLED, trained
-
-
-@pytest.fixture(scope="session")
-def city():
-    return read_scene(CITY)
+from tests.data.tiny_training import LEVELLED, trained
 
 
 @pytest.fixture(scope="session")

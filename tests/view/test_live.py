@@ -17,22 +17,16 @@ from clsplat.export.page import view_record
 from clsplat.io.models.tree import TREE
 from clsplat.io.photos.images import read_image
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.read import read_scene
 from clsplat.rendering.slabs import open_model
 from clsplat.training.loop import train
 from clsplat.view import live
 from clsplat.view.frames import FrameRequest
 from clsplat.view.live import TrainingView, live_page, show_run
 from tests.data.made_tree import write_tree
-from tests.data.tiny_training import CITY, LEVELLED, model_digest, options_of
+from tests.data.tiny_training import LEVELLED, model_digest, options_of
 from tests.export.browser import answer_of, needs_chromium
 
 FRAME = (64, 48)
-
-
-@pytest.fixture(scope="module")
-def city():
-    return read_scene(CITY)
 
 
 def record_of(camera):

@@ -16,7 +16,7 @@ from clsplat.scene import Scene, View
 from tests import cases
 from tests.adversarial.extreme.cases import EPSILON, ORDINARY, plain
 from tests.checks import close
-from tests.kernels.chain import camera_of, depth_order, precision_of, upload_rows
+from tests.kernels.chain import camera_of, depth_order, upload_rows
 from tests.reference.blend import blend
 from tests.reference.project import project
 
@@ -99,7 +99,7 @@ def test_utm_coordinates_are_restored_by_export(utm, tmp_path):
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_one_camera_or_several_at_one_place(device, count):
+def test_one_camera_or_several_at_one_place(float_device, count):
     """The extent, which cameras give, falls back to the cloud: the near plane stays before it."""
     points, colours, seen_by = cloud()
     scene = as_scene(points, colours, *[seen_by] * count).recentred()
@@ -111,7 +111,7 @@ def test_one_camera_or_several_at_one_place(device, count):
         {name: values.astype(np.float64) for name, values in gaussians.rows.items()},
         {**seen_by, "translation": camera.translation})
     assert expected.max() > 0.1
-    close(rendered(device, gaussians, camera), expected, precision_of(device), "one camera")
+    close(rendered(float_device, gaussians, camera), expected, "float", "one camera")
 
 
 def on_a_line(points):
@@ -120,13 +120,7 @@ def on_a_line(points):
 
 CLOUDS = {
     "duplicates": lambda points: np.concatenate([points, points, points[:5]]),
-    "all but one at one place": lambda points: np.where(
-        np.arange(len(points))[:, None] > 0, points[1], points),
-    "each four times, 1e-12 apart": lambda points: np.concatenate(
-        [points + k * 1e-12 for k in range(4)]),
-    "on a line": on_a_line,
     "on a line, duplicates": lambda points: np.repeat(on_a_line(points), 3, axis=0),
-    "in a plane": lambda points: points * [1, 1, 0] + [0, 0, 5],
     "1e-9 wide": lambda points: points[0] + (points - points[0]) * 1e-9 / 5,
     "1e9 wide": lambda points: points * 1e9 / 5,
 }

@@ -7,33 +7,22 @@ import numpy as np
 import pytest
 
 from clsplat.errors import InputError
-from clsplat.gaussians import mean_inverse_distance, neighbour_distance
 from clsplat.io.models.ply import read_ply, write_ply
-from clsplat.io.scenes.read import read_scene
 from clsplat.training import step
 from clsplat.training.frequency import scene_frequency
 from clsplat.training.initialise import initial_gaussians
 from clsplat.training.scene_checks import find_warnings
 from tests.adversarial.extreme import stiff
-from tests.adversarial.extreme.stiff import CASES, copies_of_a_view, moved, rescaled
-from tests.data.tiny_training import CITY, LEVELLED, options_of, records, trained
+from tests.adversarial.extreme.stiff import CASES, rescaled
+from tests.data.tiny_training import LEVELLED, options_of, records, trained
 
 SCHEDULES = {"constant": {"reset_every": 0}, "sig": {**LEVELLED, "reproject": "auto"}}
 STEPS = 200
-SLOW = pytest.mark.slow
 # nothing is left of these models, and what ends a training is said
 EMPTIED = {"transparent"}
-# where 600 steps take two levels and settle: rounding alone moves 0.01 dB at most
-SETTLED = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 600, "downscale": 4.0,
-           "densify_every": 0, "reset_every": 0, "prune_opacity": 0.005,
-           "pixels_per_gaussian": 10.0}
-GROWING = {**SETTLED, "iterations": 200, "pixels_per_gaussian": 20.0, "rounds": 3,
-           "densify_from": 20, "level_reset": False}
-
-
-@pytest.fixture(scope="module")
-def city():
-    return read_scene(CITY)
+GROWING = {"schedule": "sig", "levels": (2.0, 1.0), "iterations": 200, "downscale": 4.0,
+           "densify_every": 0, "reset_every": 0, "prune_opacity": 0.005, "rounds": 3,
+           "pixels_per_gaussian": 20.0, "densify_from": 20, "level_reset": False}
 
 
 def prepared(city, case, schedule, folder):
@@ -47,7 +36,7 @@ def prepared(city, case, schedule, folder):
     return scene, options
 
 
-@SLOW
+@pytest.mark.nightly
 @pytest.mark.parametrize("name, schedule", list(zip(CASES, itertools.cycle(SCHEDULES))))
 def test_stiff(city, item_device, tmp_path, monkeypatch, name, schedule):
     case = CASES[name]
@@ -73,10 +62,7 @@ def test_stiff(city, item_device, tmp_path, monkeypatch, name, schedule):
         assert losses[-1] < case.falls_to * losses[0], losses
 
 
-@pytest.mark.parametrize("name", [
-    pytest.param(name, marks=SLOW if name.startswith("crowd_") else ()) for name in CASES
-    if CASES[name].expects in ("learns", "survives")])
-@pytest.mark.one_in(5)
+@pytest.mark.parametrize("name", [name for name in CASES if CASES[name].warns])
 def test_what_cannot_be_good_is_said(city, tmp_path, name):
     case = CASES[name]
     scene, options = prepared(city, case, "constant", tmp_path)
@@ -92,28 +78,10 @@ def test_what_cannot_be_good_is_said(city, tmp_path, name):
 # --- units and places
 
 
-@SLOW
-def test_neither_unit_nor_place_matters(city, item_device, tmp_path):
-    runs = {name: (trained(tmp_path / name, scene, item_device, **SETTLED), factor)
-            for name, scene, factor in (
-                ("base", city, 1), ("x1000", rescaled(city, 1000), 1000),
-                ("utm", moved(city, [5e6, 5e6, 5e6]), 1))}
-    psnr = {name: records(run, "eval")[-1]["psnr"] for name, (run, _) in runs.items()}
-    assert psnr["base"] > 22.5
-    assert max(psnr.values()) - min(psnr.values()) < 0.03, psnr
-    levels = {name: [(r["iteration"], r["reason"], r["rounds"]) for r in records(run, "level")]
-              for name, (run, _) in runs.items()}
-    assert len(levels["base"]) == 1 and all(found == levels["base"] for found in levels.values())
-    frequency = {name: factor * records(run, "level")[0]["frequency"]
-                 for name, (run, factor) in runs.items()}
-    assert np.allclose(list(frequency.values()), frequency["base"], rtol=1e-4), frequency
-
-
-@SLOW
-@pytest.mark.parametrize("factor", [1e-3, 1000.0])
-def test_the_unit_changes_no_bit_even_of_growth(city, item_device, tmp_path, factor):
+@pytest.mark.slow
+def test_the_unit_changes_no_bit_even_of_growth(city, item_device, tmp_path):
     """Rounding alone moves such a run by 0.3 dB."""
-    thin = stiff.thinned(city, 2)
+    thin, factor = stiff.thinned(city, 2), 1000.0
     runs = [trained(tmp_path / name, scene, item_device, **GROWING)
             for name, scene in (("one", thin), ("other", rescaled(thin, factor)))]
     one, other = (read_ply(run.path / "point_cloud.ply") for run in runs)
@@ -126,7 +94,7 @@ def test_the_unit_changes_no_bit_even_of_growth(city, item_device, tmp_path, fac
     assert psnr[0] == psnr[1]
 
 
-@pytest.mark.parametrize("factor", [1e-9, 1e-3, 1000.0, 1e12])
+@pytest.mark.parametrize("factor", [1e-9, 1000.0])
 def test_a_normalised_scene_is_the_same_in_any_unit(city, factor):
     one, other = city.normalised(), rescaled(city, factor).normalised()
     assert one.extent == pytest.approx(1)
@@ -166,19 +134,3 @@ def test_frequencies_are_in_world_units(city, item_device):
 
 
 # --- what one bad point or camera must not decide
-
-
-def test_outliers_do_not_make_the_other_points_coincide(city):
-    bad = stiff.with_outliers(city, None)
-    assert np.ptp(bad.points, axis=0).max() > 1e6 * np.ptp(city.points, axis=0).min()
-    assert np.median(neighbour_distance(bad.points)[10:]) == pytest.approx(
-        np.median(neighbour_distance(city.points)[10:]), rel=0.01)
-    assert mean_inverse_distance(bad.points) == pytest.approx(
-        mean_inverse_distance(city.points), rel=0.02)
-
-
-def test_cameras_that_agree_but_for_rounding_do_not_shrink_the_scene(city):
-    alike = copies_of_a_view(city, 7)
-    away = np.linalg.norm(city.points - city.views[5].camera.position, axis=1)
-    assert alike.parallax < 1e-9 and city.parallax > 1
-    assert alike.extent == pytest.approx(np.median(away))

@@ -66,11 +66,6 @@ def fill(random, data, other):
         end - begin) + data[end:]
 
 
-def scramble(random, data, other):
-    begin, end = _span(random, data)
-    return data[:begin] + random.randbytes(end - begin) + data[end:]
-
-
 def truncate(random, data, other):
     return data[:random.randrange(len(data) + 1)]
 
@@ -83,11 +78,6 @@ def insert(random, data, other):
 def remove(random, data, other):
     begin, end = _span(random, data)
     return data[:begin] + data[end:]
-
-
-def duplicate(random, data, other):
-    begin, end = _span(random, data, 512)
-    return data[:end] + data[begin:end] * random.choice((1, 1, 3)) + data[end:]
 
 
 def splice(random, data, other):
@@ -108,7 +98,7 @@ def number(random, data, other):
     return data[:begin] + value + data[begin + len(value):]
 
 
-BYTES = (flip_bits, fill, scramble, truncate, insert, remove, duplicate, splice, number, number)
+BYTES = (flip_bits, fill, truncate, insert, remove, splice, number, number)
 
 
 def _replace_one(random, pattern, data, value):
@@ -129,14 +119,6 @@ def field(random, data, other):
     return _replace_one(random, FIELD, data, random.choice(WORDS))
 
 
-def swap_fields(random, data, other):
-    found = [match.span() for match in FIELD.finditer(data)]
-    if len(found) < 2:
-        return data
-    (a, b), (c, d) = sorted(random.sample(found, 2))
-    return data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:]
-
-
 def lines(random, data, other):
     """A line removed, repeated, moved, or taken from the other file."""
     rows = data.splitlines(keepends=True) or [b""]
@@ -155,7 +137,7 @@ def lines(random, data, other):
     return b"".join(rows)
 
 
-LINES = (text_number, text_number, field, swap_fields, lines, lines)
+LINES = (text_number, text_number, field, lines)
 
 
 def _inside_png(random, data):

@@ -31,7 +31,7 @@ class Reader:
 
 
 def usable(scene):
-    """A scene that was accepted can be trained: an assertion that fails is a fault."""
+    """A scene that was accepted can be trained."""
     assert scene.views and len(scene.points) == len(scene.colours)
     assert np.isfinite(scene.points).all() and np.isfinite(scene.offset).all()
     assert 0 < scene.extent < np.inf and scene.near_plane > 0
@@ -40,8 +40,7 @@ def usable(scene):
         numbers = (camera.width, camera.height, *camera.focal, *camera.centre)
         assert np.isfinite(numbers).all() and np.isfinite(camera.position).all()
         camera.reduced(2)
-        pixels = read_photo(view)
-        assert pixels.shape == (camera.height, camera.width, 3)
+        assert read_photo(view).shape == (camera.height, camera.width, 3)
     assert len(fingerprint(scene)) == 64
     if scene.observations is not None:
         assert scene.observations.min() >= 0

@@ -1,38 +1,60 @@
-"""The readers under fuzz: how each one's valid files are made, and how a mutated one is read.
+"""The readers under fuzz: how the valid files of each are made, and how a mutated one is read.
 
 A seed is a small folder, {relative path: bytes}; `read` takes such a folder with one file mutated.
 What a reader accepts must be usable, so `read` also looks at what it got: an assertion that fails
 is a fault as much as a traceback.
 """
 
-import json
-from dataclasses import replace
+import functools
 
 import numpy as np
+import OpenImageIO as oiio
 
 from clsplat.camera import Camera
-from clsplat.cli.train import resumed_options
 from clsplat.errors import InputError
 from clsplat.gaussians import LEARNED
+from clsplat.georeference import Georeference
+from clsplat.io.georeference.control_points import read_control_points
+from clsplat.io.georeference.files import (
+    read_georeference,
+    read_orientation,
+    write_georeference,
+    write_orientation,
+)
+from clsplat.io.models.formats import read_model, write_model
 from clsplat.io.models.ply import read_ply, write_ply
+from clsplat.io.photos.depth import read_depth
 from clsplat.io.photos.images import image_size, read_image, write_image
+from clsplat.io.photos.lenses import undistorted_model
+from clsplat.io.photos.metadata import read_metadata
+from clsplat.io.photos.photo import opened
 from clsplat.io.runs.run import RunFolder
-from clsplat.io.scenes.packed import write_packed
 from clsplat.io.scenes.read import read_scene
 from clsplat.options import from_toml, resolve
-from clsplat.report.compare import compare, equality_tables, final_table, time_table
-from clsplat.report.groups import grouped, read_runs
-from clsplat.report.run import level_table, option_table, plan_table, score_table
-from clsplat.scene import Scene, View
-from clsplat.schedule import planned_steps
-from clsplat.synth import geometry
-from clsplat.synth.layout import city as plan_city
+from clsplat.scene import View
 from clsplat.training import checkpoint
-from tests.adversarial.fuzz import model_readers, place_readers, project_readers
 from tests.adversarial.fuzz.reader import Reader, check, gaussians_like, usable
-from tests.data import layouts
-from tests.data.made_runs import made_run
+from tests.data import layouts, projects
 from tests.data.tiny_model import reconstruction, write_scene
+from tests.io.photos.test_lenses import arrays_of
+from tests.io.photos.test_metadata import GPS, photo
+
+# --- scenes, models, runs
+
+
+def _model(suffix):
+    """The reader of a format, whose seeds are one file each."""
+    def make(folder):
+        for number, (count, degree) in enumerate(((6, 0), (300, 3))):
+            seed = folder / str(number)
+            seed.mkdir()
+            place = Georeference("EPSG:32632", (5e5, 5.3e6, 200.0), "made", 0.1)
+            write_model(seed / f"model{suffix}", gaussians_like(count, degree).located(
+                np.array([2.0, 3.0, 4.0]) * number), ("made",), np.array([0.0, 0.0, 1.0]),
+                place if number and suffix in (".las", ".laz") else None)
+            yield seed
+    return Reader(make, lambda folder: check(read_model(folder / f"model{suffix}")),
+                  files=(suffix,))
 
 
 def _made_scenes(text):
@@ -93,27 +115,6 @@ def _image(folder):
     assert read_image((folder / "image").read_bytes(), (8, 6)).shape == (6, 8, 3)
 
 
-def _made_packed(folder):
-    random = np.random.default_rng(0)
-    for number, (width, height, points) in enumerate(((16, 12, 9), (9, 16, 5))):
-        seed = folder / str(number)
-        seed.mkdir()
-        write_image(photo := folder / f"{number}.png", random.integers(
-            0, 256, (height, width, 3), dtype=np.uint8))
-        views = tuple(View(f"photo_{at}.png", Camera(
-            width, height, (20.0, 21.0), (width / 2, height / 2), np.eye(3), np.eye(3)[at]),
-            photo.read_bytes()) for at in range(3))
-        write_packed(Scene(
-            "town", views, random.normal(size=(points, 3)), random.integers(
-                0, 256, (points, 3), dtype=np.uint8), np.full(3, 5e5), folder,
-            np.array([(0, 0), (0, 2), (1, 1)], np.int32)), seed / "town.npz")
-        yield seed
-
-
-def _packed(folder):
-    usable(read_scene(folder / "town.npz"))
-
-
 def _made_transforms(folder):
     scene = read_scene(write_scene(folder / "made"))
     whole, angled, parted, exported = (
@@ -128,12 +129,6 @@ def _made_transforms(folder):
             **table, "frames": table["frames"][number::2]})
     layouts.write_export(exported, scene)
     return whole, angled, parted, exported
-
-
-def _made_citygs(folder):
-    scene = read_scene(write_scene(folder / "made"))
-    layouts.write_citygs(folder / "town", scene, {"photo_1.png", "photo_3.png"})
-    yield folder / "town"
 
 
 def _made_checkpoints(folder):
@@ -181,64 +176,216 @@ def _made_options(folder):
 
 def _options(folder):
     options = resolve(from_toml(folder / "run.toml"), {})
-    assert planned_steps(options, 30)[0] >= 1 and 0 <= options.sh_degree <= 3
+    assert 0 <= options.sh_degree <= 3
 
 
-def _made_run_folders(folder):
-    for schedule in ("sig", "constant"):
-        seed = folder / schedule
-        for run in (made_run(seed / "a", schedule), made_run(seed / "b", "dash", 1)):
-            metrics = run.path / "metrics.jsonl"
-            rows = metrics.read_text().splitlines(keepends=True)
-            kept = [row for row in rows if json.loads(row)["iteration"] % 2500 < 100]
-            metrics.write_text("".join(kept))
-        yield seed
+# --- what lies beside photos and scenes
+
+DJI = {"GimbalYawDegree": "+12.50", "GimbalPitchDegree": "-89.90", "GimbalRollDegree": "+0.00",
+       "RelativeAltitude": "+60.1", "RtkStdLon": "0.01", "RtkStdLat": "0.01", "RtkStdHgt": "0.02",
+       "CalibratedFocalLength": "3666.0", "DewarpData": "2020-01-01;3.6,3.6,1,1,0,0,0,0,0"}
+EXIF = {**GPS, "Exif:FocalLength": 8.8, "Exif:FocalLengthIn35mmFilm": 24, "Make": "DJI",
+        "Model": "FC6310", "DateTime": "2020:01:02 03:04:05", "Orientation": 6}
+SIZE, LENS = (24, 18), (20.0, 20.0, 11.5, 9.5, -0.1, 0.02, 1e-3, -2e-3)
 
 
-def _run(folder):
-    runs, _, _ = read_runs([folder])
-    groups = grouped(runs)
-    result = compare(groups)
-    json.dumps(result, allow_nan=False)
-    for table in (final_table(result), time_table(result), *equality_tables(groups)):
-        assert table.text().encode() and table.html().encode()
-    for run in runs:
-        tables = (table(run.records) for table in (score_table, plan_table, level_table))
-        assert all(table.html().encode() for table in tables if table)
-        assert option_table(run.options).html().encode()
-    resumed_options(runs[0].options, {})
+def _finite(*values):
+    assert all(value is None or np.isfinite(value).all() for value in values)
 
 
-def _made_geometry(folder):
-    for number in range(2):
+def _metadata(folder):
+    for number, (exif, xmp) in enumerate(((EXIF, DJI), (EXIF, None), ({}, DJI))):
+        (folder / str(number)).mkdir()
+        photo(folder / str(number) / "photo.jpg", exif, xmp, size=(24, 16))
+        yield folder / str(number)
+
+
+def _read_metadata(folder):
+    data = read_metadata(folder / "photo.jpg")
+    _finite(data.latitude, data.longitude, data.altitude, data.gps_std, data.focal_pixels,
+            data.gimbal_pitch)
+    assert data.width > 0 and data.height > 0
+    assert data.latitude is None or abs(data.latitude) <= 90
+
+
+def _georeferences(folder):
+    view = Camera.looking_at((0, 0, 0), (1, 2, 3))
+    for number, crs in enumerate(("EPSG:32632", 'PROJCRS["made"]')):
         seed = folder / str(number)
         seed.mkdir()
-        city = plan_city((2, 1), number)
-        few = replace(city, boxes=city.boxes[:9], kinds=city.kinds[:9], spheres=city.spheres[:4])
-        geometry.save(few, seed / "geometry.json")
+        write_georeference(seed, Georeference(crs, (5e5, 5.3e6, 200.0), "made", 0.1))
+        write_orientation(seed, (0.0, 0.6, 0.8), view if number else None)
         yield seed
 
 
-def _geometry(folder):
-    city = geometry.load(folder / "geometry.json")
-    away = geometry.distance(city, np.array([[0.0, 0, 5], [3, 1, 2]]))
-    assert np.isfinite(away).all() and np.isfinite(city.extent).all()
-    assert np.isfinite(city.bounds).all()
+def _georeference(folder):
+    place, orientation = read_georeference(folder), read_orientation(folder)
+    if place is not None:
+        _finite(place.offset, place.residual)
+    if orientation is not None:
+        up, view = orientation
+        assert np.linalg.norm(up) > 0.99
+        if view is not None:
+            _finite(view.position, view.focal, view.centre)
+
+
+def _control_points(folder):
+    for number, lines in enumerate((
+            ("EPSG:32632", "500010.5 5300020 210 100 200 a.jpg one", "500010.5 5300020 210 120 190 "
+             "b.jpg one", "500050 5300090 212 10 20 a.jpg two"),
+            ("EPSG:4326", "name,x,y,z,pixel_x,pixel_y,image", "one,9.0,47.8,210,100,200,a.jpg",
+             "two,9.001,47.801,212,10,20,a.jpg"))):
+        (folder / str(number)).mkdir()
+        (folder / str(number) / "gcp.txt").write_text("\n".join(lines) + "\n")
+        yield folder / str(number)
+
+
+def _read_control_points(folder):
+    read = read_control_points(folder / "gcp.txt")
+    assert read.crs and read.points
+    for point in read.points:
+        _finite(point.position, *(mark[1:] for mark in point.marks))
+
+
+@functools.cache
+def _lens():
+    """A lens with distortion."""
+    model = undistorted_model("made", arrays_of(["photo.png"], SIZE), [("OPENCV", LENS)])
+    return model["lenses"][0]
+
+
+def _views(photo, **beside):
+    """The view of a photo by a pinhole camera of half its size, and that by a lens."""
+    lens, (width, height) = _lens(), SIZE
+    for size, known in (((width // 2, height // 2), None), ((lens.width, lens.height), lens)):
+        camera = Camera.looking_at((0, 0, 0), (1, 2, 3), width=size[0], height=size[1])
+        yield View(photo.name, camera, photo, known, **beside)
+
+
+def _masks(folder):
+    """A photo and its mask: in grey, in colours, and with alpha in the photo."""
+    random = np.random.default_rng(0)
+    for number, channels in enumerate((1, 3, 4)):
+        seed = folder / str(number)
+        (seed / "masks").mkdir(parents=True)
+        _write(seed / "photo.png", random.integers(0, 256, (18, 24, max(channels, 3)), np.uint8))
+        _write(seed / "masks/photo.png", random.integers(0, 256, (18, 24, channels), np.uint8))
+        yield seed
+
+
+def _read_masks(folder):
+    photo = folder / "photo.png"
+    with opened(photo) as header:
+        transparent = header.has_alpha
+    for view in _views(photo, mask=folder / "masks/photo.png", transparent=transparent):
+        valid = view.valid()
+        assert valid is None or valid.shape == (view.camera.height, view.camera.width)
+
+
+def _depths(folder):
+    """A photo and its depth map in each format."""
+    depth = np.random.default_rng(0).uniform(1, 9, (9, 12, 1)).astype(np.float32)
+    for number, (suffix, values) in enumerate((
+            (".npy", depth), (".npy", 1000 * depth), (".tif", depth), (".exr", depth),
+            (".png", 1000 * depth), (".tif", 1000 * depth))):
+        seed = folder / str(number)
+        seed.mkdir()
+        _write(seed / "photo.jpg", np.zeros((18, 24, 3), np.uint8))
+        values = values if values is depth else values.astype(np.uint16)
+        if suffix == ".npy":
+            np.save(seed / "photo.npy", values[..., 0])
+        else:
+            _write(seed / f"photo{suffix}", values)
+        yield seed
+
+
+def _write(path, values):
+    output = oiio.ImageOutput.create(str(path))
+    kind = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float32": oiio.FLOAT}[values.dtype.name]
+    height, width, channels = values.shape
+    spec = oiio.ImageSpec(width, height, channels, kind)
+    spec.attribute("DateTime", "2026:01:02 03:04:05")  # else EXR has the present time
+    assert output.open(str(path), spec)
+    assert output.write_image(values) and output.close()
+
+
+def _read_depths(folder):
+    photo = folder / "photo.jpg"
+    path, = (path for path in folder.iterdir() if path != photo)
+    for view in _views(photo, depth=path):
+        depth = read_depth(view)
+        assert depth.shape == (view.camera.height, view.camera.width)
+        assert np.isfinite(depth).all() and (depth >= 0).all()
+
+
+# --- projects of other programs
+
+PROJECT_LENS = (40.0, 40.0, 23.0, 19.0, -0.1, 0.02, 1e-3, -2e-3, 0.01, 0.0, 0.0, 0.0)
+ON_EARTH = (1.0, np.eye(3), np.array([4.1e6, 6.3e5, 4.8e6]))  # geocentric, metres
+
+
+def _scenes(folder):
+    """A scene of a pinhole camera and one with a lens, with few points."""
+    for model, parameters in (("PINHOLE", PROJECT_LENS[:4]), ("FULL_OPENCV", PROJECT_LENS)):
+        made = reconstruction(model, parameters)
+        for number in list(made.points3D)[12:]:
+            made.delete_point3D(number)
+        yield folder / f"town_{model}", read_scene(write_scene(folder / model, made))
+
+
+def _opensfm(folder):
+    for reference, (seed, scene) in zip((None, (52.4, 16.9, 80.0)), _scenes(folder)):
+        projects.write_opensfm(seed, scene, reference)
+        yield seed
+
+
+def _metashape(folder):
+    for reference, (seed, scene) in zip(("", "EPSG:4326"), _scenes(folder)):
+        seed.mkdir()
+        projects.write_metashape(seed, scene, reference=reference)
+        if reference:
+            path = seed / "cameras.xml"
+            place = projects.texts(ON_EARTH[2])
+            path.write_text(path.read_text().replace("<translation>0.0 0.0 0.0",
+                                                     f"<translation>{place}"))
+        else:
+            layouts.write_ply(seed / "points3D.ply", scene.points, scene.colours)
+        yield seed
+
+
+def _realityscan(folder):
+    for (seed, scene), forms in zip(_scenes(folder), (("angles", "xmp"), ("matrices", "xmp"))):
+        for form in forms:
+            (seed / form).mkdir(parents=True)
+            projects.write_realityscan(seed / form, scene, form)
+            layouts.write_ply(seed / form / "points3D.ply", scene.points, scene.colours)
+            yield seed / form
+
+
+def _opf(folder):
+    for (seed, scene), crs in zip(_scenes(folder), ("EPSG:32632", 'ENGCRS["a"]')):
+        seed.mkdir()
+        projects.write_opf(seed, scene, crs)
+        yield seed
 
 
 READERS = {
     "colmap": Reader(_made_scenes(False), _scene, files=(".bin",)),
     "colmap-text": Reader(_made_scenes(True), _scene, text=True, files=(".txt",)),
-    "ply": Reader(_made_plys, _ply, files=(".ply",)),
-    "image": Reader(_made_images, _image),
-    "packed": Reader(_made_packed, _packed),
     "transforms": Reader(_made_transforms, _scene, text=True, files=(".json", ".ply")),
-    "citygs": Reader(_made_citygs, _scene, files=(".bin",)),
+    "opensfm": Reader(_opensfm, _scene, text=True, files=(".json", ".csv")),
+    "metashape": Reader(_metashape, _scene, text=True, files=(".xml",)),
+    "realityscan": Reader(_realityscan, _scene, text=True, files=(".csv", ".xmp")),
+    "opf": Reader(_opf, _scene, text=True, files=(".opf", ".json", ".gltf", ".bin")),
+    "image": Reader(_made_images, _image),
+    "metadata": Reader(_metadata, _read_metadata, files=(".jpg",)),
+    "masks": Reader(_masks, _read_masks, files=(".png",)),
+    "depths": Reader(_depths, _read_depths, files=(".npy", ".tif", ".exr", ".png")),
+    "ply": Reader(_made_plys, _ply, files=(".ply",)),
+    **{suffix[1:]: _model(suffix) for suffix in (
+        ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".las", ".laz")},
+    "georeference": Reader(_georeferences, _georeference, text=True, files=(".json",)),
+    "gcp": Reader(_control_points, _read_control_points, text=True, files=(".txt",)),
     "checkpoint": Reader(_made_checkpoints, _checkpoint, files=(".npz",)),
     "options": Reader(_made_options, _options, text=True),
-    "run": Reader(_made_run_folders, _run, text=True, files=("a/options.json", "a/metrics.jsonl")),
-    "geometry": Reader(_made_geometry, _geometry, text=True),
-    **model_readers.READERS,
-    **place_readers.READERS,
-    **project_readers.READERS,
 }

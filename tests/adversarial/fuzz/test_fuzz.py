@@ -1,10 +1,14 @@
-"""Every reader against seeded mutations; `python -m tests.adversarial.fuzz` takes other numbers.
+"""Every reader against mutated files, in processes that may die: the nightly campaign.
 
-In a process of its own: the workers are forked, and OpenCL's threads would not survive that.
+CLSPLAT_FUZZ_SEED and CLSPLAT_FUZZ_COUNT choose others than today's, and how many a reader.
 """
 
+import datetime
+import json
+import os
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -12,22 +16,29 @@ import pytest
 from tests.adversarial.fuzz.readers import READERS
 
 ROOT = Path(__file__).resolve().parents[3]
+SEED = os.environ.get("CLSPLAT_FUZZ_SEED") or datetime.date.today().isoformat()
+COUNT = int(os.environ.get("CLSPLAT_FUZZ_COUNT", "300"))
 
 
-def fuzzed(*words, seconds):
-    """Run the command; its table, when nothing but clear errors came of it."""
-    done = subprocess.run([sys.executable, "-m", "tests.adversarial.fuzz", *map(str, words)],
-                          cwd=ROOT, capture_output=True, text=True, timeout=seconds, check=False)
-    assert done.returncode == 0, f"\n{done.stdout}{done.stderr}"
-    rows = [line.split() for line in done.stdout.splitlines()[1:]]
-    assert [row[0] for row in rows] == list(READERS)
-    for _, cases, accepted, refused, *_ in rows:
-        assert int(accepted) > 0 and int(refused) > 0, "both kinds of input are reached"
-        assert int(accepted) + int(refused) == int(cases)
-    return done.stdout
+def outcomes(name, first, last):
+    """(case, "read", "refused" or the fault) of each; a fatal case ends a process, not all."""
+    while first < last:
+        done = subprocess.run(
+            [sys.executable, "-m", "tests.adversarial.fuzz", name, SEED, str(first), str(last)],
+            cwd=ROOT, capture_output=True, text=True, check=False)
+        rows = [json.loads(line) for line in done.stdout.splitlines()]
+        assert rows, f"{name}: its valid files are not read\n{done.stdout}{done.stderr}"
+        yield from (row for row in rows if row[1] != "begun")
+        first = rows[-1][0] + 1
+        if rows[-1][1] == "begun":
+            yield rows[-1][0], f"the process ended with {done.returncode}"
 
 
-@pytest.mark.slow
-def test_mutations():
-    """`python -m tests.adversarial.fuzz --count 20000` is the long way."""
-    fuzzed("--count", 40, "--seed", 1, seconds=3600)
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", READERS)
+def test_mutated_files_are_read_or_refused_in_one_line(name):
+    rows = list(outcomes(name, 0, COUNT))
+    faults = [f"python -m tests.adversarial.fuzz {name} {SEED} {case} 0 --keep: {said}"
+              for case, said in rows if said not in ("read", "refused")]
+    assert not faults, "\n".join(faults[:10])
+    assert len(rows) == COUNT and len(Counter(said for _, said in rows)) == 2, "both are reached"

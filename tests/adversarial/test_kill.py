@@ -15,7 +15,8 @@ from clsplat.training.loop import resume
 from tests.data.tiny_training import CITY, LEVELLED, flags, model_digest, records, trained
 from tests.system.test_resume import history
 
-ROOT = Path(__file__).resolve().parents[3]
+pytestmark = pytest.mark.nightly  # tests/system/test_resume.py kills a run once
+ROOT = Path(__file__).resolve().parents[2]
 # everything that a run has: two levels, growth at both, exposures, adjacent photos, evaluations
 WHOLE = {**LEVELLED, "iterations": 90, "checkpoint_every": 10, "eval_every": 25}
 SHORT = {"iterations": 30, "densify_from": 10, "checkpoint_every": 9, "test_every": 16}
@@ -42,7 +43,7 @@ def begun(device, options):
 def killed(folder, moment, number, *words):
     """`clsplat train` in a process of its own, until it dies."""
     done = subprocess.run(
-        [sys.executable, "-m", "tests.adversarial.kill.child", moment, number, "train", str(CITY),
+        [sys.executable, "-m", "tests.adversarial.kill", moment, number, "train", str(CITY),
          "-o", str(folder), "-q", *words], cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == -signal.SIGKILL, done.stderr
     return RunFolder(folder)
@@ -59,7 +60,6 @@ def whole(item_device, city, tmp_path_factory):
     return trained(tmp_path_factory.mktemp("whole") / "run", city, item_device, **WHOLE)
 
 
-@pytest.mark.slow
 def test_the_run_is_eventful(whole):
     """Or the moments below would not come."""
     assert len(moments()) == 8
@@ -67,7 +67,6 @@ def test_the_run_is_eventful(whole):
     assert len(whole.records()) >= 10 and len(records(whole, "eval")) == 4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("moment, number", moments())
 def test_killed_and_resumed(whole, item_device, city, tmp_path, moment, number):
     run = killed(tmp_path / "run", moment, number, *begun(item_device, WHOLE))
@@ -78,7 +77,6 @@ def test_killed_and_resumed(whole, item_device, city, tmp_path, moment, number):
     assert not list(run.path.glob("*.part"))
 
 
-@pytest.mark.slow
 def test_killed_again_and_again(item_device, city, tmp_path):
     """One run. At `rename 1` it has not begun: the same command begins it; `renamed 1` and
     `step 5` come before its first checkpoint."""

@@ -1,6 +1,6 @@
 """`clsplat` in a process that ends itself as `kill -9` does, at a chosen moment:
 
-    python -m tests.adversarial.kill.child MOMENT N WORDS...
+    python -m tests.adversarial.kill MOMENT N WORDS...
 
 dies at the N-th time that MOMENT comes; WORDS are the command line's. N.F, of a moment that is a
 stretch of time, dies about 0.F seconds after its N-th beginning, wherever the process is then.
