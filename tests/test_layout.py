@@ -64,7 +64,7 @@ WALLS = {
     "skimage": ("clsplat/io/", "clsplat/evaluation/"),
     "dask": ("clsplat/distribute/", "tools/studies/simulate.py"),
     "distributed": ("clsplat/distribute/", "tools/studies/simulate.py"),
-    "matplotlib": ("clsplat/report/", "clsplat/bench/", "tools/"),
+    "matplotlib": ("clsplat/report/", "tools/"),
     "tests": (),  # the wheel carries clsplat/, not the tests
 }
 
@@ -72,7 +72,6 @@ WALLS = {
 FUNCTION_IMPORTS = {"clsplat/cli/": None, "clsplat/__main__.py": None, "clsplat/io/": {
                         "laspy", "lazrs", "pycolmap", "OpenImageIO", "pyproj", "zstandard"},
                     "clsplat/evaluation/": {"OpenImageIO", "onnxruntime"},
-                    "clsplat/bench/": {"gsplat", "torch"},  # to compare with
                     "clsplat/distribute/": {"distributed"}}  # an extra, seldom asked for
 
 # what is composed of the options of all rooms: lower rooms may name its type, and no more
@@ -82,7 +81,7 @@ COMPOSED = {"options", "partition"}
 SESSION, BUILT_BY_A_SESSION = "clsplat/training/session.py", {"Step", "SourceViews"}
 
 FORBIDDEN_WORDS = {"util", "utils", "helper", "helpers", "common", "misc", "manager"}
-LONGEST_FILE = 400
+LONGEST_FILE, LONGEST_CODE = 400, 300  # lines, and without comments and docstrings
 FORM_SWITCH = '#if FORM_ITEM\n#include "item/{0}"\n#else\n#include "group/{0}"\n#endif\n'
 parsed = cache(lambda path: ast.parse(path.read_text("utf-8")))  # for several checks
 
@@ -190,6 +189,9 @@ def families(root):
     return [path for _, path in sources(root, "cl", suffixes=(".cl",)) if path.parent.name == "cl"]
 
 
+BENCHMARKS = "clsplat/bench/families.py"
+
+
 def homes(root, family):
     """The modules that may declare a family's kernels: there should be one."""
     return [name for name, home in sources(root, "clsplat")
@@ -201,10 +203,11 @@ def rhyme(root):
         stem, found = path.stem, len(homes(root, path.stem))
         if found != 1:
             yield f"cl/{stem}.cl: wants one clsplat/**/{stem}.py, there are {found}"
-        for verse in (f"tests/reference/{stem}.py", f"tests/kernels/test_{stem}.py",
-                      f"clsplat/bench/{stem}.py"):
+        for verse in (f"tests/reference/{stem}.py", f"tests/kernels/test_{stem}.py"):
             if not (root / verse).exists():
                 yield f"cl/{stem}.cl: {verse} is missing"
+        if f"\ndef {stem}(" not in (root / BENCHMARKS).read_text("utf-8"):
+            yield f"cl/{stem}.cl: {BENCHMARKS} does not time it"
 
 
 def kernel_forms(root):
@@ -241,8 +244,18 @@ def sizes(root):
     for name, path in sources(root, "clsplat", "cl", "tools", "tests",
                               suffixes=(".py", ".cl", ".h")):
         count = len(path.read_text().splitlines())
-        if count > LONGEST_FILE:
+        if count > LONGEST_FILE and (path.suffix != ".py" or real_lines(path) > LONGEST_CODE):
             yield f"{name}: {count} lines, more than {LONGEST_FILE}"
+
+
+def real_lines(path):
+    """The number of lines without blanks, comments and docstrings."""
+    tree, docs = parsed(path), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            docs.update(range(node.lineno, node.end_lineno + 1))
+    return sum(bool(line.strip()) and not line.lstrip().startswith("#") and number not in docs
+               for number, line in enumerate(path.read_text("utf-8").splitlines(), 1))
 
 
 def names(root):
@@ -318,7 +331,8 @@ SMALL = {
     "cl/include/real.h": "real\n",
     "tests/reference/blend.py": "import numpy\n",
     "tests/kernels/test_blend.py": "import tests.reference.blend\n",
-    "clsplat/bench/blend.py": "from clsplat.rendering import blend\nfrom . import case\n",
+    "clsplat/bench/families.py": "from clsplat.rendering import x\nfrom . import case\n"
+                                 "\ndef blend():\n    x\n",
     "clsplat/bench/case.py": "import numpy\n",
 }
 
@@ -340,7 +354,6 @@ def test_a_small_house_in_order_passes(tmp_path):
 
 @pytest.mark.parametrize("name, text, complaint", [
     ("clsplat/camera.py", "from clsplat.io.colmap import x", "'camera' is not above 'io'"),
-    ("clsplat/camera.py", "from clsplat import io", "'camera' is not above 'io'"),
     ("clsplat/camera.py", "def f():\n    import clsplat.io.colmap", "'camera' is not above 'io'"),
     ("clsplat/camera.py", "if TYPE_CHECKING:\n    import clsplat.io.colmap",
      "'camera' is not above 'io'"),
@@ -348,7 +361,6 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/rendering/blend.py", "from clsplat.cli.blend import x",
      "'rendering' is not above 'cli'"),
     ("clsplat/rendering/blend.py", "from ..errors import E", "leaves its package"),
-    ("clsplat/rendering/blend.py", "import clsplat.bench.case", "'rendering' is not above 'bench'"),
     ("clsplat/camera.py", "import clsplat.device.find", "must work without OpenCL"),
     ("clsplat/schedule/constant.py", "import clsplat.device.find", "must work without OpenCL"),
     ("clsplat/__init__.py", "from clsplat.camera import x", "the package itself imports"),
@@ -356,39 +368,28 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/attic.py", "", "attic.py: belongs into one of the packages"),
     ("clsplat/rendering/blend.py", "try:\n    import pyopencl\nexcept E:\n    pass",
      "pyopencl belongs in clsplat/device/"),
-    ("clsplat/bench/blend.py", "import pyopencl as cl", "pyopencl belongs in clsplat/device/"),
+    ("clsplat/bench/families.py", "import pyopencl as cl", "pyopencl belongs in clsplat/device/"),
     ("clsplat/rendering/blend.py", "import pycolmap", "pycolmap belongs in"),
     ("clsplat/device/find.py", "from OpenImageIO import x", "OpenImageIO belongs in"),
-    ("clsplat/io/colmap.py", "import click", "click belongs in clsplat/cli/"),
     ("clsplat/cli/blend.py", "import skimage.io", "skimage.io belongs in clsplat/io/ and"),
-    ("clsplat/bench/blend.py", "from tests.cases import x", "tests.cases belongs in tests/"),
+    ("clsplat/bench/families.py", "from tests.cases import x", "tests.cases belongs in tests/"),
     ("tests/reference/blend.py", "from clsplat.camera import x", "must share no code"),
     ("clsplat/device/find.py", "def f():\n    import numpy", "inside a function"),
-    ("clsplat/io/colmap.py", "def f():\n    import numpy", "inside a function"),
-    ("clsplat/rendering/blend.py", "class A:\n    def f(self):\n        import numpy",
-     "inside a function"),
     ("clsplat/device/blend.py", "", "wants one clsplat/**/blend.py, there are 2"),
     ("cl/sort.cl", "", "wants one clsplat/**/sort.py, there are 0"),
     ("cl/sort.cl", "", "tests/reference/sort.py is missing"),
     ("cl/sort.cl", "", "tests/kernels/test_sort.py is missing"),
-    ("cl/sort.cl", "", "clsplat/bench/sort.py is missing"),
+    ("cl/sort.cl", "", "clsplat/bench/families.py does not time it"),
     ("cl/item/sort.cl", "kernel", "there is no cl/sort.cl"),
-    ("cl/group/sort.cl", "kernel", "there is no cl/sort.cl"),
     ("cl/sort.cl", "#if FORM_ITEM\n#endif", "cl/sort.cl: must include its forms"),
-    ("cl/blend.cl", "kernel", "cl/blend.cl: must include its forms"),
     ("cl/blend.cl", 2 * FORM_SWITCH.format("blend.cl"), "and know them by nothing else"),
     ("clsplat/rendering/blend.py", "def f(device):\n    return device.form == 'item'",
-     "blend.py:2: asks for the form"),
-    ("clsplat/rendering/blend.py", "def f(form):\n    return 1 if 'group' == form else 2",
      "blend.py:2: asks for the form"),
     ("clsplat/rendering/blend.py", "def f(device):\n    return {'item': 1}[device.form]",
      "blend.py:2: asks for the form"),
     ("clsplat/camera.py", "x = 1\n" * 401, "401 lines"),
-    ("cl/include/real.h", "//\n" * 401, "401 lines"),
     ("cl/blend.cl", "//\n" * 401, "401 lines"),
-    ("tests/test_all.py", "#\n" * 401, "401 lines"),
     ("clsplat/io/image_utils.py", "", "'utils' says nothing"),
-    ("tests/helpers/blend.py", "", "'helpers' says nothing"),
     ("clsplat/training/loop.py", "", "package clsplat.training is not listed"),
     ("cl/item/tiles.h", "", "the wheel lacks cl/item/tiles.h"),
     ("clsplat/bench/case.py", "step = Step(1)", "Step is built in clsplat/training/session.py"),

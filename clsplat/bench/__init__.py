@@ -1,16 +1,33 @@
-"""Benchmarks: a module for each kernel family, and `step` and `render` for all of them together.
+"""Benchmarks: the kernel families of `families.py`, and `step` and `render` for all together.
 
 Each prints a table, or with --json JSON lines: family, variant, form, device, driver, size, median
 and quartiles in milliseconds, bytes, operations, and both as shares of the measured peak rates of
 the device. Times are wall times of work that has finished on the device, after a warm-up. Run them
-with `clsplat bench FAMILY`, or from a checkout with `python -m clsplat.bench FAMILY`. `precision`
-compares approximations: their error beside their time.
+with `clsplat bench FAMILY`.
 """
 
-from pathlib import Path
+from collections.abc import Sequence
+
+from . import render, step
+from .families import CITY_FAMILIES, IMAGE_FAMILIES, time_family
 
 
 def families() -> list[str]:
-    """Names of the modules that can be run, which are those with a `main`."""
-    return sorted(path.stem for path in Path(__file__).parent.glob("*.py")
-                  if not path.stem.startswith("_") and "\ndef main(" in path.read_text("utf-8"))
+    """Names of the benchmarks."""
+    return sorted({*CITY_FAMILIES, *IMAGE_FAMILIES, "render", "step"})
+
+
+def run(family: str, argv: Sequence[str]) -> None:
+    """Run a benchmark.
+
+    Parameters
+    ----------
+    family : one of `families`.
+    argv : its flags, as of the command line; InputError for a wrong one.
+    """
+    if family == "step":
+        step.main(argv)
+    elif family == "render":
+        render.main(argv)
+    else:
+        time_family(family, argv)

@@ -3,7 +3,7 @@
 import argparse
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -29,7 +29,7 @@ class Bench:
         `gaussians` is a text such as "200k,1M".
     """
 
-    def __init__(self, argv: list[str], description: str | None, **defaults: Any) -> None:
+    def __init__(self, argv: Sequence[str], description: str | None, **defaults: Any) -> None:
         self.options = arguments(argv, description, **defaults)
         self.device = choose_device(self.options.device, form=self.options.form,
                                     profiling=getattr(self.options, "profile", False))
@@ -94,7 +94,8 @@ class Parser(argparse.ArgumentParser):
         raise InputError(f"{message}; see `clsplat bench FAMILY -- --help`")
 
 
-def arguments(argv: list[str], description: str | None, **defaults: Any) -> argparse.Namespace:
+def arguments(argv: Sequence[str] | None, description: str | None, **defaults: Any
+              ) -> argparse.Namespace:
     """Parse --json, --device, --form, --repeats and the flags of `defaults` (see `Bench`)."""
     parser = Parser(description=description, prog="clsplat bench")
     parser.add_argument("--json", action="store_true", help="JSON lines instead of a table")

@@ -1,10 +1,10 @@
-"""Forward, and forward with adjoint, of the aerial city; with --gsplat also those of gsplat.
+"""Forward, and forward with adjoint, of the aerial city.
 
-The loss is the mean of the squares of the image.
+The loss is the mean of the squares of the image. `tools/studies/gsplat_peer.py` measures gsplat on
+the same gaussians.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -20,21 +20,15 @@ from .timing import milliseconds
 from .workloads import city
 
 
-def main(argv: list[str]) -> None:
+def main(argv: Sequence[str]) -> None:
     """Run this benchmark with its flags."""
-    bench = Bench(argv, __doc__, gaussians="200k,1M,4M", gsplat=False)
+    bench = Bench(argv, __doc__, gaussians="200k,1M,4M")
     for count in bench.options.gaussians:
         gaussians, cameras = city(count)
-        peers: dict[str, Clsplat | Gsplat] = {
-            "render": Clsplat(bench.device, gaussians, cameras)}
-        if bench.options.gsplat:
-            peers["gsplat"] = Gsplat(gaussians, cameras)
-        for family, peer in peers.items():
-            for case in ("forward", "both"):
-                times = milliseconds(peer, getattr(peer, case), bench.options.repeats)
-                bench.report(family, "forward + adjoint" if case == "both" else case, times,
-                             {"gaussians": count, "width": cameras[0].width,
-                              "height": cameras[0].height})
+        peer = Clsplat(bench.device, gaussians, cameras)
+        for variant, function in (("forward", peer.forward), ("forward + adjoint", peer.both)):
+            bench.report("render", variant, milliseconds(peer, function, bench.options.repeats),
+                         {"gaussians": count, "width": peer.width, "height": peer.height})
 
 
 class Clsplat:
@@ -83,49 +77,3 @@ class Clsplat:
         """Wait for the device; DeviceError if a frame had no room, and so was not drawn."""
         if self.counts.download()[COUNT_FAILED]:
             raise DeviceError("a frame of the benchmark had no room")
-
-
-class Gsplat:
-    """gsplat 1.5.3 on the same gaussians; needs CUDA, PyTorch and gsplat."""
-
-    def __init__(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> None:
-        import gsplat
-        import torch
-
-        self.torch, self.rasterise, self.turn = torch, gsplat.rasterization, 0
-        rows = {name: torch.tensor(values, device="cuda")
-                for name, values in gaussians.rows.items()}
-        self.parameters = [
-            rows["positions"], rows["quaternions"], rows["log_scales"].exp(),
-            rows["opacity_logits"].sigmoid(),
-            torch.cat([rows["sh_constant"][:, None], rows["sh_rest"]], 1)]
-        for parameter in self.parameters:
-            parameter.requires_grad_()
-        self.views = []
-        for c in cameras:
-            pose, calibration = np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32)
-            pose[:3, :3], pose[:3, 3] = c.rotation, c.translation
-            calibration[:2] = [[c.focal[0], 0, c.centre[0]], [0, c.focal[1], c.centre[1]]]
-            self.views.append((torch.tensor(pose, device="cuda")[None],
-                               torch.tensor(calibration, device="cuda")[None], c.width, c.height))
-
-    def _render(self) -> Any:
-        pose, calibration, width, height = self.views[self.turn % len(self.views)]
-        self.turn += 1
-        return self.rasterise(*self.parameters, pose, calibration, width, height, sh_degree=3,
-                              packed=False)[0]
-
-    def forward(self) -> None:
-        """Render."""
-        with self.torch.no_grad():
-            self._render()
-
-    def both(self) -> None:
-        """Render, and take the gradients."""
-        self._render().square().mean().backward()
-        for parameter in self.parameters:
-            parameter.grad = None
-
-    def finish(self) -> None:
-        """Wait for the device."""
-        self.torch.cuda.synchronize()

@@ -1,16 +1,14 @@
 """A whole training step: forward, loss, adjoint, Adam, statistics.
 
-Default: caliterra at full resolution, its initial gaussians and 100 000, all spherical harmonics
-active, every training view once; --scene city is the made city of the other benchmarks instead. The
-median is that of steps which are waited for one by one. host_ms is the time in which the host
+The scene is that of --scene, or the made city of the other benchmarks; all spherical harmonics are
+active, and every training view is taken once. Of a scene, 0 gaussians are as many as its points.
+The median is that of steps which are waited for one by one. host_ms is the time in which the host
 enqueues a step when nothing is waited for, and stream_ms the time in which the device has done it
 too; launches, waits and allocations are those of such a step.
 
---visible 0.05 gives each model as many gaussians as asked for, of which only that share is within
-the scene and no view sees the rest, and before it a model without the rest. device_mib is the
-memory on the device; peak_mib that of this process, so measure it with one count only. --profile
-adds device_ms, the sum of the times of the kernels by the device's clock, and each kernel's mean; a
-queue with profiling takes longer to enqueue, so take the other times without it.
+device_mib is the memory on the device; peak_mib that of this process, so measure it with one count
+only. --profile adds device_ms, the sum of the times of the kernels by the device's clock, and each
+kernel's mean; a queue with profiling takes longer to enqueue, so take the other times without it.
 """
 
 import itertools
@@ -18,7 +16,6 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +26,6 @@ except ImportError:
     resource = None  # type: ignore[assignment]  # a module that Windows does not have
 
 from clsplat.device import Device
-from clsplat.errors import InputError
 from clsplat.estimate.trial_steps import TrialSteps, sampled
 from clsplat.gaussians import Gaussians
 from clsplat.io.scenes.read import read_scene
@@ -41,48 +37,28 @@ from clsplat.training.session import Session
 
 from .measure import Bench
 from .timing import milliseconds
-from .workloads import city, city_size, in_unit, scene_of, with_hidden
+from .workloads import city, in_unit, scene_of
 
 CITY = "city"
 STREAM = 16  # steps that are enqueued without waiting: few enough for any driver's queue
 
 
-@dataclass(frozen=True)
-class Stream:
-    """Means over steps that were enqueued one after the other.
-
-    Attributes
-    ----------
-    host_ms : until the last step was enqueued.
-    stream_ms : until the device had done them.
-    launches, waits, allocations : of the device's counters.
-    """
-
-    host_ms: float
-    stream_ms: float
-    launches: float
-    waits: float
-    allocations: float
-
-
-def main(argv: list[str]) -> None:
+def main(argv: Sequence[str]) -> None:
     """Run this benchmark with its flags."""
-    bench = Bench(argv, __doc__, scene="../shared/data/caliterra", downscale=1.0,
-                  gaussians="0,100k", visible=1.0, optimizer=TrainOptions.optimizer, profile=False)
-    options, photos = bench.options, None
-    if not 0 < options.visible <= 1:
-        raise InputError(f"--visible {options.visible}: give a share above 0 and at most 1")
-    scene = None if options.scene == CITY else prepared_scene(read_scene(options.scene), options)
-    for count in options.gaussians:
-        seen = round(count * options.visible)
-        prepared, gaussians = made_city(count, seen, options) if scene is None else (
-            scene, sampled(scene.scene, seen or len(scene.scene.points), 3))
-        if photos is None or scene is None:
-            photos = Photos(bench.device, prepared.train_views)
-        measure(bench, prepared, photos, gaussians)
-        if seen < count:
-            measure(bench, prepared, photos, with_hidden(
-                gaussians, [view.camera for view in prepared.train_views], count))
+    bench = Bench(argv, __doc__, scene=CITY, downscale=1.0, gaussians="100k",
+                  optimizer=TrainOptions.optimizer, profile=False)
+    if bench.options.scene == CITY:
+        for count in bench.options.gaussians:
+            gaussians, cameras = city(count)
+            made = prepared_scene(scene_of(gaussians, cameras), bench.options)
+            measure(bench, made, Photos(bench.device, made.train_views),
+                    in_unit(gaussians, made.scene.unit))
+        return
+    prepared = prepared_scene(read_scene(bench.options.scene), bench.options)
+    photos = Photos(bench.device, prepared.train_views)
+    for count in bench.options.gaussians:
+        measure(bench, prepared, photos, sampled(
+            prepared.scene, count or len(prepared.scene.points), 3))
 
 
 def prepared_scene(scene: Scene, options: Namespace) -> PreparedScene:
@@ -90,13 +66,6 @@ def prepared_scene(scene: Scene, options: Namespace) -> PreparedScene:
     return prepare(scene, resolve({}, {
         "downscale": options.downscale, "max_resolution": 0, "exposure": "off", "engine": "device",
         "sphere": False, "optimizer": options.optimizer}))
-
-
-def made_city(count: int, seen: int, options: Namespace) -> tuple[PreparedScene, Gaussians]:
-    """A city of `seen` gaussians, in views of the size for `count`."""
-    gaussians, cameras = city(seen, city_size(count))
-    prepared = prepared_scene(scene_of(gaussians, cameras), options)
-    return prepared, in_unit(gaussians, prepared.scene.unit)
 
 
 def measure(bench: Bench, prepared: PreparedScene, photos: Photos, gaussians: Gaussians) -> None:
@@ -117,10 +86,7 @@ def measure(bench: Bench, prepared: PreparedScene, photos: Photos, gaussians: Ga
               for camera in session.cameras]
     width, height = views[0].camera.width, views[0].camera.height
     size = {"gaussians": session.model.count, "visible": round(np.mean(splats)), "width": width,
-            "height": height, "host_ms": round(stream.host_ms, 4),
-            "stream_ms": round(stream.stream_ms, 4), "launches": stream.launches,
-            "waits": stream.waits, "allocations": stream.allocations, "peak_mib": peak_mib(),
-            "device_mib": device_mib}
+            "height": height, **stream, "peak_mib": peak_mib(), "device_mib": device_mib}
     kernels = profiled(device, one, len(views)) if bench.options.profile else {}
     if kernels:
         size["device_ms"] = round(sum(sum(seconds) for seconds in kernels.values())
@@ -131,10 +97,17 @@ def measure(bench: Bench, prepared: PreparedScene, photos: Photos, gaussians: Ga
               f"{len(seconds) / len(views):.2g} launches", flush=True)
 
 
-def streamed(trial: TrialSteps, one: Callable[[], object], rounds: int) -> Stream:
-    """Take STREAM steps several times without waiting between them; medians of the times."""
+def streamed(trial: TrialSteps, one: Callable[[], object], rounds: int) -> dict[str, float]:
+    """Take STREAM steps several times without waiting between them.
+
+    Returns
+    -------
+    host_ms : of a step, until it was enqueued; the median.
+    stream_ms : of a step, until the device had done it; the median.
+    launches, waits, allocations : of a step, by the device's counters.
+    """
     device, times = trial.session.device, np.empty((rounds, 2))
-    before = counters(device)
+    before = device.launches, device.waits, device.allocations
     for number in range(rounds):
         start = time.perf_counter()
         for _ in range(STREAM):
@@ -142,15 +115,11 @@ def streamed(trial: TrialSteps, one: Callable[[], object], rounds: int) -> Strea
         enqueued = time.perf_counter()
         trial.finish()
         times[number] = enqueued - start, time.perf_counter() - start
-    host, whole = np.median(times, axis=0) / STREAM * 1e3
-    launches, waits, allocations = ((after - first) / (rounds * STREAM) for first, after in zip(
-        before, counters(device)))
-    return Stream(host, whole, launches, waits - 1 / STREAM, allocations)
-
-
-def counters(device: Device) -> Sequence[int]:
-    """The device's launches, waits and allocations so far."""
-    return device.launches, device.waits, device.allocations
+    launches, waits, allocations = ((now - first) / (rounds * STREAM) for first, now in zip(
+        before, (device.launches, device.waits, device.allocations)))
+    host, whole = (round(float(ms), 4) for ms in np.median(times, axis=0) / STREAM * 1e3)
+    return {"host_ms": host, "stream_ms": whole, "launches": launches,
+            "waits": waits - 1 / STREAM, "allocations": allocations}
 
 
 def profiled(device: Device, one: Callable[[], object], steps: int) -> dict[str, list[float]]:

@@ -6,15 +6,16 @@ import numpy as np
 
 from clsplat.camera import Camera
 from clsplat.densify.contribution import contribution
-from clsplat.device import Device
-from clsplat.errors import InputError
-from clsplat.gaussians import Gaussians
+from clsplat.device import Array, Device
+from clsplat.gaussians import LEARNED, Gaussians
 from clsplat.io.photos.images import encode_jpeg
+from clsplat.primitives.compact import new_counts
 from clsplat.rendering.pipeline import Gradients, Renderer
+from clsplat.rendering.project import FieldGradients
 from clsplat.scene import Scene, View
 
+DEFINES = (("SH_REST", 15), ("ANTIALIASED", 0))  # of project and cull, as in training
 SCENE_POINTS = 1000  # of a made scene, which has gaussians of its own
-FAR = 100.0  # how far hidden gaussians are moved, as a multiple of the size of the model
 
 
 def city_size(count: int) -> tuple[int, int]:
@@ -85,38 +86,12 @@ def in_unit(gaussians: Gaussians, unit: float) -> Gaussians:
                      gaussians.sh_degree)
 
 
-def with_hidden(gaussians: Gaussians, cameras: Sequence[Camera], count: int,
-                seed: int = 0) -> Gaussians:
-    """Gaussians among copies of themselves that no camera sees, in random order.
-
-    The copies are far behind all cameras.
-
-    Parameters
-    ----------
-    count : of the result, at least that of `gaussians`.
-    """
-    forward = np.mean([camera.rotation[2] for camera in cameras], axis=0)
-    if min(camera.rotation[2] @ forward for camera in cameras) <= 0:
-        raise InputError("the views of this scene look in all directions, so that no gaussian is "
-                         "behind all cameras; use --visible with another scene, such as city")
-    places = np.concatenate([gaussians.positions, [camera.position for camera in cameras]])
-    size = np.linalg.norm(places.max(0) - places.min(0))
-    rng = np.random.default_rng(seed)
-    source = rng.permutation(np.arange(count) % gaussians.count)
-    # the first of each gaussian stays where it is
-    hidden = np.ones(count, bool)
-    hidden[np.unique(source, return_index=True)[1]] = False
-    rows = {name: values[source] for name, values in gaussians.rows.items()}
-    rows["positions"][hidden] -= np.float32(FAR * size) * (
-        forward / np.linalg.norm(forward)).astype(np.float32)
-    return Gaussians(rows, gaussians.sh_degree)
-
-
 class CityFrame:
     """The city's first view, rendered, so that single families are measured at real sizes.
 
     Attributes
     ----------
+    count, seen : numbers of gaussians, and of those that the view sees.
     camera : packed by the renderer.
     pairs : of the frame, which has one band.
     rows : real[N, ...] by the name of the field.
@@ -125,6 +100,7 @@ class CityFrame:
 
     def __init__(self, device: Device, count: int) -> None:
         gaussians, (camera, *_) = city(count)
+        self.device, self.count = device, count
         self.renderer = Renderer(device, gaussians.sh_degree, near=0.01)
         self.camera = self.renderer.pack(camera)
         self.rows = {name: device.upload(values) for name, values in gaussians.rows.items()}
@@ -132,9 +108,9 @@ class CityFrame:
                                           sh_degree=3)
         pairs = self.frame.pairs
         assert pairs is not None  # the frame fits one band
-        self.pairs = pairs
+        self.pairs, self.seen = pairs, len(self.frame.visible)
         self.size = {"gaussians": count, "width": camera.width, "height": camera.height,
-                     "visible": len(self.frame.visible), "pairs": pairs.count}
+                     "visible": self.seen, "pairs": pairs.count}
 
     def blended_pixels(self) -> int:
         """How often a splat was blended into a pixel: the work that blending cannot avoid."""
@@ -148,6 +124,24 @@ class CityFrame:
         image = self.frame.image
         grad = image.device.upload(np.full(image.shape, 1 / np.prod(image.shape)))
         return self.renderer.adjoint(self.rows, self.frame, grad)
+
+
+def random_gradients(device: Device, count: int, share: float) -> Gradients:
+    """Random gradients of a share of the rows, in runs of 16 rows, as a view sees them."""
+    rng = np.random.default_rng(0)
+    chosen = np.sort(rng.permutation(-(-count // 16))[:-(-max(1, int(share * count)) // 16)])
+    indices = (chosen[:, None] * 16 + np.arange(16)).ravel()
+    rows = device.upload(indices[indices < count].astype(np.uint32))
+
+    def random(*shape: int) -> Array:
+        return device.upload(rng.normal(0, 1e-4, (len(rows), *shape)))
+
+    stored = {field.name: random(*field.row_shape(3)) for field in LEARNED
+              if not field.name.startswith("sh_")}
+    counts = new_counts(device, len(rows))
+    fields = FieldGradients(device, stored, random(3), random(3), 15, (*DEFINES, ("DEGREE", 3)),
+                            counts)
+    return Gradients(fields, None, rows, rows, counts)
 
 
 def ring_camera(angle: float, size: tuple[int, int]) -> Camera:

@@ -1,8 +1,6 @@
-"""`clsplat bench`: the timings of one kernel family, or error against run time."""
+"""`clsplat bench`: the timings of one kernel family."""
 
 from __future__ import annotations
-
-import importlib
 
 import click
 
@@ -18,16 +16,13 @@ def bench(family: str | None, as_json: bool, device: str | None, arguments: tupl
           ) -> None:
     """Time the kernels of a FAMILY; without FAMILY, list all.
 
-    The family `precision` compares approximations by error and time; add --html OUT.html for a
-    page. ARGUMENTS go to the benchmark, such as --gaussians 200k,1M,4M or --form group; `clsplat
-    bench FAMILY -- --help` lists them.
+    ARGUMENTS go to the benchmark, such as --gaussians 200k,1M,4M or --form group; `clsplat bench
+    FAMILY -- --help` lists them.
     """
-    from clsplat.bench import families as listed
-    families = listed()
+    from clsplat.bench import families, run
     if family is None:
-        click.echo("\n".join(families))
-        return
-    if family not in families:
-        raise InputError(f"unknown benchmark '{family}'; known: {', '.join(families)}")
-    flags = (["--json"] if as_json else []) + (["--device", device] if device else [])
-    importlib.import_module(f"clsplat.bench.{family}").main([*flags, *arguments])
+        click.echo("\n".join(families()))
+    elif family in families():
+        run(family, [*["--json"] * as_json, *(["--device", device] if device else []), *arguments])
+    else:
+        raise InputError(f"unknown benchmark '{family}'; known: {', '.join(families())}")

@@ -346,11 +346,11 @@ def test_devices_check_runs_on_each_that_works(monkeypatch, passed, code):
 
 
 def test_bench_lists_and_calls(monkeypatch):
-    module(monkeypatch, "clsplat.bench", families=lambda: ["blend"])
-    module(monkeypatch, "clsplat.bench.blend", main=lambda argv: print("timed", argv))
+    module(monkeypatch, "clsplat.bench", families=lambda: ["blend"],
+           run=lambda family, argv: print(f"timed {family}", argv))
     assert clsplat_("bench").output == "blend\n"
     result = clsplat_("bench", "blend", "--json", "--device", "cpu", "--size", 4)
-    assert result.output == "timed ['--json', '--device', 'cpu', '--size', '4']\n"
+    assert result.output == "timed blend ['--json', '--device', 'cpu', '--size', '4']\n"
     assert clsplat_("bench", "blond").exit_code == 2
 
 

@@ -1,25 +1,26 @@
-"""Each switch of clsplat/bench/variants.py has its effect, and no effect where it is not set."""
+"""Each switch of tools/studies/precision.py has its effect, and no effect where it is not set."""
 
 import numpy as np
 import pytest
 
-from clsplat.bench.precision import Frame, errors
-from clsplat.bench.variants import (
-    DEFAULT,
-    DOUBLE,
-    NO_CUTOFF,
-    NO_STOP,
-    VARIANTS,
-    Devices,
-    Variant,
-    VariantDevice,
-)
 from clsplat.bench.workloads import city
 from clsplat.device import Kernel, each
 from tests import cases
 from tests.kernels.chain import camera_of, depth_order, render, size_of
 from tests.reference import blend as blend_reference
 from tests.reference import project as project_reference
+from tools.studies.precision import (
+    DEFAULT,
+    DOUBLE,
+    NO_CUTOFF,
+    NO_STOP,
+    VARIANTS,
+    Devices,
+    Frame,
+    Variant,
+    VariantDevice,
+    errors,
+)
 
 EXP = """
 #include "real.h"
@@ -87,7 +88,7 @@ COUNT = 1200
 
 
 def scene():
-    """As clsplat/bench/precision.py takes it; opaque in places, so that pixels end."""
+    """As tools/studies/precision.py takes it; opaque in places, so that pixels end."""
     case = cases.gaussians("many", count=COUNT)
     case["rows"]["opacity_logits"] += 3
 
@@ -200,3 +201,14 @@ def test_frames_that_share_a_device_keep_their_variant(item_device):
     first, second = (frame.result()["image"] for frame in frames)
     assert not np.array_equal(first, second)
     assert np.array_equal(first, frames[0].result()["image"])
+
+
+def test_errors_are_relative_and_name_the_worst():
+    image = np.zeros((3, 1, 2))
+    reference = {"image": image, "gradients": {"positions": np.array([[3.0, 4.0], [0, 0]])}}
+    off = {"image": image + [[[0, 0.5]]],
+           "gradients": {"positions": np.array([[3.0, 4.0], [0, 2.0]])}}
+    difference = errors(off, reference)
+    assert [difference[f"image_{name}"] for name in ("max", "mean", "above")] == [0.5, 0.25, 0.5]
+    assert difference["gradients"]["positions"] == {
+        "l2": 0.4, "worst": 0.5, "element": "positions[1, 1]"}
