@@ -388,7 +388,6 @@ def test_a_small_house_in_order_passes(tmp_path):
     ("clsplat/rendering/blend.py", "def f(device):\n    return {'item': 1}[device.form]",
      "blend.py:2: asks for the form"),
     ("clsplat/camera.py", "x = 1\n" * 401, "401 lines"),
-    ("cl/blend.cl", "//\n" * 401, "401 lines"),
     ("clsplat/io/image_utils.py", "", "'utils' says nothing"),
     ("clsplat/training/loop.py", "", "package clsplat.training is not listed"),
     ("cl/item/tiles.h", "", "the wheel lacks cl/item/tiles.h"),
