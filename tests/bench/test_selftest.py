@@ -105,7 +105,7 @@ def other_gradient(device, *arguments):
 
 
 def brighter(device, *arguments, background, **options):
-    return Renderer(device, *arguments, background=np.add(background, 1e-3), **options)
+    return Renderer(device, *arguments, background=np.add(background, 1e-4), **options)
 
 
 def restless(device, *arguments, background, **options):
